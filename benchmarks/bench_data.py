@@ -36,7 +36,10 @@ def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
 
 def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     engine, chunks = simulator(), unfinished_folder(settings, TACTIP_331, data)
-    drawn = [draw(one) for one in (settings, dataclasses.replace(settings, poses=PLANNED * settings.poses))]
+    drawn = [
+        draw(one)
+        for one in (settings, dataclasses.replace(settings, poses=PLANNED * settings.poses))
+    ]
     shots, many = drawn
     counts = [len(each.scenes) for each in drawn]
 
@@ -48,7 +51,9 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
         stored = open_set(settings, data, TACTIP_331)
         return sum(field.nbytes for split in SPLITS for field in stored.rows(split).values())
 
-    plan = _step("plan", counts[1], lambda: 0 * len(engine.plan(TACTIP_331, settings.stimuli, many.scenes)))
+    plan = _step(
+        "plan", counts[1], lambda: 0 * len(engine.plan(TACTIP_331, settings.stimuli, many.scenes))
+    )
     chunk = _step("simulate and draw", counts[0], simulated)
     make_set(settings, TACTIP_331, data, engine)
     files = sum(path.stat().st_size for path in set_folder(settings, TACTIP_331, data).iterdir())
@@ -61,4 +66,9 @@ def _step(name: str, contacts: int, work: Callable[[], int]) -> dict[str, Any]:
     began = time.process_time()
     size = work()
     spent = time.process_time() - began
-    return {"name": name, "contacts": contacts, "cpu_ms": 1e3 * spent / contacts, "bytes": size / contacts}
+    return {
+        "name": name,
+        "contacts": contacts,
+        "cpu_ms": 1e3 * spent / contacts,
+        "bytes": size / contacts,
+    }

@@ -27,7 +27,9 @@ WITHIN_MM, TURNED_DEG = 5.0, 45.0
 COLUMNS = ("name", "pictures", "refused", "ms", "ms_p95", "most_ms")
 
 
-def bench_explore(stimuli: tuple[str, ...] = STIMULI, pictures: int = PICTURES, *, warm: bool = True) -> list[Json]:
+def bench_explore(
+    stimuli: tuple[str, ...] = STIMULI, pictures: int = PICTURES, *, warm: bool = True
+) -> list[Json]:
     """A row a stimulus: pictures that came, those refused (with a line), ms a picture: median, 95 % and most."""
     keep_freed_memory()
     folder = model_folder(Path("standard"))
@@ -51,15 +53,27 @@ def _row(explorer: Explorer, name: str, pictures: int, advance: Callable[[], obj
         else:
             spent.append(1e3 * (time.perf_counter() - began))
         advance()
-    median, late, most = np.percentile(spent, (50, 95, 100)).tolist() if spent else (None, None, None)
-    return {"name": name, "pictures": len(spent), "refused": refused, "ms": median, "ms_p95": late, "most_ms": most}
+    median, late, most = (
+        np.percentile(spent, (50, 95, 100)).tolist() if spent else (None, None, None)
+    )
+    return {
+        "name": name,
+        "pictures": len(spent),
+        "refused": refused,
+        "ms": median,
+        "ms_p95": late,
+        "most_ms": most,
+    }
 
 
 def _anywhere(explorer: Explorer, name: str, generator: np.random.Generator) -> Touch:
     """A slide of up to MOST_SLIDE_MM to a place about the target point, of the depths that data have."""
     x, y = generator.uniform(-WITHIN_MM, WITHIN_MM, 2)
     ranges = Ranges()
-    yaw, depth = generator.uniform(-TURNED_DEG, TURNED_DEG), generator.uniform(ranges.depth_min_mm, ranges.depth_max_mm)
+    yaw, depth = (
+        generator.uniform(-TURNED_DEG, TURNED_DEG),
+        generator.uniform(ranges.depth_min_mm, ranges.depth_max_mm),
+    )
     far, way = generator.uniform(0, MOST_SLIDE_MM), generator.uniform(0, 2 * np.pi)
     move = (far * np.cos(way), far * np.sin(way))
     stimulus = stimulus_named(name)

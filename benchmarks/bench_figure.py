@@ -37,7 +37,9 @@ def series_of(row: Json) -> str:
     if row["against"] != "reference":
         return f"mesh (against {row['against']})"
     changed = row["name"].partition(", ")[2].split(" ")[0]
-    return {"tolerance": "auto: tolerance", "steps": "auto: steps"}.get(changed, row["name"].partition(",")[0])
+    return {"tolerance": "auto: tolerance", "steps": "auto: steps"}.get(
+        changed, row["name"].partition(",")[0]
+    )
 
 
 def _panel(axes: Axes, rows: list[Json]) -> None:
@@ -48,13 +50,35 @@ def _panel(axes: Axes, rows: list[Json]) -> None:
     for number, (name, points) in enumerate(lines.items()):
         points.sort(key=lambda row: row["ratio"])
         x, y, top = ([row[field] for row in points] for field in ("ratio", "rms_px", "p95_px"))
-        colour, mark = COLOURS[number % len(COLOURS)], MARKS[(number + number // len(COLOURS)) % len(MARKS)]
+        colour, mark = (
+            COLOURS[number % len(COLOURS)],
+            MARKS[(number + number // len(COLOURS)) % len(MARKS)],
+        )
         several = "-" if (len(points) > 1 and "auto:" in name) or points[0]["solver"] != OWN else ""
-        axes.plot(x, y, linestyle=several, marker=mark, color=colour, markersize=6, label=name, linewidth=1)
+        axes.plot(
+            x,
+            y,
+            linestyle=several,
+            marker=mark,
+            color=colour,
+            markersize=6,
+            label=name,
+            linewidth=1,
+        )
         axes.vlines(x, y, np.maximum(top, y), color=colour, linewidth=0.8, alpha=0.5)
         failing = [row for row in points if row["failed"]]
-        axes.plot([row["ratio"] for row in failing], [row["rms_px"] for row in failing], "x", color=INK, markersize=11)
-    axes.set(xscale="log", yscale="log", xlabel="time of a state / time of a 2048 x 2048 float32 matrix product")
+        axes.plot(
+            [row["ratio"] for row in failing],
+            [row["rms_px"] for row in failing],
+            "x",
+            color=INK,
+            markersize=11,
+        )
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="time of a state / time of a 2048 x 2048 float32 matrix product",
+    )
     timed = [row["product_ms"] for row in rows if "product_ms" in row]
     if timed:
         product = float(np.median(timed))
@@ -66,4 +90,6 @@ def _panel(axes: Axes, rows: list[Json]) -> None:
     failures = [f"{row['name']}: {row['failed']}" for row in rows if row["failed"]]
     if failures:
         text = "failing (crossed out):\n" + "\n".join(failures)
-        axes.text(0.01, 0.01, text, transform=axes.transAxes, fontsize=LABEL, color=FAINT, va="bottom")
+        axes.text(
+            0.01, 0.01, text, transform=axes.transAxes, fontsize=LABEL, color=FAINT, va="bottom"
+        )

@@ -35,7 +35,17 @@ from verification.clock import seconds
 SECONDS = 60.0  # of each way
 LEAST_ROUNDS = 2
 EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
-COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_low", "ratio_high", "ratio_p95", "compile_s")
+COLUMNS = (
+    "name",
+    "batch",
+    "ms_there",
+    "ms_drawn",
+    "ratio",
+    "ratio_low",
+    "ratio_high",
+    "ratio_p95",
+    "compile_s",
+)
 
 
 class Case(NamedTuple):
@@ -47,7 +57,9 @@ class Case(NamedTuple):
     steps: int  # a turn: a third of a second of two cores
 
 
-def bench_input(of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths) -> list[Json]:
+def bench_input(
+    of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths
+) -> list[Json]:
     """A row a kind of network, of turns of `of_each` s in all a way: ms a step with a batch that is there and with one that is
     drawn; their ratio, median with its 95 % bootstrap interval, and 95 % of turns."""
     keep_freed_memory()
@@ -69,8 +81,14 @@ def _images(widths: tuple[int, ...]) -> Case:
 
 def _pins() -> Case:
     training = replace(PINS, pose_weight=0.0)
-    pins = np.random.default_rng(0).normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2)).astype(np.float32)
-    task = pin_unshear_task(PinUnshear(), training, of_ranges((), Ranges()), pins[0].mean(axis=0), 20.0)
+    pins = (
+        np.random.default_rng(0)
+        .normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2))
+        .astype(np.float32)
+    )
+    task = pin_unshear_task(
+        PinUnshear(), training, of_ranges((), Ranges()), pins[0].mean(axis=0), 20.0
+    )
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
     return Case("pins", task, training, stored | _poses(), 128, 40)
 
@@ -83,7 +101,9 @@ def _measured(case: Case, of_each: float) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
     reader = Reader(lambda split: case.stored, case.size)
-    stream = ahead(reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put)
+    stream = ahead(
+        reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put
+    )
     there = next(stream)
     step, first = step_of(case.task, training)
     state = [first]
@@ -105,7 +125,10 @@ def _measured(case: Case, of_each: float) -> Json:
     turn(itertools.repeat(there))
     rounds = max(LEAST_ROUNDS, round(of_each / seconds(lambda: turn(itertools.repeat(there)))))
     spent = np.array(
-        [[seconds(lambda: turn(itertools.repeat(there))), seconds(lambda: turn(stream))] for _ in range(rounds)]
+        [
+            [seconds(lambda: turn(itertools.repeat(there))), seconds(lambda: turn(stream))]
+            for _ in range(rounds)
+        ]
     )
     ratio = spent[:, 1] / spent[:, 0]
     spread = bootstrap((ratio,), np.median, method="percentile", rng=0).confidence_interval

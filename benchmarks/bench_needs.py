@@ -52,11 +52,15 @@ class Way:
     @cached_property
     def operations(self) -> float:
         with native.taking("counted"):
-            counted = jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
+            counted = (
+                jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
+            )
         return float((counted.cost_analysis() or {})["flops"])
 
 
-def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[Json]:
+def bench_needs(
+    size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS
+) -> list[Json]:
     """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
@@ -65,7 +69,9 @@ def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int =
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:
         for name, left_out, full, less in cases:
-            rows.append({"name": name, "left_out": left_out, "size": size} | _measured(full, less, rounds))
+            rows.append(
+                {"name": name, "left_out": left_out, "size": size} | _measured(full, less, rounds)
+            )
             progress.advance(1)
     return rows
 
@@ -84,7 +90,10 @@ def _measured(full: Way, less: Way, rounds: int) -> Json:
             times[kind].append(seconds(work))
     for kind, laps in times.items():
         found[kind] |= {"seconds": float(np.median(laps)), "p95": float(np.percentile(laps, 95))}
-    ratios = {f"{name}_ratio": found["without"][name] / found["with"][name] for name in ("operations", "seconds")}
+    ratios = {
+        f"{name}_ratio": found["without"][name] / found["with"][name]
+        for name in ("operations", "seconds")
+    }
     return found | ratios
 
 
@@ -110,7 +119,9 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     yield _evaluation(net, variables)
 
 
-def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _both_decoders(
+    net: UnshearNet, variables: Variables, images: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     z_p, z_s = unshearnet.encode(net, variables, images)
     sheared = unshearnet.decode_sheared(net, variables, z_p, z_s)  # type: ignore[arg-type]
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
@@ -137,14 +148,21 @@ def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, W
         run = run_of({name: nets[name] for name in names}, dict.fromkeys(names, targets))
         return Way(run, ({name: values[name] for name in names}, None, images, images))
 
-    return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way((ENTANGLED,))
+    return (
+        "evaluation of a batch",
+        "networks that are not asked for",
+        way(tuple(nets)),
+        way((ENTANGLED,)),
+    )
 
 
 def table(rows: list[Json]) -> str:
     """For people."""
     lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
     for row in rows:
-        operations, times = ([row[kind][name] for kind in ("with", "without")] for name in ("operations", "seconds"))
+        operations, times = (
+            [row[kind][name] for kind in ("with", "without")] for name in ("operations", "seconds")
+        )
         lines.append(
             f"{row['name']:22} {row['left_out']:35} {operations[0] / 1e6:10.1f} {operations[1] / 1e6:9.1f} {row['operations_ratio']:6.2f} "
             f"{1e3 * times[0]:10.2f} {1e3 * times[1]:9.2f} {row['seconds_ratio']:6.2f}"

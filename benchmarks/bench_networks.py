@@ -41,25 +41,44 @@ INFERRED = (256, 128)
 FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
 ABSENT = "is not installed"  # which is no failure
 Rounds = tuple[int, float]
-ROUNDS: Rounds = (7, 4.0)  # and a round's seconds: threads that still spin for the other side's work do not count
+ROUNDS: Rounds = (
+    7,
+    4.0,
+)  # and a round's seconds: threads that still spin for the other side's work do not count
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
 
-def bench_train(size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
+def bench_train(
+    size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
+) -> list[Json]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
-    cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
+    cases = (
+        list(TRAINED)
+        if plain
+        else [(128 if size is None else size, 32 if batch is None else batch)]
+    )
     return _measured(
-        "bench train", cases, _training_sides, lambda px: 6 * multiplications(UnshearNet(size=px), True), rounds
+        "bench train",
+        cases,
+        _training_sides,
+        lambda px: 6 * multiplications(UnshearNet(size=px), True),
+        rounds,
     )
 
 
-def bench_infer(size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
+def bench_infer(
+    size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
+) -> list[Json]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
     return _measured(
-        "bench infer", cases, _inference_sides, lambda px: 2 * multiplications(UnshearNet(size=px), False), rounds
+        "bench infer",
+        cases,
+        _inference_sides,
+        lambda px: 2 * multiplications(UnshearNet(size=px), False),
+        rounds,
     )
 
 
@@ -68,7 +87,9 @@ def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]
     cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
 
     def operations(px: int) -> int:
-        return 2 * (multiplications(UnshearNet(size=px), False) + pose_multiplications(PoseNet(size=px)))
+        return 2 * (
+            multiplications(UnshearNet(size=px), False) + pose_multiplications(PoseNet(size=px))
+        )
 
     return _measured("bench stream", cases, _stream_sides, operations, rounds)
 
@@ -120,7 +141,10 @@ def _training_sides(size: int, batch: int) -> Sides:
         torch.manual_seed(0)
         twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).train()
         step = torch_twin.training_step(twin, training, compiled)
-        given = [torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place()) for images in (canonical, sheared)]
+        given = [
+            torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place())
+            for images in (canonical, sheared)
+        ]
         return lambda: float(step(*given)) and None
 
     yield "jaxunshear", lambda: ours("compiled")
@@ -143,7 +167,9 @@ def _inference_sides(size: int, batch: int) -> Sides:
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
         twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
-        run = torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
+        run = (
+            torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
+        )
         image = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
         image = image.contiguous(memory_format=torch.channels_last)
 
@@ -175,7 +201,9 @@ def _stream_sides(size: int, batch: int) -> Sides:
         from jaxunshear.apps.export.onnx_file import onnx_of, runner
 
         if jax.default_backend() != "cpu":
-            raise RuntimeError(f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}")
+            raise RuntimeError(
+                f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}"
+            )
         known = jax.device_get(fresh_variables())
         reads = Part(pose_net, known[POSENET])
         parts = Parts(Part(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size)
@@ -185,7 +213,11 @@ def _stream_sides(size: int, batch: int) -> Sides:
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
         twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
-        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS))).to(_place()).eval()
+        pose = (
+            torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS)))
+            .to(_place())
+            .eval()
+        )
 
         def perceive(image: Any) -> tuple[Any, Any]:
             after = twin.unshear(image[None, None].float() / 255)
@@ -239,7 +271,9 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Roun
             if name == "jaxunshear":
                 raise
             extra = "torch" if missing.name == "torch" else "onnx"
-            rows[name]["failed"] = f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[{extra}]'"
+            rows[name]["failed"] = (
+                f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[{extra}]'"
+            )
         except Exception as crash:
             if name == "jaxunshear":
                 raise

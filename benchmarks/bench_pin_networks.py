@@ -30,12 +30,25 @@ from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import pin_unshear_task
 from verification.clock import seconds
 
-NETS = {"dense": PinUnshear(), "convolves": PinUnshear(convolved=(24, 48, 96))}  # as the weights `skin`
+NETS = {
+    "dense": PinUnshear(),
+    "convolves": PinUnshear(convolved=(24, 48, 96)),
+}  # as the weights `skin`
 BATCHES = (1, 64)
 ROUNDS, TURN_S = 60, 0.1
 SPREAD = 2.0  # px
 POSE = 3  # numbers that PoseNet reads
-COLUMNS = ("name", "what", "batch", "ms", "ms_p95", "plain_ms", "plain_over_fast", "compile_s", "plain_compile_s")
+COLUMNS = (
+    "name",
+    "what",
+    "batch",
+    "ms",
+    "ms_p95",
+    "plain_ms",
+    "plain_over_fast",
+    "compile_s",
+    "plain_compile_s",
+)
 Work = Callable[[], object]
 
 
@@ -46,9 +59,16 @@ def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Jso
     rows = []
     with Progress("bench pinnets", 3 * len(NETS), unit="rows") as progress:
         for name, net in NETS.items():
-            for what, batch in (("training step", PINS.batch), *(("a frame", batch) for batch in BATCHES)):
-                made = {way: _made(net, rest, what, batch, way) for way in (kernels.FAST, kernels.PLAIN)}
-                rows.append({"name": name, "what": what, "batch": batch, **_measured(made, rounds, turn_s)})
+            for what, batch in (
+                ("training step", PINS.batch),
+                *(("a frame", batch) for batch in BATCHES),
+            ):
+                made = {
+                    way: _made(net, rest, what, batch, way) for way in (kernels.FAST, kernels.PLAIN)
+                }
+                rows.append(
+                    {"name": name, "what": what, "batch": batch, **_measured(made, rounds, turn_s)}
+                )
                 progress.advance()
     return rows
 
@@ -57,7 +77,8 @@ def _made(net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str) ->
     """Something to time, and the seconds that compiling it took."""
     with kernels.using(way):
         pins = jnp.asarray(
-            rest[None] + SPREAD * np.random.default_rng(0).normal(size=(batch, *rest.shape)), jnp.float32
+            rest[None] + SPREAD * np.random.default_rng(0).normal(size=(batch, *rest.shape)),
+            jnp.float32,
         )
         build = _step if what == "training step" else _frame
         began = time.perf_counter()

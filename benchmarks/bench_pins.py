@@ -50,9 +50,17 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
     experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
     contacts = fresh_contacts(experiment, FRAMES, seed)
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
-    seen = {"tap": (contacts.tap, contacts.tap_pins), "sheared": (contacts.sheared, contacts.sheared_pins)}
+    seen = {
+        "tap": (contacts.tap, contacts.tap_pins),
+        "sheared": (contacts.sheared, contacts.sheared_pins),
+    }
     return [
-        {"name": f"{experiment.sensor.name}/{kind}", "sensor": experiment.sensor.name, "kind": kind, "size": size}
+        {
+            "name": f"{experiment.sensor.name}/{kind}",
+            "sensor": experiment.sensor.name,
+            "kind": kind,
+            "size": size,
+        }
         | compare(lattice, images, true)
         for kind, (images, true) in seen.items()
     ]
@@ -65,7 +73,9 @@ def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     usual = usual_motions(lattice, tracks)
     for row, track in enumerate(tracks):
         if usual is not None and not track.sure:
-            (tracks[row],), more = _timed(lambda each: follow_pins(lattice, each, usual), found[row : row + 1])
+            (tracks[row],), more = _timed(
+                lambda each: follow_pins(lattice, each, usual), found[row : row + 1]
+            )
             follow_ms[row] += more[0]
     motion = np.array([track.motion for track in tracks])
     off = np.linalg.norm(lattice.place + motion - true, axis=-1)
@@ -91,7 +101,9 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 
-def _timed(work: Callable[[Item], Answer], items: Iterable[Item]) -> tuple[list[Answer], np.ndarray]:
+def _timed(
+    work: Callable[[Item], Answer], items: Iterable[Item]
+) -> tuple[list[Answer], np.ndarray]:
     """Answers, and milliseconds (N,) of each."""
     answers, spent = [], []
     for item in items:

@@ -67,7 +67,11 @@ def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Itera
     for batch in batches:
         for name in ("auto", "fast"):
             yield Setting(
-                f"{name}, batch {batch}", name, LEVELS[name], batch, scenes=effort.slow if batch == 1 else None
+                f"{name}, batch {batch}",
+                name,
+                LEVELS[name],
+                batch,
+                scenes=effort.slow if batch == 1 else None,
             )
     for batch in batches:
         full = {
@@ -96,11 +100,29 @@ def variations(effort: Effort) -> Iterator[Setting]:
             continue
         for tolerance in (0.5, 0.2, 0.05) if solver != "newton, cold" else (0.2,):
             how = replace(auto, tolerance=tolerance, limit=2000)
-            batch, scenes = (1, min(7, effort.slow)) if solver == "newton, cold" else (64, effort.slow)
-            yield Setting(f"{solver}, tolerance {tolerance:g}", "auto", how, batch, solver, None, ("slide",), scenes)
+            batch, scenes = (
+                (1, min(7, effort.slow)) if solver == "newton, cold" else (64, effort.slow)
+            )
+            yield Setting(
+                f"{solver}, tolerance {tolerance:g}",
+                "auto",
+                how,
+                batch,
+                solver,
+                None,
+                ("slide",),
+                scenes,
+            )
     for mesh in (2.0, 1.5, 1.0, FINEST_MM):
         against = f"tight auto at {FINEST_MM:g} mm"
-        yield Setting(f"auto, mesh {mesh:g} mm", "auto", auto, mesh_mm=mesh, scenes=effort.slow, against=against)
+        yield Setting(
+            f"auto, mesh {mesh:g} mm",
+            "auto",
+            auto,
+            mesh_mm=mesh,
+            scenes=effort.slow,
+            against=against,
+        )
 
 
 def chosen(effort: Effort, level: str | None, batch: int | None) -> list[Setting]:
@@ -173,7 +195,9 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
         spent = laps(work, product, effort.repeats, effort.budget_s)
     except Exception as crash:
         return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
-    planned = min(seconds(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2))
+    planned = min(
+        seconds(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2)
+    )
     each = 1e3 * spent.work / len(scenes)
     part = contacts[0]
     error = pin_error(sensor, part.pins[: len(compared)], pins)
@@ -248,7 +272,14 @@ def _verdicts(rows: Sequence[Json]) -> Iterator[str]:
     the meshes, but for small efforts not that of the batches."""
     for kind in KINDS:
         pair = [
-            next((row for row in rows if (row["kind"], row["name"]) == (kind, name) and "ratio" in row), None)
+            next(
+                (
+                    row
+                    for row in rows
+                    if (row["kind"], row["name"]) == (kind, name) and "ratio" in row
+                ),
+                None,
+            )
             for name in (f"auto, mesh {RING_MM:g} mm", "auto, nothing left out, batch 64")
         ]
         if pair[0] and pair[1] and pair[0]["timed_scenes"] == pair[1]["timed_scenes"]:

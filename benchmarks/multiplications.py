@@ -37,5 +37,10 @@ def pose_multiplications(net: PoseNet) -> int:
     first, second, *rest = net.widths
     side = net.size // 4
     count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
-    count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2 + 9 * rest[1] * rest[2] * (side // 4) ** 2
-    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)
+    count += (
+        9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2
+        + 9 * rest[1] * rest[2] * (side // 4) ** 2
+    )
+    return (
+        count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)
+    )

@@ -12,12 +12,28 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, Solved, System, project
+from jaxunshear.contact.friction import (
+    BETWEEN_CHECKS,
+    OVER_RELAXATION,
+    RHO,
+    Solved,
+    System,
+    project,
+)
 
 Start = tuple[jax.Array, jax.Array, jax.Array]
 Solver = Callable[..., Solved]
 State = TypeVar("State")
-_Walk = tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[jax.Array, jax.Array], jax.Array, jax.Array, jax.Array]
+_Walk = tuple[
+    jax.Array,
+    jax.Array,
+    jax.Array,
+    jax.Array,
+    tuple[jax.Array, jax.Array],
+    jax.Array,
+    jax.Array,
+    jax.Array,
+]
 MEMORY = 5  # earlier steps that Anderson's extrapolation uses
 GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
@@ -27,7 +43,9 @@ def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
     return (force.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
 
 
-def _length(system: System, miss: jax.Array, force: jax.Array, factor: jax.Array | float) -> jax.Array:
+def _length(
+    system: System, miss: jax.Array, force: jax.Array, factor: jax.Array | float
+) -> jax.Array:
     """(B,) mm, as the simulator's own: what a miss of the forces does to the skin, and `factor` times the miss."""
     touching = jnp.maximum(jnp.sum(force[..., -1] > 0, axis=-1), 1)
     squared = _times(system.w, miss) ** 2 + (factor * miss) ** 2
@@ -42,13 +60,19 @@ def _largest_eigenvalue(system: System) -> jax.Array:
         return moved / jnp.linalg.norm(moved)
 
     count = len(system.w)
-    start = jnp.ones(count, system.w.dtype) / count**0.5 + jnp.linspace(0, 1, count, dtype=system.w.dtype)
+    start = jnp.ones(count, system.w.dtype) / count**0.5 + jnp.linspace(
+        0, 1, count, dtype=system.w.dtype
+    )
     vector = jax.lax.fori_loop(0, 30, step, start / jnp.linalg.norm(start))
     return 1.02 * jnp.linalg.norm(vector @ system.w)
 
 
 def _iterate(
-    step: Callable[[State], tuple[State, jax.Array]], state: State, tolerance: jax.Array, limit: int, every: int
+    step: Callable[[State], tuple[State, jax.Array]],
+    state: State,
+    tolerance: jax.Array,
+    limit: int,
+    every: int,
 ) -> tuple[State, jax.Array, jax.Array]:
     """Repeat `step`(state) -> (state, error (B,)), `every` times between checks, until all are below their tolerance."""
 
@@ -56,7 +80,9 @@ def _iterate(
         _, error, _, count = carry
         return jnp.any(~(error <= tolerance)) & (count < limit)
 
-    def some(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> tuple[State, jax.Array, jax.Array, jax.Array]:
+    def some(
+        carry: tuple[State, jax.Array, jax.Array, jax.Array],
+    ) -> tuple[State, jax.Array, jax.Array, jax.Array]:
         state, before, spent, count = carry
         state, error = jax.lax.fori_loop(0, every, lambda _, both: step(both[0]), (state, before))
         return state, error, spent + every * (before > tolerance), count + every
@@ -134,7 +160,9 @@ def anderson(
         gram = jnp.einsum("bmi,bni->bmn", pulls, pulls)
         ridge = 1e-7 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-30
         right = jnp.einsum("bmi,bi->bm", pulls, pull.reshape(count, -1))
-        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY, dtype=v.dtype), right[..., None])[..., 0]
+        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY, dtype=v.dtype), right[..., None])[
+            ..., 0
+        ]
         back = jnp.einsum("bm,bmi->bi", share, ways + pulls).reshape(v.shape)
         after = jnp.where(worse, plain, v + pull - back)
         touching = jnp.maximum(jnp.sum(z[..., -1] > 0, axis=-1), 1)
@@ -147,7 +175,16 @@ def anderson(
     v = force + dual
     pull, z, _ = move(v)
     none = jnp.zeros((count, MEMORY, size), v.dtype)
-    state = (v + pull, v + pull, none, none, (v, pull), jnp.full(count, jnp.inf, v.dtype), z, jnp.zeros((), jnp.int32))
+    state = (
+        v + pull,
+        v + pull,
+        none,
+        none,
+        (v, pull),
+        jnp.full(count, jnp.inf, v.dtype),
+        z,
+        jnp.zeros((), jnp.int32),
+    )
     state, error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
     v = state[0]
     force = project(v, friction)
@@ -185,7 +222,9 @@ def newton(
         miss = after - project(after - _times(system.w, after) - offset, friction)
         return after, _length(system, miss, after, 1.0)
 
-    force, error, spent = _iterate(step, jnp.zeros_like(offset), tolerance, min(limit, NEWTON_LIMIT), 1)
+    force, error, spent = _iterate(
+        step, jnp.zeros_like(offset), tolerance, min(limit, NEWTON_LIMIT), 1
+    )
     return force, start[1], error, spent
 
 

@@ -29,15 +29,21 @@ def _norm(width: int) -> nn.Module:
 
 
 def _down(before: int, width: int) -> nn.Module:
-    return nn.Sequential(nn.Conv2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+    return nn.Sequential(
+        nn.Conv2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True)
+    )
 
 
 def _same(before: int, width: int) -> nn.Module:
-    return nn.Sequential(nn.Conv2d(before, width, 3, 1, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+    return nn.Sequential(
+        nn.Conv2d(before, width, 3, 1, 1, bias=False), _norm(width), nn.ReLU(inplace=True)
+    )
 
 
 def _up(before: int, width: int) -> nn.Module:
-    return nn.Sequential(nn.ConvTranspose2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+    return nn.Sequential(
+        nn.ConvTranspose2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True)
+    )
 
 
 class Twin(nn.Module):
@@ -108,7 +114,9 @@ class PoseTwin(nn.Module):
             _same(rest[1], rest[2]),
         )
         self.dense = nn.Sequential(
-            nn.Linear((net.size // 16) ** 2 * rest[2], net.hidden), nn.ReLU(), nn.Linear(net.hidden, outputs)
+            nn.Linear((net.size // 16) ** 2 * rest[2], net.hidden),
+            nn.ReLU(),
+            nn.Linear(net.hidden, outputs),
         )
 
     def forward(self, images: Tensor) -> Tensor:
@@ -119,7 +127,13 @@ class PoseTwin(nn.Module):
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         convolutions = [layer for layer in self.layers if isinstance(layer, nn.Sequential)]
-        names = ("First_0", "Down_0", "Same_1", "Same_0", "Same_2")  # Flax counts an outer call before the inner one
+        names = (
+            "First_0",
+            "Down_0",
+            "Same_1",
+            "Same_0",
+            "Same_2",
+        )  # Flax counts an outer call before the inner one
         for layer, name in zip(convolutions, names, strict=True):
             _load_layer(layer, params[name], stats[name], False)
         linear: list[nn.Module] = [self.dense[0], self.dense[2]]
@@ -137,13 +151,19 @@ def channels_last(twin: Twinned) -> Twinned:
 
 
 def _load_layers(
-    layers: Iterable[nn.Sequential], params: Variables, stats: Variables, names: tuple[str, ...], transposed: bool
+    layers: Iterable[nn.Sequential],
+    params: Variables,
+    stats: Variables,
+    names: tuple[str, ...],
+    transposed: bool,
 ) -> None:
     for layer, name in zip(layers, names, strict=True):
         _load_layer(layer, params[name], stats[name], transposed)
 
 
-def _load_layer(layer: nn.Sequential, params: Variables, stats: Variables, transposed: bool) -> None:
+def _load_layer(
+    layer: nn.Sequential, params: Variables, stats: Variables, transposed: bool
+) -> None:
     kernel = params["kernel"]
     _set(layer[0].weight, _transposed(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)))
     _set(layer[1].weight, params["norm"]["scale"])
@@ -170,30 +190,43 @@ def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -
     if training.patch_weight:
         counts = _coverage(len(image), twin.net.size, training, image.device)
         far = torch.abs(image - canonical)[:, 0]
-        total = total + training.patch_weight * torch.mean((counts * far).sum((1, 2)) / counts.sum((1, 2)))
+        total = total + training.patch_weight * torch.mean(
+            (counts * far).sum((1, 2)) / counts.sum((1, 2))
+        )
     if again is not None:
-        total = total + training.reconstruction_weight * torch.mean((torch.sigmoid(again) - sheared) ** 2)
+        total = total + training.reconstruction_weight * torch.mean(
+            (torch.sigmoid(again) - sheared) ** 2
+        )
     if training.l1 or training.l2:
         for name, kernel in twin.named_parameters():
             if name.endswith("weight") and kernel.ndim == 4:
                 weights = 1 if training.kernels == "sum" else kernel.numel()
-                total = total + (training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()) / weights
+                total = (
+                    total
+                    + (training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()) / weights
+                )
     return total
 
 
 def _coverage(images: int, size: int, training: Training, device: torch.device) -> Tensor:
     """As `training.losses.coverage`, of random crops."""
-    start = torch.randint(0, size - training.crop_px + 1, (images, training.crops, 2), device=device)[..., None]
+    start = torch.randint(
+        0, size - training.crop_px + 1, (images, training.crops, 2), device=device
+    )[..., None]
     pixel = torch.arange(size, device=device)
     covered = ((pixel >= start) & (pixel < start + training.crop_px)).float()
     return torch.einsum("bkr,bkc->brc", covered[:, :, 0], covered[:, :, 1])
 
 
-def training_step(twin: Twin, training: Training, compiled: bool = False) -> Callable[[Tensor, Tensor], Tensor]:
+def training_step(
+    twin: Twin, training: Training, compiled: bool = False
+) -> Callable[[Tensor, Tensor], Tensor]:
     """A step of Adam with moving averages of weights and statistics, on images (B, 1, S, S) uint8 of {0, 255}."""
     kept = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
     average = [tensor.detach().clone() for tensor in kept]
-    adam = torch.optim.Adam(twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True)
+    adam = torch.optim.Adam(
+        twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True
+    )
     loss_of = torch.compile(losses, dynamic=False) if compiled else losses
 
     def step(canonical: Tensor, sheared: Tensor) -> Tensor:

@@ -41,7 +41,9 @@ def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Lev
 
 
 def _key(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> str:
-    found = hashlib.sha256(json.dumps([asdict(sensor), names, asdict(level), versions()], sort_keys=True).encode())
+    found = hashlib.sha256(
+        json.dumps([asdict(sensor), names, asdict(level), versions()], sort_keys=True).encode()
+    )
     for field in (scenes.stimulus.astype(np.int64), scenes.pose, scenes.move, scenes.friction):
         found.update(np.ascontiguousarray(field).tobytes())
     for package in ("contact", "scene"):

@@ -33,12 +33,16 @@ def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
 def _publishable(path: Path) -> Json:
     held = read_object(path)
     if SEAL not in json.loads(path.read_text()):
-        raise UserError(f"{path} bears no {SEAL}: it was edited, or is older than checksums; make it again")
+        raise UserError(
+            f"{path} bears no {SEAL}: it was edited, or is older than checksums; make it again"
+        )
     made = sources(held)
     if not made or any(source.commit is None or not source.clean for source in made):
         raise UserError(f"{path} was made with code that no commit has: commit, then make it again")
     if place := next(filter(PLACE.search, _texts(held)), None):
-        raise UserError(f"{path} names a place of one machine, {place}: make it again with paths from where you stand")
+        raise UserError(
+            f"{path} names a place of one machine, {place}: make it again with paths from where you stand"
+        )
     return held
 
 

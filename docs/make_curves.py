@@ -25,13 +25,23 @@ LINES = ("#1f6feb", "#d9822b", "#2a9d6f", "#b3554d", "#8250df", "#7c8b3d")
 def curves(folder: Path) -> list[dict[str, Any]]:
     """A line per training: label, seed, and by step the terms of training and validation, each kernel's size, and `inner`."""
     rows = sorted(folder.glob("rows/*/"))
-    made = [(row, json.loads((row / "task.json").read_text())) for row in rows] or [(folder, {"label": "", "seed": 0})]
+    made = [(row, json.loads((row / "task.json").read_text())) for row in rows] or [
+        (folder, {"label": "", "seed": 0})
+    ]
     found = []
     for place, task in made:
-        log = [json.loads(line) for line in (place / NETWORK / "log.jsonl").read_text().splitlines()]
-        kept = {"label": task["label"], "seed": task["seed"], "step": [line["step"] for line in log]}
+        log = [
+            json.loads(line) for line in (place / NETWORK / "log.jsonl").read_text().splitlines()
+        ]
+        kept = {
+            "label": task["label"],
+            "seed": task["seed"],
+            "step": [line["step"] for line in log],
+        }
         for group in ("train", "validation", "kernels"):
-            kept[group] = {name: [_short(line[group][name]) for line in log] for name in log[0][group]}
+            kept[group] = {
+                name: [_short(line[group][name]) for line in log] for name in log[0][group]
+            }
         kept["inner"] = [_short(size) for size in _inner(kept["kernels"])]
         found.append(kept)
     return found
@@ -39,7 +49,9 @@ def curves(folder: Path) -> list[dict[str, Any]]:
 
 def _inner(kernels: dict[str, list[float]]) -> list[float]:
     """The mean size of the kernels between the outermost layers, by step."""
-    between = [sizes for name, sizes in kernels.items() if not any(part in name for part in OUTERMOST)]
+    between = [
+        sizes for name, sizes in kernels.items() if not any(part in name for part in OUTERMOST)
+    ]
     return [fmean(sizes) for sizes in zip(*between, strict=True)]
 
 
@@ -52,11 +64,22 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
         for row in rows:
             place = labels.index(row["label"])
             first = next(other for other in rows if other["label"] == row["label"]) is row
-            style: dict[str, Any] = {"color": LINES[place % len(LINES)], "label": row["label"] if first else None}
+            style: dict[str, Any] = {
+                "color": LINES[place % len(LINES)],
+                "label": row["label"] if first else None,
+            }
             sizes.plot(row["step"], row["inner"], **style)
             losses.plot(row["step"], row["validation"][RANK], **style)
-        sizes.set(xlabel="steps", yscale="log", title="inner kernels, root mean square (0.02 at the start)")
-        losses.set(xlabel="steps", yscale="log", title="validation loss: mean squared difference to the tap")
+        sizes.set(
+            xlabel="steps",
+            yscale="log",
+            title="inner kernels, root mean square (0.02 at the start)",
+        )
+        losses.set(
+            xlabel="steps",
+            yscale="log",
+            title="validation loss: mean squared difference to the tap",
+        )
         for axes in (sizes, losses):
             axes.locator_params(axis="x", nbins=6)
         if len(labels) > 1:

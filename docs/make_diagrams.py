@@ -16,7 +16,14 @@ from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.style import FAINT, INK, STYLE
 
 FIGURES = Path(__file__).with_name("figures")
-SKIN, GEL, OBJECT, BLUE, ORANGE, GREEN = "#444c5c", "#dfe6f1", "#e9dcc9", "#1f6feb", "#d9822b", "#2a9d6f"
+SKIN, GEL, OBJECT, BLUE, ORANGE, GREEN = (
+    "#444c5c",
+    "#dfe6f1",
+    "#e9dcc9",
+    "#1f6feb",
+    "#d9822b",
+    "#2a9d6f",
+)
 STEPS = (
     ("your recordings", "taps and slides"),
     ("scene", "shape, pose, slide"),
@@ -29,7 +36,9 @@ STEPS = (
 )
 
 
-def blank(width: float, height: float, limits: tuple[float, float, float, float]) -> tuple[Figure, Axes]:
+def blank(
+    width: float, height: float, limits: tuple[float, float, float, float]
+) -> tuple[Figure, Axes]:
     """A figure in inches without axes, over x and y in `limits`."""
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots()
@@ -40,15 +49,32 @@ def blank(width: float, height: float, limits: tuple[float, float, float, float]
     return figure, axes
 
 
-def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str = "", colour: str = INK) -> None:
-    axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0})
+def arrow(
+    axes: Axes,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    text: str = "",
+    colour: str = INK,
+) -> None:
+    axes.annotate(
+        "",
+        end,
+        start,
+        arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0},
+    )
     if text:
         axes.annotate(text, end, xytext=(4, 2), textcoords="offset points", color=colour)
 
 
-def box(axes: Axes, middle: tuple[float, float], size: tuple[float, float], text: str, colour: str = GEL) -> None:
+def box(
+    axes: Axes, middle: tuple[float, float], size: tuple[float, float], text: str, colour: str = GEL
+) -> None:
     corner = (middle[0] - size[0] / 2, middle[1] - size[1] / 2)
-    axes.add_patch(FancyBboxPatch(corner, *size, boxstyle="round,pad=0.02,rounding_size=0.12", fc=colour, ec=FAINT))
+    axes.add_patch(
+        FancyBboxPatch(
+            corner, *size, boxstyle="round,pad=0.02,rounding_size=0.12", fc=colour, ec=FAINT
+        )
+    )
     axes.text(*middle, text, ha="center", va="center")
 
 
@@ -62,8 +88,15 @@ def dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
     for tip, root in zip(tips, roots, strict=True):
         if abs(tip[1]) < 0.1 * sensor.pin_spacing_mm:
             held = lag * np.exp(-((root[0] / (0.3 * radius)) ** 2))
-            axes.plot([x + root[0] - held, x + tip[0] - held], [root[2], tip[2]], color=FAINT, linewidth=1.5)
-            axes.plot(x + tip[0] - held, tip[2], "o", color="white", markeredgecolor=INK, markersize=4)
+            axes.plot(
+                [x + root[0] - held, x + tip[0] - held],
+                [root[2], tip[2]],
+                color=FAINT,
+                linewidth=1.5,
+            )
+            axes.plot(
+                x + tip[0] - held, tip[2], "o", color="white", markeredgecolor=INK, markersize=4
+            )
 
 
 def sensor_section() -> Figure:
@@ -90,7 +123,9 @@ def frames() -> Figure:
     figure, axes = blank(6, 4, (-26, 24, -16, 17))
     angle = np.linspace(-0.75, 0.75, 60)
     outline = np.stack([-22 + 22 * np.cos(angle), 22 * np.sin(angle)], axis=1)
-    axes.add_patch(Polygon([*outline, (-26, outline[-1, 1]), (-26, outline[0, 1])], fc=OBJECT, ec=INK))
+    axes.add_patch(
+        Polygon([*outline, (-26, outline[-1, 1]), (-26, outline[0, 1])], fc=OBJECT, ec=INK)
+    )
     axes.text(-24, -1, "object")
     arrow(axes, (0, 0), (13, 0), "x: outward normal")
     arrow(axes, (0, 0), (0, 13), "y")
@@ -98,7 +133,9 @@ def frames() -> Figure:
     axes.text(-1.2, -1.8, "target point", ha="right", color=INK)
     place, yaw = np.array([5.0, -8.0]), np.radians(25)
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    ring = place + 4.5 * np.stack([np.cos(2 * np.pi * np.arange(60) / 60), np.sin(2 * np.pi * np.arange(60) / 60)], 1)
+    ring = place + 4.5 * np.stack(
+        [np.cos(2 * np.pi * np.arange(60) / 60), np.sin(2 * np.pi * np.arange(60) / 60)], 1
+    )
     axes.add_patch(Polygon(ring, fc=GEL, ec=BLUE, alpha=0.8))
     for direction in ((1.0, 0.0), (0.0, 1.0)):
         arrow(axes, tuple(place), tuple(place + 7 * turn @ direction), colour=BLUE)
@@ -115,7 +152,11 @@ def frames() -> Figure:
 def tap_slide() -> Figure:
     figure, axes = blank(7, 3, (-28, 92, -12, 32))
     for x, text, lag in ((0.0, "tap: canonical", 0.0), (58.0, "slide: sheared", 5.0)):
-        axes.add_patch(Polygon([(x - 26, -10), (x + 8, -10), (x + 8, 2.5), (x - 26, 2.5)], fc=OBJECT, ec="none"))
+        axes.add_patch(
+            Polygon(
+                [(x - 26, -10), (x + 8, -10), (x + 8, 2.5), (x - 26, 2.5)], fc=OBJECT, ec="none"
+            )
+        )
         dome(axes, TACTIP_331, x, lag)
         axes.text(x, 28, text, ha="center")
     arrow(axes, (-24, 24), (-24, 12), colour=BLUE)
@@ -151,11 +192,22 @@ def networks() -> Figure:
 
 def flow() -> Figure:
     figure, axes = blank(9, 3, (-0.2, 11.2, -0.4, 3.2))
-    places = [(0.9, 0.4), (0.9, 2.4), (3.2, 2.4), (5.5, 2.4), (5.5, 0.4), (7.8, 0.4), (7.8, 2.4), (10.1, 2.4)]
+    places = [
+        (0.9, 0.4),
+        (0.9, 2.4),
+        (3.2, 2.4),
+        (5.5, 2.4),
+        (5.5, 0.4),
+        (7.8, 0.4),
+        (7.8, 2.4),
+        (10.1, 2.4),
+    ]
     for (name, what), place in zip(STEPS, places, strict=True):
         box(axes, place, (1.9, 0.9), "")
         axes.text(place[0], place[1] + 0.13, name, ha="center", va="center", weight="bold")
-        axes.text(place[0], place[1] - 0.2, what, ha="center", va="center", fontsize=7.5, color=SKIN)
+        axes.text(
+            place[0], place[1] - 0.2, what, ha="center", va="center", fontsize=7.5, color=SKIN
+        )
     for start, end in ((1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (5, 6), (6, 7)):
         (ax, ay), (bx, by) = places[start], places[end]
         along = ay == by

@@ -28,7 +28,12 @@ ROWS = {
 }
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 WAYS = ("left_out", "read")
-LEARNT = ("directly", "unsheared", "directly, pins turned", "unsheared, pins turned, the others read")
+LEARNT = (
+    "directly",
+    "unsheared",
+    "directly, pins turned",
+    "unsheared, pins turned, the others read",
+)
 REFITTED = {
     "frame": "the object's frame, found in other contacts",
     "friction": "friction",
@@ -53,7 +58,10 @@ READINGS = {
 GRID = (("ms_ssim/disentangled", 3), ("pose/disentangled/edge_mm", 2))
 FOUND = {"tactip331-flush": "flush", "tactip331-fitted": "fitted", "tactip331": "levers"}
 PARTS = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
-PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
+PAIRINGS = {
+    "rendered": "what a renderer draws at its pose",
+    "nearest": "the nearest tap, weighted by the gap",
+}
 
 
 def sizing() -> str:
@@ -62,10 +70,14 @@ def sizing() -> str:
     for row in take("bench_data")["rows"]:
         if row["cpu_ms"] is not None:
             hours = row["cpu_ms"] / 3.6
-            lines.append(f"| {row['name']}: core | {row['cpu_ms']:.3g} ms | {hours:.2g} h | {100 * hours:.0f} h |")
+            lines.append(
+                f"| {row['name']}: core | {row['cpu_ms']:.3g} ms | {hours:.2g} h | {100 * hours:.0f} h |"
+            )
         if row["bytes"]:
             size = row["bytes"] / 1e3
-            lines.append(f"| {row['name']}: bytes | {size:.3g} kB | {size:.2g} GB | {size / 10:.2g} TB |")
+            lines.append(
+                f"| {row['name']}: bytes | {size:.3g} kB | {size:.2g} GB | {size / 10:.2g} TB |"
+            )
     return "\n".join(lines)
 
 
@@ -77,14 +89,20 @@ def waiting() -> str:
     ]
     for row in take("bench_input")["rows"]:
         times = [f"{row[name]:.1f}" for name in ("ms_there", "ms_drawn")]
-        times += [f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]", f"{row['ratio_p95']:.2f}"]
+        times += [
+            f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]",
+            f"{row['ratio_p95']:.2f}",
+        ]
         lines.append(as_line(row["name"], [str(row["batch"]), *times]))
     return "\n".join(lines)
 
 
 def pin_networks() -> str:
     """Networks over pins: how long a step and a frame take, and how much longer with plain layers."""
-    lines = ["| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |", "|---|---|---|---|---|---|"]
+    lines = [
+        "| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in take("bench_pinnets")["rows"]:
         times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
         lines.append(as_line(row["name"], [row["what"], str(row["batch"]), *times]))
@@ -101,13 +119,18 @@ def found_pins() -> str:
     for row in sorted(rows, key=lambda row: (-row["size"], list(FOUND).index(row["sensor"]))):
         cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
         spent = f"{row['ms']:.1f} ({row['ms_p95']:.0f})"
-        lines.append(as_line(f"{FOUND[row['sensor']]}, {row['kind']}", [str(row["size"]), *cells, spent]))
+        lines.append(
+            as_line(f"{FOUND[row['sensor']]}, {row['kind']}", [str(row["size"]), *cells, spent])
+        )
     return "\n".join(lines)
 
 
 def touched() -> str:
     """Pictures of `explore`: how long they take."""
-    lines = ["| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |", "|---|---|---|---|---|---|"]
+    lines = [
+        "| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in take("bench_explore")["rows"]:
         times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
         lines.append(as_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
@@ -123,7 +146,10 @@ def real_skin() -> str:
     own = {name: swept(f"recorded_{name}")[0].metrics for name in ("pins", "images")}
     locked = {name: _locked(f"recorded_{name}_seed0") for name in ("pins", "images")}
     head = [f"{name}: {q.replace('_', ', ')}: same session | {OTHER}" for name, q, _ in columns]
-    lines = [as_line("a PoseNet that learnt from taps reads", head), "|---|" + "---|---|" * len(columns)]
+    lines = [
+        as_line("a PoseNet that learnt from taps reads", head),
+        "|---|" + "---|---|" * len(columns),
+    ]
     for shown, key in ROWS.items():
         cells = [
             f"{with_interval(own[name][f'{key}/{q}'], d)} | {_locked_value(locked[name], key, q):.{d}f}"
@@ -144,7 +170,10 @@ def other_recordings() -> str:
     head = [f"{q.replace('_', ', ')}: same session | {OTHER}" for q, _ in columns]
     lines = [as_line("pins, seed 0", head), "|---|" + "---|---|" * len(columns)]
     for shown, key in list(ROWS.items())[:4]:
-        cells = [f"{own[f'{key}/{q}'].per_seed['0']:.{d}f} | {_locked_value(locked, key, q):.{d}f}" for q, d in columns]
+        cells = [
+            f"{own[f'{key}/{q}'].per_seed['0']:.{d}f} | {_locked_value(locked, key, q):.{d}f}"
+            for q, d in columns
+        ]
         lines.append(as_line(shown, cells))
     held = [
         f"{own[f'coverage/unsheared/{q}'].per_seed['0']:.1%} | {locked[f'coverage.unsheared.{q}']:.1%}"
@@ -169,8 +198,13 @@ def demo() -> str:
     metrics = cell.metrics
     likeness = ["1", *(with_interval(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
     lines.append(as_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
-    for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
-        lines.append(as_line(name, [with_interval(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]))
+    for name, key, digits in (
+        ("edge distance error, mm", "edge_mm", 2),
+        ("edge angle error, deg", "edge_deg", 1),
+    ):
+        lines.append(
+            as_line(name, [with_interval(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds])
+        )
     return "\n".join(lines)
 
 
@@ -197,9 +231,13 @@ def standard() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for way, shown in SHOWN.items():
-        likeness = with_interval(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
+        likeness = (
+            with_interval(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
+        )
         pins = metrics.get(f"pin_error/{way}/rms_px") if way != "sheared" else None
-        cells = [with_interval(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES]
+        cells = [
+            with_interval(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES
+        ]
         lines.append(as_line(shown, [likeness, f"{pins.mean:.3f}" if pins else "", *cells]))
     return "\n".join(lines)
 
@@ -210,7 +248,13 @@ def recoveries() -> str:
     lines = ["| recovery | x | yaw | edge distance | edge angle |", "|---|---|---|---|---|"]
     for way in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
         lines.append(
-            as_line(SHOWN[way], [with_interval(metrics[f"pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES])
+            as_line(
+                SHOWN[way],
+                [
+                    with_interval(metrics[f"pose_recovery/{way}/{name}"], 2)
+                    for name, _ in QUANTITIES
+                ],
+            )
         )
     return "\n".join(lines)
 
@@ -218,9 +262,15 @@ def recoveries() -> str:
 def other_readers() -> str:
     """Errors of the reader that is no neural network, in the standard experiment."""
     metrics = swept("standard")[0].metrics
-    lines = ["| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
+    lines = [
+        "| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
+        "|---|---|---|---|---|",
+    ]
     for way in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
-        cells = [with_interval(metrics[f"read/pixels/{way}/{name}"], digits) for name, digits in QUANTITIES]
+        cells = [
+            with_interval(metrics[f"read/pixels/{way}/{name}"], digits)
+            for name, digits in QUANTITIES
+        ]
         lines.append(as_line(SHOWN[way], cells))
     return "\n".join(lines)
 
@@ -233,7 +283,10 @@ def standard_first() -> str:
     likeness = ["1", *(with_interval(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
     lines.append(as_line("MS-SSIM to the tap, simulated, 128 px (`ms_ssim@4`)", likeness))
     lines.append(as_line("MS-SSIM, real, 256 px (paper, Table 1)", ["1", "0.32", "0.90", "0.93"]))
-    for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
+    for name, key, digits in (
+        ("edge distance error, mm", "edge_mm", 2),
+        ("edge angle error, deg", "edge_deg", 1),
+    ):
         cells = [with_interval(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]
         lines.append(as_line(f"{name}, simulated", cells))
     return "\n".join(lines)
@@ -246,7 +299,11 @@ def few_labels() -> str:
     for share in SHARES:
         found = []
         for way in WAYS:
-            (metrics,) = (m for label, m in cells.items() if f"labelled={share}," in label and f"={way}:" in label)
+            (metrics,) = (
+                m
+                for label, m in cells.items()
+                if f"labelled={share}," in label and f"={way}:" in label
+            )
             for key in ("sheared_learnt", "disentangled"):
                 y, angle = (metrics[f"pose/{key}/{q}"].mean for q, _ in COLUMNS)
                 found.append(f"{y:.2f} / {angle:.1f}")
@@ -259,7 +316,11 @@ def pairings() -> str:
     lines = ["| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |", "|---|---|---|"]
     for cell in swept("pairings"):
         (name,) = (shown for way, shown in PAIRINGS.items() if way in cell.label)
-        lines.append(as_line(name, [with_interval(cell.metrics[f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
+        lines.append(
+            as_line(
+                name, [with_interval(cell.metrics[f"pose/disentangled/{q}"], d) for q, d in COLUMNS]
+            )
+        )
     return "\n".join(lines)
 
 
@@ -267,16 +328,22 @@ def simulated_slides() -> str:
     """Errors on recorded slides by what the slides were that taught."""
     columns = (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
     lines = ["| read | learnt from | y, mm | z, mm | Rz, deg |", "|---|---|---|---|---|"]
-    cells = {way: next(c.metrics for c in swept("simulated_slides") if way in c.label) for way in SOURCES}
+    cells = {
+        way: next(c.metrics for c in swept("simulated_slides") if way in c.label) for way in SOURCES
+    }
     one = cells["simulated"]
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
-        lines.append(as_line(name, ["taps", *(with_interval(one[f"{key}/{q}"], d) for q, d in columns)]))
+        lines.append(
+            as_line(name, ["taps", *(with_interval(one[f"{key}/{q}"], d) for q, d in columns)])
+        )
     for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
         for way, shown in SOURCES.items():
             found = [with_interval(cells[way][f"pose/{key}/{q}"], d) for q, d in columns]
             lines.append(as_line(name, [f"taps and {shown}", *found]))
     for way, shown in SOURCES.items():
-        found = [with_interval(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns]
+        found = [
+            with_interval(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns
+        ]
         lines.append(as_line("recovery", [f"taps and {shown}", *found]))
     return "\n".join(lines)
 
@@ -285,9 +352,19 @@ def tenth() -> str:
     """Likeness on a tenth of the paper's data, against both kinds of taps."""
     metrics = swept("paper_tenth")[0].metrics
     ways = ("sheared", "mean_tap", "translated", "entangled", "disentangled")
-    lines = [f"| MS-SSIM to the tap | {' | '.join(SHOWN[way] for way in ways)} |", "|---|" + "---|" * len(ways)]
-    for shown, test in (("off by up to 1 mm, as in training", ""), ("of the slide's own depth", "depth_0mm: ")):
-        lines.append(as_line(f"taps {shown}", [with_interval(metrics[f"{test}ms_ssim/{way}"], 3) for way in ways]))
+    lines = [
+        f"| MS-SSIM to the tap | {' | '.join(SHOWN[way] for way in ways)} |",
+        "|---|" + "---|" * len(ways),
+    ]
+    for shown, test in (
+        ("off by up to 1 mm, as in training", ""),
+        ("of the slide's own depth", "depth_0mm: "),
+    ):
+        lines.append(
+            as_line(
+                f"taps {shown}", [with_interval(metrics[f"{test}ms_ssim/{way}"], 3) for way in ways]
+            )
+        )
     return "\n".join(lines)
 
 
@@ -300,11 +377,17 @@ def tenth_poses() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for way in ways:
-        keys = [(f"depth_0mm: {reader}/{way}/{q}", d) for reader in ("pose", "read/pixels") for q, d in three]
+        keys = [
+            (f"depth_0mm: {reader}/{way}/{q}", d)
+            for reader in ("pose", "read/pixels")
+            for q, d in three
+        ]
         lines.append(as_line(way, [with_interval(metrics[key], digits) for key, digits in keys]))
     for way in ways:
         x, yaw = PAPER["pose_mae"][way].values()
-        lines.append(as_line(f"{way}, real (paper, Table 2)", [f"{x:.2f}", f"{yaw:.1f}", "", "", "", ""]))
+        lines.append(
+            as_line(f"{way}, real (paper, Table 2)", [f"{x:.2f}", f"{yaw:.1f}", "", "", "", ""])
+        )
     return "\n".join(lines)
 
 
@@ -316,15 +399,22 @@ def short() -> str:
         "| | MS-SSIM | PoseNet reads: edge distance, mm | edge angle, deg | a ridge reads: edge distance, mm | edge angle, deg |",
         "|---|---|---|---|---|---|",
     ]
-    readers = ((results.pose_mae, spread.pose_mae), (results.readers["pixels"], spread.readers["pixels"]))
+    readers = (
+        (results.pose_mae, spread.pose_mae),
+        (results.readers["pixels"], spread.readers["pixels"]),
+    )
     for way in ("tap", "sheared", "disentangled"):
         likeness = (
             ""
             if way == "tap"
-            else with_interval(Figure(results.ms_ssim[way]["overall"], spread.ms_ssim[way]["overall"]), 3)
+            else with_interval(
+                Figure(results.ms_ssim[way]["overall"], spread.ms_ssim[way]["overall"]), 3
+            )
         )
         errors = [
-            with_interval(Figure(mean[way][q], ends[way][q]), digits) for mean, ends in readers for q, digits in edge
+            with_interval(Figure(mean[way][q], ends[way][q]), digits)
+            for mean, ends in readers
+            for q, digits in edge
         ]
         lines.append(as_line(SHOWN[way], [likeness, *errors]))
     return "\n".join(lines)
@@ -336,7 +426,11 @@ def exported_speed() -> str:
     names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
     lines = ["| a frame, ms: median (95 %) | 128 px | 256 px |", "|---|---|---|"]
     for name, shown in names.items():
-        found = {row["size"]: f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in rows if row["name"] == name}
+        found = {
+            row["size"]: f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})"
+            for row in rows
+            if row["name"] == name
+        }
         lines.append(as_line(shown, [found[128], found[256]]))
     return "\n".join(lines)
 
@@ -351,19 +445,32 @@ def transfer() -> str:
     locked = _locked("skin")
     columns = [(reader, q, d) for reader in ("pose_mae", "readers.pins") for q, d in COLUMNS]
     titles = {"pose_mae": "its PoseNet", "readers.pins": "a ridge on recorded taps"}
-    head = [f"{titles[reader]}: {q.replace('_', ', ')}: same session | {OTHER}" for reader, q, _ in columns]
-    lines = [as_line("learnt in simulation; reads recorded", head), "|---|" + "---|---|" * len(columns)]
+    head = [
+        f"{titles[reader]}: {q.replace('_', ', ')}: same session | {OTHER}"
+        for reader, q, _ in columns
+    ]
+    lines = [
+        as_line("learnt in simulation; reads recorded", head),
+        "|---|" + "---|---|" * len(columns),
+    ]
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
     for shown, kind in kinds.items():
         keys = [(f"{reader}.{kind}.{q}", d) for reader, q, d in columns]
-        lines.append(as_line(shown, [f"{with_range(_each(runs, key), d)} | {locked[key]:.{d}f}" for key, d in keys]))
+        lines.append(
+            as_line(
+                shown,
+                [f"{with_range(_each(runs, key), d)} | {locked[key]:.{d}f}" for key, d in keys],
+            )
+        )
     undone = []
     for reader, q, _ in columns:
         keys = [f"{reader}.{kind}.{q}" for kind in kinds.values()]
         own = with_range([_undone(*(run[key] for key in keys)) for run in runs], 2)
         undone.append(f"{own} | {_undone(*(locked[key] for key in keys)):.2f}")
     lines.append(as_line("recovery: the share of the slide's damage undone", undone))
-    others = [f"{with_range(_each(dense, f'{reader}.unsheared.{q}'), d)} | " for reader, q, d in columns]
+    others = [
+        f"{with_range(_each(dense, f'{reader}.unsheared.{q}'), d)} | " for reader, q, d in columns
+    ]
     return "\n".join([*lines, as_line("for comparison: unsheared by dense layers", others)])
 
 
@@ -378,12 +485,26 @@ def _undone(tap: float, sheared: float, unsheared: float) -> float:
 def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
     rows = {row["name"]: row["value"] for row in take("validate_refit")["rows"]}
-    lines = ["| changed | before | after | R2 gained, taps | R2 gained, slides |", "|---|---|---|---|---|"]
+    lines = [
+        "| changed | before | after | R2 gained, taps | R2 gained, slides |",
+        "|---|---|---|---|---|",
+    ]
     for name, shown in REFITTED.items():
-        values = [f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else "" for when in ("before", "after")]
-        lines.append(as_line(shown, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
+        values = [
+            f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else ""
+            for when in ("before", "after")
+        ]
+        lines.append(
+            as_line(
+                shown,
+                values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")],
+            )
+        )
     for when, shown in (("before", "R2 before the refit, frame found"), ("after", "R2 after it")):
-        found = [rows[f"before.r2.{kind}" if when == "before" else f"r2.{kind}"] for kind in ("tap", "slide")]
+        found = [
+            rows[f"before.r2.{kind}" if when == "before" else f"r2.{kind}"]
+            for kind in ("tap", "slide")
+        ]
         lines.append(as_line(shown, ["", "", *(f"{value:.3f}" for value in found)]))
     return "\n".join(lines)
 
@@ -405,7 +526,9 @@ def geometry() -> str:
         cells = [f"{row['correlation']:.3f} / {row['rmse_mm']:.2f}" for row in found]
         still = rows[f"all/untouched/{way}"]
         nothing = still["largest_mm"] == 0
-        cells.append("0 / 0" if nothing else f"{still['correlation']:.3f} / {still['largest_mm']:.2f}")
+        cells.append(
+            "0 / 0" if nothing else f"{still['correlation']:.3f} / {still['largest_mm']:.2f}"
+        )
         lines.append(as_line(f"`{way}`", cells))
     return "\n".join(lines)
 
@@ -434,7 +557,9 @@ def servo() -> str:
     runs = runs_of("servo")
     lines = [f"| | {' | '.join(WALKED.values())} |", "|---|" + "---|" * len(WALKED)]
     for shape, shown in _shapes(runs[0]).items():
-        found = [[run[f"{shape}/{way}"] for run in runs if f"{shape}/{way}" in run] for way in WALKED]
+        found = [
+            [run[f"{shape}/{way}"] for run in runs if f"{shape}/{way}" in run] for way in WALKED
+        ]
         lines.append(as_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
@@ -442,10 +567,21 @@ def servo() -> str:
 def servo_pins() -> str:
     """The same of networks over pins, beside those over images."""
     pins, images = runs_of("servo_pins"), runs_of("servo")
-    columns = ((pins, "disentangled"), (images, "disentangled"), (images, "sheared"), (images, "true"))
-    lines = ["| | pins, unsheared | images, unsheared | images, sheared | true pose |", "|---|---|---|---|---|"]
+    columns = (
+        (pins, "disentangled"),
+        (images, "disentangled"),
+        (images, "sheared"),
+        (images, "true"),
+    )
+    lines = [
+        "| | pins, unsheared | images, unsheared | images, sheared | true pose |",
+        "|---|---|---|---|---|",
+    ]
     for shape, shown in _shapes(pins[0]).items():
-        found = [[run[name] for run in runs if (name := f"{shape}/{way}") in run] for runs, way in columns]
+        found = [
+            [run[name] for run in runs if (name := f"{shape}/{way}") in run]
+            for runs, way in columns
+        ]
         lines.append(as_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
@@ -459,7 +595,9 @@ def objects() -> str:
     ]
     for shape, shown in _shapes(runs[0]).items():
         rows = [
-            [run[name] for run in runs if (name := f"{shape}/{made}/{way}") in run] for made in MADE for way in looks
+            [run[name] for run in runs if (name := f"{shape}/{made}/{way}") in run]
+            for made in MADE
+            for way in looks
         ]
         lines.append(as_line(shown, [_of_walks(each, "walk_iou", 2) for each in rows]))
     return "\n".join(lines)
@@ -479,7 +617,12 @@ def readings() -> str:
         sizes = [fmean(row["inner"][at] for row in trained) for at in steps]
         losses = [fmean(row["validation"]["supervised"][at] for row in trained) for at in steps[1:]]
         shown = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
-        lines.append(as_line(READINGS[cell.label], [*shown, with_interval(cell.metrics["ms_ssim/disentangled"], 3)]))
+        lines.append(
+            as_line(
+                READINGS[cell.label],
+                [*shown, with_interval(cell.metrics["ms_ssim/disentangled"], 3)],
+            )
+        )
     return "\n".join(lines)
 
 
@@ -491,7 +634,9 @@ def lambda_split() -> str:
 def lambda_split_leaks() -> str:
     """R2 of MLP probes: pose from z_s, slide from z_p; the seeds' median, as a probe that is off on a few contacts has any R2 below 1."""
     leaks = ("pose from z_s (mlp)/r2", "slide from z_p (mlp)/r2")
-    return _grid(lambda cell: [f"{median(cell.ablation[name].per_seed.values()):.2f}" for name in leaks])
+    return _grid(
+        lambda cell: [f"{median(cell.ablation[name].per_seed.values()):.2f}" for name in leaks]
+    )
 
 
 def _grid(numbers: Callable[[CellResult], list[str]]) -> str:
@@ -500,12 +645,26 @@ def _grid(numbers: Callable[[CellResult], list[str]]) -> str:
     for cell in swept("lambda_split"):
         table.setdefault(cell.point[0], []).append(", ".join(numbers(cell)))
     splits = list(dict.fromkeys(cell.point[1] for cell in swept("lambda_split")))
-    return "\n".join([as_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(as_line, table.items())])
+    return "\n".join(
+        [
+            as_line("lambda", splits),
+            "|---|" + "---|" * len(splits),
+            *starmap(as_line, table.items()),
+        ]
+    )
 
 
 def frontier() -> str:
     """Errors and what they cost: seconds of training and milliseconds an image are medians over seeds."""
-    names = ("MS-SSIM", "pins, mm", "edge distance, mm", "of sheared", "edge angle, deg", "training, s", "ms")
+    names = (
+        "MS-SSIM",
+        "pins, mm",
+        "edge distance, mm",
+        "of sheared",
+        "edge angle, deg",
+        "training, s",
+        "ms",
+    )
     lines = [as_line("", names), "|---" * (len(names) + 1) + "|"]
     for cell in swept("frontier"):
         metrics = cell.metrics
@@ -530,7 +689,9 @@ def perception() -> str:
         if not cell.label.startswith("Adam"):
             spent = sum(_ms(cell, name) for name in ("disentangled", "posenet"))
             errors = (cell.metrics[f"pose/disentangled/{name}"] for name in ("edge_mm", "edge_deg"))
-            shown = [f"{error.mean:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)]
+            shown = [
+                f"{error.mean:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)
+            ]
             lines.append(as_line(cell.label, [f"{spent:.1f}", *shown]))
     return "\n".join(lines)
 
@@ -544,10 +705,14 @@ def _ms(cell: CellResult, network: str) -> float:
     """The median over seeds and over all cells of this network: how long it was trained changes nothing."""
 
     def built(one: CellResult) -> dict[str, str]:
-        return {name: value for name, value in one.settings.items() if not name.startswith("train.")}
+        return {
+            name: value for name, value in one.settings.items() if not name.startswith("train.")
+        }
 
     alike = [one for one in swept("frontier") if built(one) == built(cell)]
-    return median(costs.ms_per_image[network]["median"] for one in alike for costs in one.costs.values())
+    return median(
+        costs.ms_per_image[network]["median"] for one in alike for costs in one.costs.values()
+    )
 
 
 EDGE = (("y_mm", 3), ("z_mm", 3), ("Rz_deg", 2))
@@ -595,12 +760,20 @@ def parted_pins() -> str:
     for kind in ("tap", "sheared"):
         likeness = with_interval(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
         pins = with_interval(found["pins/sheared"], 2) if kind == "sheared" else "0"
-        errors = [with_interval(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        errors = [
+            with_interval(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]
+        ]
         lines.append(as_line(kind, [likeness, pins, *errors, "", ""]))
     for cell in cells:
         found, spoilt = cell.metrics, cell.ablation
-        likeness, pins = with_interval(found["ms_ssim/disentangled"], 3), with_interval(found["pins/disentangled"], 2)
-        errors = [with_interval(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        likeness, pins = (
+            with_interval(found["ms_ssim/disentangled"], 3),
+            with_interval(found["pins/disentangled"], 2),
+        )
+        errors = [
+            with_interval(found[f"pose/disentangled/{name}"], digits)
+            for name, digits in QUANTITIES[2:]
+        ]
         shown = [with_range(list(spoilt[name].per_seed.values()), 2) for name in drawn]
         lines.append(as_line(cell.label, [likeness, pins, *errors, *shown]))
     return "\n".join(lines)
@@ -608,7 +781,11 @@ def parted_pins() -> str:
 
 def parted_skin() -> str:
     """Print R2 of the strongest probe for both leaks of recorded slides, and its share of the ceiling."""
-    head = [f"{leak}: {field}" for leak in LEAKS for field in ("R2", "share of ceiling", "largest share")]
+    head = [
+        f"{leak}: {field}"
+        for leak in LEAKS
+        for field in ("R2", "share of ceiling", "largest share")
+    ]
     lines = [f"| recorded, pins | {' | '.join(head)} |", "|---|" + "---|" * len(head)]
     lines += [as_line(cell.label, _leaks(cell)) for cell in swept("parted_skin")]
     return "\n".join(lines)
@@ -622,8 +799,13 @@ def parted_skin_errors() -> str:
         "|---|" + "---|" * (5 + len(scores)),
     ]
     for cell in swept("parted_skin"):
-        errors = [with_interval(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in EDGE]
-        slide = [with_range(list(cell.ablation[f"{name}/mae"].per_seed.values()), 2) for name in SLIDE]
+        errors = [
+            with_interval(cell.metrics[f"pose/disentangled/{name}"], digits)
+            for name, digits in EDGE
+        ]
+        slide = [
+            with_range(list(cell.ablation[f"{name}/mae"].per_seed.values()), 2) for name in SLIDE
+        ]
         figures = [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
         lines.append(as_line(cell.label, [*errors, *slide, *figures]))
     return "\n".join(lines)
@@ -638,7 +820,9 @@ def joint() -> str:
         for key in [key for key in found if key.startswith("pose/sheared_learnt/")]:
             target = key.rpartition("/")[2]
             quantity, unit = target.rsplit("_", 1)
-            width, held = (found[f"{table}/sheared_learnt/{target}"] for table in ("half_width", "coverage"))
+            width, held = (
+                found[f"{table}/sheared_learnt/{target}"] for table in ("half_width", "coverage")
+            )
             cells = [
                 f"{with_interval(found[key], 2)} {unit}",
                 f"{width.mean:.2f} {unit}",
@@ -676,22 +860,30 @@ def end_to_end() -> str:
     for cell in swept("end_to_end"):
         for prefix, source in (("", "true"), ("found: ", "found")):
             found = {
-                kind: [cell.metrics[f"{prefix}pose/{kind}/{name}"] for name, _ in QUANTITIES[2:]] for kind in kinds
+                kind: [cell.metrics[f"{prefix}pose/{kind}/{name}"] for name, _ in QUANTITIES[2:]]
+                for kind in kinds
             }
             for kind, shown in kinds.items():
                 first = kind == "tap"
                 title = f"{cell.label}, {source}" if first else ""
                 likeness = (
-                    with_interval(cell.metrics[f"{prefix}ms_ssim/disentangled"], 3) if kind == "disentangled" else ""
+                    with_interval(cell.metrics[f"{prefix}ms_ssim/disentangled"], 3)
+                    if kind == "disentangled"
+                    else ""
                 )
                 errors = [
-                    with_interval(one, digits) for one, (_, digits) in zip(found[kind], QUANTITIES[2:], strict=True)
+                    with_interval(one, digits)
+                    for one, (_, digits) in zip(found[kind], QUANTITIES[2:], strict=True)
                 ]
                 pairs = [
                     zip(a.per_seed.values(), b.per_seed.values(), strict=True)
                     for a, b in zip(found[kind], found["tap"], strict=True)
                 ]
-                over = ["", ""] if first else [with_range([one / tap for one, tap in pair], 2) for pair in pairs]
+                over = (
+                    ["", ""]
+                    if first
+                    else [with_range([one / tap for one, tap in pair], 2) for pair in pairs]
+                )
                 lines.append(as_line(title, [likeness, shown, *errors, *over]))
     return "\n".join(lines)
 
@@ -704,17 +896,23 @@ def end_to_end_exchanged() -> str:
     ]
     for cell in swept("end_to_end")[:1]:
         for part, shown in PARTS.items():
-            names = [f"DS, codes {name}{'' if part == 'all' else f', {part}'}" for name in (EXCHANGED, OWN)]
+            names = [
+                f"DS, codes {name}{'' if part == 'all' else f', {part}'}"
+                for name in (EXCHANGED, OWN)
+            ]
             drawn = [list(cell.ablation[f"{name}/rms_px"].per_seed.values()) for name in names]
             over = [exchanged / own for exchanged, own in zip(*drawn, strict=True)]
-            lines.append(as_line(cell.label, [shown, *(with_range(values, 2) for values in (*drawn, over))]))
+            lines.append(
+                as_line(cell.label, [shown, *(with_range(values, 2) for values in (*drawn, over))])
+            )
     return "\n".join(lines)
 
 
 def twisted() -> str:
     """Pins and edge errors on slides that do not twist and that do, by the slides that taught."""
     return _other_slides(
-        "twisted", {"twist_0deg": "do not twist", "twist_5deg": "by 5 deg", "twist_20deg": "by 20 deg"}
+        "twisted",
+        {"twist_0deg": "do not twist", "twist_5deg": "by 5 deg", "twist_20deg": "by 20 deg"},
     )
 
 
@@ -730,17 +928,26 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
         "| tested | read, or unsheared by a network of | pins, px rms | edge distance, mm | angle, deg | over the first: mm | deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    first = {key: cells[0].metrics[f"{next(iter(tests))}: pose/disentangled/{key}"] for key, _ in QUANTITIES[2:]}
+    first = {
+        key: cells[0].metrics[f"{next(iter(tests))}: pose/disentangled/{key}"]
+        for key, _ in QUANTITIES[2:]
+    }
     looks = [("tap", "tap", cells[0]), ("sheared", "sheared", cells[0])]
     looks += [(cell.label, "disentangled", cell) for cell in cells]
     for test, slides in tests.items():
         for shown, kind, cell in looks:
             found = {key: cell.metrics[f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
             pins = "0" if kind == "tap" else with_interval(cell.metrics[f"{test}: pins/{kind}"], 2)
-            ratios = [[found[key].per_seed[seed] / one for seed, one in first[key].per_seed.items()] for key in found]
+            ratios = [
+                [found[key].per_seed[seed] / one for seed, one in first[key].per_seed.items()]
+                for key in found
+            ]
             over = [with_range(each, 2) if kind == "disentangled" else "" for each in ratios]
             lines.append(
-                as_line(f"{slides} | {shown}", [pins, *(with_interval(found[k], d) for k, d in QUANTITIES[2:]), *over])
+                as_line(
+                    f"{slides} | {shown}",
+                    [pins, *(with_interval(found[k], d) for k, d in QUANTITIES[2:]), *over],
+                )
             )
     return "\n".join(lines)
 
@@ -749,7 +956,9 @@ def few_pairs() -> str:
     """Likeness, pins and edge errors by the share of poses whose slides have their tap, and by what teaches beside them; the last three
     as a multiple of the least that any way has with all pairs."""
     cells = sorted(swept("few_pairs"), key=lambda cell: -int(cell.label.partition("%")[0]))
-    errors = {"pins/disentangled": 2} | {f"pose/disentangled/{name}": digits for name, digits in QUANTITIES[2:]}
+    errors = {"pins/disentangled": 2} | {
+        f"pose/disentangled/{name}": digits for name, digits in QUANTITIES[2:]
+    }
     complete = [cell.metrics for cell in cells if cell.label.startswith("100%")]
     least = {name: min(metrics[name].mean for metrics in complete) for name in errors}
     lines = [
@@ -760,7 +969,9 @@ def few_pairs() -> str:
         found = cell.metrics
         times = " / ".join(f"{found[name].mean / least[name]:.2f}" for name in errors)
         shown = [with_interval(found[name], digits) for name, digits in errors.items()]
-        lines.append(as_line(cell.label, [with_interval(found["ms_ssim/disentangled"], 3), *shown, times]))
+        lines.append(
+            as_line(cell.label, [with_interval(found["ms_ssim/disentangled"], 3), *shown, times])
+        )
     return "\n".join(lines)
 
 
@@ -772,7 +983,9 @@ def faults() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for row in take("faults")["rows"]:
-        lines.append(as_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)]))
+        lines.append(
+            as_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)])
+        )
     return "\n".join(lines)
 
 
@@ -789,7 +1002,13 @@ TABLES = {
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
-    "docs/codes.md": (parted_skin, parted_skin_errors, parted_pins, end_to_end, end_to_end_exchanged),
+    "docs/codes.md": (
+        parted_skin,
+        parted_skin_errors,
+        parted_pins,
+        end_to_end,
+        end_to_end_exchanged,
+    ),
     "docs/slides.md": (slide_read, joint),
     "docs/experiments.md": (
         standard,
@@ -832,8 +1051,12 @@ def placed(text: str, tables: Iterable[tuple[str, str]]) -> str:
         try:
             start = lines.index(head, after.get(head, 0))
         except ValueError:
-            raise LookupError(f"no table is left that begins with {head!r}: write this line where it belongs") from None
-        end = next((at for at in range(start, len(lines)) if not lines[at].startswith("|")), len(lines))
+            raise LookupError(
+                f"no table is left that begins with {head!r}: write this line where it belongs"
+            ) from None
+        end = next(
+            (at for at in range(start, len(lines)) if not lines[at].startswith("|")), len(lines)
+        )
         if lines[end + 1 : end + 2] and lines[end + 1].startswith(NOTE):
             end += 2
         made = [*table.splitlines(), "", under]
@@ -848,4 +1071,6 @@ if __name__ == "__main__":
         before = path.read_text()
         after = placed(before, with_notes(page))
         path.write_text(after)
-        print(f"{page}: {len(TABLES[page])} tables, {'changed' if after != before else 'as they were'}")
+        print(
+            f"{page}: {len(TABLES[page])} tables, {'changed' if after != before else 'as they were'}"
+        )

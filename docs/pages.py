@@ -9,7 +9,11 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-TOP = {"README.md": "index.md", "CONTRIBUTING.md": "CONTRIBUTING.md", "CHANGELOG.md": "CHANGELOG.md"}
+TOP = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "CONTRIBUTING.md",
+    "CHANGELOG.md": "CHANGELOG.md",
+}
 FLOW = "![The way of the data](figures/flow.svg)"
 
 
@@ -36,5 +40,9 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) 
     """Links as they lead from the site's folder: all pages lie where docs/ does."""
     text = re.sub(r"```mermaid\n.*?```", FLOW, text, flags=re.DOTALL)
     text = text.replace("](../", "](").replace("](docs/", "](")
-    text = re.sub(r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text)
-    return re.sub(r"\[([^\]]+)\]\((?:jaxunshear/model/fast/compiled|LICENSE|README\.md)\)", r"\1", text)
+    text = re.sub(
+        r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
+    )
+    return re.sub(
+        r"\[([^\]]+)\]\((?:jaxunshear/model/fast/compiled|LICENSE|README\.md)\)", r"\1", text
+    )

@@ -64,8 +64,14 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
     "verification verify": ("verification.verify",),
     "verification stability": ("verification.stability",),
     "verification plan": ("verification.show_plan",),
-    **{f"benchmarks {name}": ("benchmarks.bench_networks",) for name in ("train", "infer", "stream")},
-    **{f"benchmarks {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
+    **{
+        f"benchmarks {name}": ("benchmarks.bench_networks",)
+        for name in ("train", "infer", "stream")
+    },
+    **{
+        f"benchmarks {name}": (f"benchmarks.bench_{name}",)
+        for name in ("sim", "needs", "pins", "data", "input")
+    },
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),
     "benchmarks explore": ("benchmarks.bench_explore",),
 }
@@ -87,14 +93,17 @@ class Known(NamedTuple):
     not_kept: frozenset[str]  # made before results kept their commit
     changed: Mapping[str, str]  # why a result stays although its code has changed
     settings: Mapping[str, str]  # why its command gives other settings today
-    bridges: Sequence[tuple[str, str]]  # commits between which no figure changed, the earliest first
+    bridges: Sequence[
+        tuple[str, str]
+    ]  # commits between which no figure changed, the earliest first
 
 
 def read_known(path: Path = ROOT / "docs" / "stale.toml") -> Known:
     """Read which results are known to be older than their code."""
     held = tomllib.loads(path.read_text())
     changed, settings = (
-        {name: each["why"] for each in held.get(kind, []) for name in each["files"]} for kind in ("changed", "settings")
+        {name: each["why"] for each in held.get(kind, []) for name in each["files"]}
+        for kind in ("changed", "settings")
     )
     bridges = [(each["before"], each["after"]) for each in held.get("bridges", [])]
     return Known(frozenset(held["not_kept"]), changed, settings, bridges)
@@ -117,8 +126,12 @@ def sources(held: Json) -> list[Source]:
     for part in parts(held):
         own = [*part.get("sources", []), *part.get("trained_by", {}).values()]
         own += [part["source"]] if part.get("source") else []
-        trained = part.get("trained_on", {})  # of a sweep a list, whose `sources` are complete or none
-        if not own or (isinstance(trained, dict) and trained.keys() - part.get("trained_by", {}).keys()):
+        trained = part.get(
+            "trained_on", {}
+        )  # of a sweep a list, whose `sources` are complete or none
+        if not own or (
+            isinstance(trained, dict) and trained.keys() - part.get("trained_by", {}).keys()
+        ):
             return []
         found += own
     return list(dict.fromkeys(Source(**each) for each in found))
@@ -177,7 +190,11 @@ def _moved(command: str) -> str:
     for word in shlex.split(command):
         if word.endswith(".py") and not (ROOT / word).exists():
             today = Path(_today(word))
-            return f" (now {today.relative_to(ROOT)})" if today.is_absolute() else " (a file that is gone)"
+            return (
+                f" (now {today.relative_to(ROOT)})"
+                if today.is_absolute()
+                else " (a file that is gone)"
+            )
     return ""
 
 
@@ -234,7 +251,11 @@ def _today(word: str) -> str:
 def _flat(settings: Json, group: str = "") -> Json:
     found: Json = {}
     for name, value in settings.items():
-        found |= _flat(value, f"{group}{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
+        found |= (
+            _flat(value, f"{group}{name}.")
+            if isinstance(value, dict)
+            else {f"{group}{name}": value}
+        )
     return found
 
 
@@ -264,7 +285,9 @@ def _changes_since(root: Path, commit: str, starts: Sequence[str]) -> list[str]:
 
 def is_ancestor(root: Path, earlier: str, later: str) -> bool:
     """Return whether a commit is another, or among those that led to it. Raises LookupError."""
-    return git(root, "merge-base", earlier, later).strip() == git(root, "rev-parse", earlier).strip()
+    return (
+        git(root, "merge-base", earlier, later).strip() == git(root, "rev-parse", earlier).strip()
+    )
 
 
 def lost(then: Mapping[str, str], later: Mapping[str, str], starts: Sequence[str]) -> list[str]:
@@ -272,7 +295,11 @@ def lost(then: Mapping[str, str], later: Mapping[str, str], starts: Sequence[str
 
     A line is the module and the name. Only definitions of COMPUTING count.
     """
-    used = [module for module in imports(then, starts) if not COMPUTING.isdisjoint(module.split(".")[:2])]
+    used = [
+        module
+        for module in imports(then, starts)
+        if not COMPUTING.isdisjoint(module.split(".")[:2])
+    ]
     alive = {key for text in later.values() for key in definitions(text).values()}
     return [
         f"{module}: {name}"
@@ -362,7 +389,9 @@ def definitions(text: str) -> Mapping[str, str]:
         if not isinstance(node, ast.Import | ast.ImportFrom):
             name = _name(node)
             found[name] = found.get(name, "") + _syntax(node)
-    return {name: hashlib.sha256(syntax.encode()).hexdigest()[:12] for name, syntax in found.items()}
+    return {
+        name: hashlib.sha256(syntax.encode()).hexdigest()[:12] for name, syntax in found.items()
+    }
 
 
 def _syntax(node: object) -> str:
@@ -377,7 +406,9 @@ def _syntax(node: object) -> str:
     fields = dict(ast.iter_fields(node))
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         fields["body"] = _body(node)
-    held = ", ".join(f"{name}={_syntax(value)}" for name, value in fields.items() if value not in (None, []))
+    held = ", ".join(
+        f"{name}={_syntax(value)}" for name, value in fields.items() if value not in (None, [])
+    )
     return f"{type(node).__name__}({held})"
 
 
@@ -390,5 +421,11 @@ def _body(
 def _name(node: ast.stmt) -> str:
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return node.name
-    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    targets = (
+        node.targets
+        if isinstance(node, ast.Assign)
+        else [node.target]
+        if isinstance(node, ast.AnnAssign)
+        else []
+    )
     return ", ".join(map(ast.unparse, targets)) or "its own lines"

@@ -33,7 +33,11 @@ def _sweep(name: str) -> SweepResult:
 def runs_of(name: str, begins: str = "") -> list[dict[str, Json]]:
     """Return the rows by name of each run in a file of several, of those whose label begins so."""
     runs = take(name)["runs"]
-    return [{row["name"]: row for row in run["rows"]} for label, run in runs.items() if label.startswith(begins)]
+    return [
+        {row["name"]: row for row in run["rows"]}
+        for label, run in runs.items()
+        if label.startswith(begins)
+    ]
 
 
 def by_name(name: str) -> dict[str, dict[str, Any]]:

@@ -101,11 +101,16 @@ def fitted_images() -> str:
             )
         )
     for what, shown in LEFT_BEHIND.items():
-        together = [[rows[f"{what}, slide {each} mm"] for each in names] for names in SLIDES.values()]
+        together = [
+            [rows[f"{what}, slide {each} mm"] for each in names] for names in SLIDES.values()
+        ]
         lines.append(
             as_line(
                 shown,
-                [", ".join(f"{_over_images(each, when):.1f}" for each in together) for when in whens],
+                [
+                    ", ".join(f"{_over_images(each, when):.1f}" for each in together)
+                    for when in whens
+                ],
             )
         )
     return "\n".join(lines)
@@ -137,7 +142,9 @@ def problems() -> str:
         found = [[row for row in known if re.match(begin, row["problem"])] for begin in begins]
         px = found[0][0]["px"]
         scale, unit = (1, "px") if px else (100, "%")
-        errors = ", ".join(f"{scale * max(abs(row['error']) for row in each):.2g}" for each in found)
+        errors = ", ".join(
+            f"{scale * max(abs(row['error']) for row in each):.2g}" for each in found
+        )
         bars = [f"{scale * each[0]['bar']:g}" for each in found]
         lines.append(
             as_line(
@@ -159,7 +166,9 @@ def large_strain() -> str:
     ]
     for row in take("verify")["rows"]:
         if row["group"].startswith("the model's own error"):
-            depth, move, p95, force, radius, strained = LARGE.search(f"{row['problem']} {row['note']}").groups()
+            depth, move, p95, force, radius, strained = LARGE.search(
+                f"{row['problem']} {row['note']}"
+            ).groups()
             cells = (
                 f"{row['measured']:.2f} / {p95}",
                 f"x {float(force):.2f}",
@@ -200,7 +209,10 @@ def training() -> str:
         kinds = (COMPILED, XLA, *TORCH) if apart else ("", COMPILED, *TORCH)
         for size in dict.fromkeys(size for _, size in rows):
             found = [rows.get((kind, size)) for kind in kinds]
-            cells = [f"{row['images_per_s']:.1f} ({row['share']:.2f})" if row else "not measured" for row in found]
+            cells = [
+                f"{row['images_per_s']:.1f} ({row['share']:.2f})" if row else "not measured"
+                for row in found
+            ]
             batch = rows[COMPILED, size]["batch"]
             lines.append(as_line(f"{processor}, {size} px, batch {batch}", cells))
     return "\n".join(lines)
@@ -212,7 +224,11 @@ def inference() -> str:
     lines = ["| | jaxunshear | PyTorch | PyTorch, compiled |", "|---|---|---|---|"]
     for size in (256, 128):
         found = [rows[kind, size] for kind in (COMPILED, *TORCH)]
-        lines.append(as_line(f"{size} px", [f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in found]))
+        lines.append(
+            as_line(
+                f"{size} px", [f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in found]
+            )
+        )
     return "\n".join(lines)
 
 

@@ -25,7 +25,9 @@ class Touch:
     def pose(self, frame: np.ndarray) -> dict[str, float]:
         """Of one frame, mm and deg by name. "unsheared" and, of images, "confidence" are asked for likewise."""
         if frame.shape != tuple(self._given.shape[1:]) or frame.dtype != self._dtype:
-            raise SystemExit(f"{frame.dtype} {frame.shape}: the model takes {self._given.type} {self._given.shape[1:]}")
+            raise SystemExit(
+                f"{frame.dtype} {frame.shape}: the model takes {self._given.type} {self._given.shape[1:]}"
+            )
         (poses,) = self._session.run(["pose"], {self._given.name: frame[None]})
         return dict(zip(self.names, map(float, poses[0]), strict=True))
 

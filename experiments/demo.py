@@ -19,7 +19,9 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.training import Training
 
-POSENET = Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375)
+POSENET = Training(
+    epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375
+)
 
 experiment = Experiment(
     name="demo",

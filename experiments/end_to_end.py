@@ -38,7 +38,9 @@ sweep = Sweep(
         pose=POSE["end_to_end"],
         unshear=replace(BASE.unshear, size=256),
         posenet=replace(BASE.posenet, size=256),
-        pins=replace(BASE.pins, convolved=(16, 32, 64), noise_px=0.14),  # by which pins found in these images are off
+        pins=replace(
+            BASE.pins, convolved=(16, 32, 64), noise_px=0.14
+        ),  # by which pins found in these images are off
         train_pins=replace(BASE.train_pins, epochs=25, pose_weight=0.1),
     ),
     rows=tuple(ROWS.values()),

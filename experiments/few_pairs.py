@@ -38,7 +38,9 @@ sweep = Sweep(
         train_pins=replace(PINS, epochs=13, pose_weight=0.0, slide_weight=1.0),
     ),
     rows=tuple(
-        ((("train_pins.paired_share", share), (FIELDS, WAYS[way]))) for share, ways in SHARES.items() for way in ways
+        ((("train_pins.paired_share", share), (FIELDS, WAYS[way])))
+        for share, ways in SHARES.items()
+        for way in ways
     ),
     labels=tuple(f"{share:.0%}, {way}" for share, ways in SHARES.items() for way in ways),
     seeds=(0, 1, 2),

@@ -16,7 +16,11 @@ import demo
 
 from jaxunshear.settings.sweep import Sweep
 
-IMAGES = [f"{group}.{field}" for group in ("paired", "pose") for field in ("preprocess.size", "camera.frame_px")]
+IMAGES = [
+    f"{group}.{field}"
+    for group in ("paired", "pose")
+    for field in ("preprocess.size", "camera.frame_px")
+]
 SIZES = (*IMAGES, "unshear.size", "posenet.size", "train.crop_px")
 
 ROWS = {
@@ -29,7 +33,10 @@ ROWS = {
     "Adam, rate 0.001": (("train.optimiser", "adam"), ("train.learning_rate", 1e-3)),
     "Adam, rate 0.003": (("train.optimiser", "adam"), ("train.learning_rate", 3e-3)),
     "Adam, rate 0.01": (("train.optimiser", "adam"), ("train.learning_rate", 1e-2)),
-    "256 px": ((SIZES, (256, 256, 256, 256, 256, 256, 40)), ("unshear.widths", (16, 32, 64, 128, 256, 256))),
+    "256 px": (
+        (SIZES, (256, 256, 256, 256, 256, 256, 40)),
+        ("unshear.widths", (16, 32, 64, 128, 256, 256)),
+    ),
 }
 
 sweep = Sweep(

@@ -20,7 +20,9 @@ from jaxunshear.settings.sweep import Sweep
 sweep = Sweep(
     name="pairings",
     claim="Which partner a recorded slide should have.",
-    base=replace(BASE, name="pairings", pins=PinNet(), train_pins=PINS),  # dense layers alone: many rows
+    base=replace(
+        BASE, name="pairings", pins=PinNet(), train_pins=PINS
+    ),  # dense layers alone: many rows
     grid=(("paired.pairing", ("rendered", "nearest")),),
     seeds=(0, 1, 2),
 )

@@ -48,7 +48,9 @@ experiment = Experiment(
     sensor=sensor_of("paper"),
     paired=PAIRED["paper"],  # 200 poses x 3 shapes: 50 taps with +-1 mm of depth, 150 slides
     pose=POSE["paper"],  # 10,000 taps x 3 shapes
-    unshear=UnshearNet(size=SIZE, widths=(32, 64, 64, 64, 64), pose_channels=64, shear_channels=64),  # codes 8x8x64
+    unshear=UnshearNet(
+        size=SIZE, widths=(32, 64, 64, 64, 64), pose_channels=64, shear_channels=64
+    ),  # codes 8x8x64
     posenet=PoseNet(size=SIZE),
     train=Training(
         epochs=100,

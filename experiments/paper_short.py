@@ -18,7 +18,9 @@ from jaxunshear.settings.training import Training
 
 SIZE = 256
 
-POSENET = Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)
+POSENET = Training(
+    epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675
+)
 
 experiment = Experiment(
     name="paper_short",
@@ -29,7 +31,9 @@ experiment = Experiment(
     paired=PAIRED["paper_short"],
     pose=POSE["paper_short"],
     # a layer more than at 128 px, to see as far; codes of 4x4x256 hold as many numbers as the paper's of 8x8x64
-    unshear=UnshearNet(size=SIZE, widths=(16, 32, 64, 128, 256, 256), pose_channels=256, shear_channels=256),
+    unshear=UnshearNet(
+        size=SIZE, widths=(16, 32, 64, 128, 256, 256), pose_channels=256, shear_channels=256
+    ),
     posenet=PoseNet(size=SIZE),
     train=Training(
         epochs=14,

@@ -24,5 +24,7 @@ experiment = replace(
     sensor=sensor_of("paper_tenth"),
     paired=PAIRED["paper_tenth"],
     pose=POSE["paper_tenth"],
-    train=replace(paper.experiment.train, validate_every=845, validation_images=10_000),  # five epochs; the entire set
+    train=replace(
+        paper.experiment.train, validate_every=845, validation_images=10_000
+    ),  # five epochs; the entire set
 )

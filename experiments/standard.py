@@ -19,7 +19,9 @@ from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS
 from jaxunshear.settings.training import Training
 
-POSENET = Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)
+POSENET = Training(
+    epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675
+)
 
 experiment = Experiment(
     name="standard",

@@ -112,14 +112,18 @@ class Model:
     def codes(self, images: np.ndarray) -> Codes:
         """Pose code and shear code. Raises UserError."""
         if self.encoder is None:
-            raise UserError(f"{self.folder} holds no network with codes: train {DISENTANGLED}, or load another model")
+            raise UserError(
+                f"{self.folder} holds no network with codes: train {DISENTANGLED}, or load another model"
+            )
         encoder = self.encoder
 
         def encode_known(part: np.ndarray) -> tuple[Array | None, ...]:
             seen = self.perceiver.read(part)
             known = jnp.asarray(self.perceiver.state_doubts(part, seen) == "")[:, None]
             codes = encoder(seen.given)
-            return tuple(z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes)
+            return tuple(
+                z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes
+            )
 
         return Codes(*self._in_batches(images, encode_known))
 
@@ -133,7 +137,10 @@ class Model:
                 f"{self.folder}: its shear code was not taught the slide, or was left out: train with slide_weight"
             )
         outputs = jnp.asarray((shear[:, : len(self.slides)] + 1) / 2)
-        return {name: np.asarray(value) for name, value in pose_from_outputs(outputs, self.slides).items()}
+        return {
+            name: np.asarray(value)
+            for name, value in pose_from_outputs(outputs, self.slides).items()
+        }
 
     def _answers(self, images: np.ndarray) -> Answers:
         return self._in_batches(images, self.perceiver.answer)
@@ -174,7 +181,11 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
     slides: Targets = ()
     if holds_model(folder / DISENTANGLED):
         net = read_net(folder / DISENTANGLED)
-        encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED))
+        encoder = ready(
+            lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED)
+        )
         slides = read_slides(folder / DISENTANGLED)
     network = perceiver(folder, experiment, True, frame)
-    return Model(folder, experiment, network._replace(least=ANY) if force else network, encoder, slides)
+    return Model(
+        folder, experiment, network._replace(least=ANY) if force else network, encoder, slides
+    )

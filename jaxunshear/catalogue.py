@@ -31,11 +31,20 @@ def listing(kind: str) -> str:
             f"{s.name:16} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
             for s in SENSORS.values()
         )
-    return "\n".join(f"{s.name:12} {s.material}, friction {s.friction:g}; {_use(s.name)}" for s in STIMULI.values())
+    return "\n".join(
+        f"{s.name:12} {s.material}, friction {s.friction:g}; {_use(s.name)}"
+        for s in STIMULI.values()
+    )
 
 
 def _use(name: str) -> str:
-    return "trained on" if name in TRAINING else "kept unseen" if name in UNSEEN else "for recordings of it"
+    return (
+        "trained on"
+        if name in TRAINING
+        else "kept unseen"
+        if name in UNSEEN
+        else "for recordings of it"
+    )
 
 
 def draw(kind: str, name: str, out: Path) -> None:
@@ -73,7 +82,12 @@ def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     if distance.max() > 0:
         axes.contour(side, side, distance, levels=[0], colors=["black"])
     lateral = Ranges().lateral_mm
-    axes.plot(lateral * np.array([-1, 1, 1, -1, -1]), lateral * np.array([-1, -1, 1, 1, -1]), "r-", linewidth=1)
+    axes.plot(
+        lateral * np.array([-1, 1, 1, -1, -1]),
+        lateral * np.array([-1, -1, 1, 1, -1]),
+        "r-",
+        linewidth=1,
+    )
     axes.plot([0], [0], "r.")
     inside = xy[distance < 0]
     axes.set_xlim(inside[:, 0].min() - 8, inside[:, 0].max() + 8)

@@ -62,9 +62,13 @@ def over_ray(address: str | None, each: int) -> Spread:
     host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
     if colon:  # else None, or "auto": Ray searches for a cluster on this machine
         try:
-            socket.create_connection((host, int(port)), timeout=10).close()  # Ray itself would try for minutes
+            socket.create_connection(
+                (host, int(port)), timeout=10
+            ).close()  # Ray itself would try for minutes
         except (OSError, ValueError) as error:
-            raise UserError(f"--ray-address {address}: no cluster answers there ({error})") from error
+            raise UserError(
+                f"--ray-address {address}: no cluster answers there ({error})"
+            ) from error
     return functools.partial(_over_ray, address, each)
 
 
@@ -116,7 +120,9 @@ def _connect(address: str | None) -> None:
             )
     except Exception as error:
         said = " ".join(str(error).split())
-        raise UserError(f"--ray-address {address or 'local'}: Ray cannot be reached ({said})") from error
+        raise UserError(
+            f"--ray-address {address or 'local'}: Ray cannot be reached ({said})"
+        ) from error
 
 
 def _made(reference: "ray.ObjectRef[object]") -> object:

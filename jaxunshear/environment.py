@@ -32,7 +32,9 @@ def check_variables() -> None:
         if name.startswith("JAX_") and not name.startswith(HEEDED)
     ]
     if found:
-        raise UserError(f"{', '.join(found)}: would give other results under the same name: unset it")
+        raise UserError(
+            f"{', '.join(found)}: would give other results under the same name: unset it"
+        )
 
 
 def cores() -> int:
@@ -50,11 +52,17 @@ def check_environment() -> None:
     flags = os.environ.get("XLA_FLAGS", "").split()
     for flag in flags:
         if any(word in flag for word in ROUNDING):
-            raise UserError(f"XLA_FLAGS: {flag} would give other results under the same name: leave it out")
-    asked = {name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")}
+            raise UserError(
+                f"XLA_FLAGS: {flag} would give other results under the same name: leave it out"
+            )
+    asked = {
+        name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")
+    }
     reported = ", ".join(f"{name}={value}" for name, value in asked.items())
     if asked and not _starts(reported):
-        raise UserError(f"{reported}: JAX cannot start with that on this machine; unset it, or name what is there")
+        raise UserError(
+            f"{reported}: JAX cannot start with that on this machine; unset it, or name what is there"
+        )
 
 
 def kernels_asked() -> str:
@@ -78,7 +86,12 @@ def _starts(asked: str) -> bool:
     """Whether JAX starts with what is `asked`, once a process. In one of its own: XLA ends the one that meets a bad flag, and a sweep is to
     leave the devices to its rows."""
     try:
-        return subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=SECONDS).returncode == 0
+        return (
+            subprocess.run(
+                [sys.executable, "-c", PROBE], capture_output=True, timeout=SECONDS
+            ).returncode
+            == 0
+        )
     except subprocess.TimeoutExpired:
         return False
 
@@ -91,4 +104,6 @@ def check_links(paths: Iterable[object]) -> None:
                 os.stat(path)
             except OSError as error:
                 if error.errno == errno.ELOOP:
-                    raise UserError(f"{path} is, or lies in, a link that leads back to itself: name another") from None
+                    raise UserError(
+                        f"{path} is, or lies in, a link that leads back to itself: name another"
+                    ) from None

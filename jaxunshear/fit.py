@@ -48,7 +48,9 @@ BASE = Experiment(
 )
 
 
-def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pairs: str = "") -> Experiment:
+def with_recordings(
+    experiment: Experiment, taps: str = "", slides: str = "", pairs: str = ""
+) -> Experiment:
     """`experiment` about the taps and slides in these folders, which may be one. Networks that they do not allow are left out: without
     taps nothing unshears, and poses are learnt from slides alone. Raises UserError.
     """
@@ -69,7 +71,9 @@ def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pa
         raise UserError(f"{asked}: these recordings hold no taps: leave it at none")
     networks = allowed(experiment.networks, tapped, dragged)
     if not networks:
-        raise UserError(f"networks: none of {', '.join(experiment.networks)} can learn from these recordings")
+        raise UserError(
+            f"networks: none of {', '.join(experiment.networks)} can learn from these recordings"
+        )
     sensor = sensor_of(contacts, recorded.preprocess)
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
@@ -87,7 +91,10 @@ def as_python(experiment: Experiment) -> str:
     """The source of an experiment file: every field that is not at its default."""
     modules: dict[str, set[str]] = {}
     body = _constructed(experiment, modules, 0)
-    imports = "\n".join(f"from {module} import {', '.join(sorted(names))}" for module, names in sorted(modules.items()))
+    imports = "\n".join(
+        f"from {module} import {', '.join(sorted(names))}"
+        for module, names in sorted(modules.items())
+    )
     return f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""\n\n{imports}\n\nexperiment = {body}\n'
 
 
@@ -100,7 +107,11 @@ def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
         value = getattr(thing, field.name)
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default:
-            inner = _constructed(value, modules, depth + 1) if dataclasses.is_dataclass(value) else repr(value)
+            inner = (
+                _constructed(value, modules, depth + 1)
+                if dataclasses.is_dataclass(value)
+                else repr(value)
+            )
             parts.append(f"{'    ' * (depth + 1)}{field.name}={inner},")
     return f"{kind}(\n" + "\n".join(parts) + f"\n{'    ' * depth})" if parts else f"{kind}()"
 

@@ -15,7 +15,9 @@ RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a m
 def model_folder(model: Path) -> Path:
     """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
     is_name = len(model.parts) == 1 and not model.exists()
-    return RELEASED / model if is_name and (RELEASED / model / "experiment.json").is_file() else model
+    return (
+        RELEASED / model if is_name and (RELEASED / model / "experiment.json").is_file() else model
+    )
 
 
 def load_settings(model: Path) -> Experiment:

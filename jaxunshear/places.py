@@ -18,7 +18,9 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
     if path.is_file() and path.stat().st_size and not _measured(path):
-        raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+        raise UserError(
+            f"{option} {path} holds something else, which would be lost: name another file"
+        )
 
 
 def _measured(path: Path) -> bool:
@@ -29,7 +31,11 @@ def _measured(path: Path) -> bool:
         if "frame" in json.loads(line):
             return True
     held = read_object_if_sound(path)
-    return held is not None and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
+    return (
+        held is not None
+        and "versions" in held
+        and not held.keys().isdisjoint(("machine", "machines"))
+    )
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:
@@ -52,5 +58,7 @@ def check_beside(recordings: Path, out: Path, option: str) -> None:
     """Refuses to write among the recordings: a name could be theirs, and the next run would read what this one wrote."""
     place, root = out.resolve(), recordings.resolve()
     if place == root.parent if recordings.is_file() else place.is_relative_to(root):
-        raise UserError(f"{option} {out} lies among the recordings in {recordings}: name another folder")
+        raise UserError(
+            f"{option} {out} lies among the recordings in {recordings}: name another folder"
+        )
     check_new_folder(out, option)

@@ -12,9 +12,13 @@ def plain(obj: Any) -> Any:
     """`obj` of built-in types only: records become dictionaries, without what is None where that is the default; arrays and their
     scalars become lists and numbers, paths become text."""
     if dataclasses.is_dataclass(obj):
-        held = {each.name: (getattr(obj, each.name), each.default) for each in dataclasses.fields(obj)}
+        held = {
+            each.name: (getattr(obj, each.name), each.default) for each in dataclasses.fields(obj)
+        }
         return {
-            name: plain(value) for name, (value, default) in held.items() if value is not None or default is not None
+            name: plain(value)
+            for name, (value, default) in held.items()
+            if value is not None or default is not None
         }
     if isinstance(obj, Mapping):
         return {str(key): plain(value) for key, value in obj.items()}

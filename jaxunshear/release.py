@@ -36,13 +36,18 @@ def release(run_dir: Path, out: Path) -> Path:
 
     for name in ("experiment.json", "results.json"):
         if not (run_dir / name).is_file():
-            raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
+            raise UserError(
+                f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo"
+            )
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")
     results = read(run_dir / "results.json", Results, EVALUATED)
     try:
-        text, settings = make_card(results, out.name), settings | {"name": out.name}  # not a sweep's row
+        text, settings = (
+            make_card(results, out.name),
+            settings | {"name": out.name},
+        )  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
     needed = NEEDED if results.simulated else ()

@@ -28,7 +28,12 @@ LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
 def run_stages(
-    experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str, spread: Spread = here
+    experiment: Experiment,
+    stages: tuple[str, ...],
+    out: Path,
+    data: Path,
+    command: str,
+    spread: Spread = here,
 ) -> Results | None:
     """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>. `spread`: who simulates.
 
@@ -41,13 +46,20 @@ def run_stages(
     folder = Path(out) / experiment.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
-            raise UserError(f"another run is at work in {folder}: wait for it, stop it, or give another --out")
+            raise UserError(
+                f"another run is at work in {folder}: wait for it, stop it, or give another --out"
+            )
         _keep_settings(experiment, folder)
         return _run(experiment, stages, folder, data, command, spread)
 
 
 def _run(
-    experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str, spread: Spread
+    experiment: Experiment,
+    stages: tuple[str, ...],
+    folder: Path,
+    data: Path,
+    command: str,
+    spread: Spread,
 ) -> Results | None:
     results = None
     for stage in stages:
@@ -85,7 +97,9 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
             stored = to_json(from_json(read_object(path), str(path)))
         except UserError as error:
             if started:
-                raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error
+                raise UserError(
+                    f"{error}; to start anew give another --out, or delete {folder}"
+                ) from error
             stored = {}
         changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
         if changed and started:
@@ -104,7 +118,9 @@ def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
     there = all(_exist(experiment, data, configs.set_folder))
     for name, metadata in make_sets(experiment, data, simulator(spread)).items():
         counts = metadata["counts"]
-        print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped{_slowest(counts)}")
+        print(
+            f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped{_slowest(counts)}"
+        )
     return not there
 
 
@@ -113,16 +129,17 @@ def _slowest(counts: Json) -> str:
     if "iterations" not in counts:
         return ""
     spent = counts["iterations"]
-    return (
-        f"; slowest contact {spent['slowest_number']}: {spent['most']} iterations, the median one {spent['median']:.0f}"
-    )
+    return f"; slowest contact {spent['slowest_number']}: {spent['most']} iterations, the median one {spent['median']:.0f}"
 
 
 def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:
     """Of each data set, whether its `folder_of` is there."""
     from jaxunshear.dataset.making import sets_of
 
-    return [folder_of(settings, experiment.sensor, data).exists() for settings in sets_of(experiment).values()]
+    return [
+        folder_of(settings, experiment.sensor, data).exists()
+        for settings in sets_of(experiment).values()
+    ]
 
 
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
@@ -142,7 +159,10 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     from jaxunshear.training.loop import train
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
+    training, examples = (
+        training_of(experiment, network),
+        open_examples(experiment, network, data, folder),
+    )
     if recorded_of(experiment):
         write_json(folder / FRAME, stored_of(experiment, data).frame)
     full = examples
@@ -180,9 +200,15 @@ def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bo
     """Whether a stopped run has left work of `stage` to go on with. An evaluation is always done from the start."""
     if stage == "data":
         there = _exist(experiment, data, configs.set_folder)
-        return not all(there) and any((*there, *_exist(experiment, data, configs.unfinished_folder)))
+        return not all(there) and any(
+            (*there, *_exist(experiment, data, configs.unfinished_folder))
+        )
     place = folder / stage
-    return stage in TRAINABLE and (place / "model.json").exists() and not (place / "summary.json").exists()
+    return (
+        stage in TRAINABLE
+        and (place / "model.json").exists()
+        and not (place / "summary.json").exists()
+    )
 
 
 def _keep_time(folder: Path, stage: str, seconds: float) -> None:
@@ -201,7 +227,11 @@ def print_summary(results: Results, folder: Path) -> None:
 
     likeness, errors, name = results.ms_ssim, results.pose_mae, str(results.metric["ms_ssim"])
     rows = [
-        {"": words.kind_of(results, kind), name: likeness.get(kind, {}).get("overall"), **errors.get(kind, {})}
+        {
+            "": words.kind_of(results, kind),
+            name: likeness.get(kind, {}).get("overall"),
+            **errors.get(kind, {}),
+        }
         for kind in words.KINDS
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
@@ -221,5 +251,7 @@ def _print_recorded(results: Results, folder: Path) -> None:
     print(table(results))
     if similar := results.ms_ssim:
         felt, unsheared = (similar[kind]["overall"] for kind in ("sheared", shown_kind(similar)))
-        print(f"{results.metric['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared")
+        print(
+            f"{results.metric['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared"
+        )
     print(f"results: {folder / 'results.json'}")

@@ -38,7 +38,9 @@ def committed(root: Path) -> tuple[str | None, bool | None]:
     words = ["git", "--no-optional-locks", "status", "--porcelain=v2", "--branch", "--", *CODE]
     here = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
     try:
-        done = subprocess.run(words, cwd=root, env=here, capture_output=True, text=True, timeout=SECONDS)
+        done = subprocess.run(
+            words, cwd=root, env=here, capture_output=True, text=True, timeout=SECONDS
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None, None
     lines = done.stdout.splitlines()

@@ -48,11 +48,24 @@ def cache_folder() -> Path:
 def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     """The line for people that an `OSError` at `path` deserves."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return UserError(f"cannot {verb} {path}: the disk is full; free some space, then run the same command")
+        return UserError(
+            f"cannot {verb} {path}: the disk is full; free some space, then run the same command"
+        )
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
-OF_THE_MACHINE = ("EACCES", "EPERM", "EMFILE", "ENFILE", "ENOMEM", "EIO", "ESTALE", "EROFS", "ENOSPC", "EDQUOT")
+OF_THE_MACHINE = (
+    "EACCES",
+    "EPERM",
+    "EMFILE",
+    "ENFILE",
+    "ENOMEM",
+    "EIO",
+    "ESTALE",
+    "EROFS",
+    "ENOSPC",
+    "EDQUOT",
+)
 
 
 def blame_the_machine(path: Path, error: BaseException) -> None:
@@ -162,7 +175,11 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, obj: object) -> None:
     """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither. Objects are sealed."""
     held = plain(obj)
-    write_text(path, json.dumps(sealed(held) if isinstance(held, dict) else held, indent=2, allow_nan=False) + "\n")
+    write_text(
+        path,
+        json.dumps(sealed(held) if isinstance(held, dict) else held, indent=2, allow_nan=False)
+        + "\n",
+    )
 
 
 def read_json(path: Path) -> object:
@@ -172,7 +189,9 @@ def read_json(path: Path) -> object:
     except OSError as error:
         raise os_error(path, error, "read") from error
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not valid JSON ({error}): delete it and make it again") from error
+        raise UserError(
+            f"{path} is not valid JSON ({error}): delete it and make it again"
+        ) from error
     try:
         return unsealed(held)
     except ValueError as error:
@@ -182,7 +201,9 @@ def read_json(path: Path) -> object:
 
 def checksum(obj: object) -> str:
     """Of what JSON keeps of `obj`: its values, whatever their order and spacing in a file."""
-    return hashlib.blake2b(json.dumps(plain(obj), sort_keys=True).encode(), digest_size=16).hexdigest()
+    return hashlib.blake2b(
+        json.dumps(plain(obj), sort_keys=True).encode(), digest_size=16
+    ).hexdigest()
 
 
 def sealed(held: Json) -> Json:
@@ -209,7 +230,9 @@ def read_object(path: Path) -> Json:
     """An object that `path` holds, as `read_json`. Raises `UserError` where it holds anything else, such as a list."""
     held = read_json(path)
     if not isinstance(held, dict):
-        raise UserError(f"{path} holds no JSON object but a {type(held).__name__}: delete it and make it again")
+        raise UserError(
+            f"{path} holds no JSON object but a {type(held).__name__}: delete it and make it again"
+        )
     return held
 
 

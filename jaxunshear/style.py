@@ -4,7 +4,14 @@ import io
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, ENTANGLED_LARGE, POSENET, POSENET_SHEARED, UNET
+from jaxunshear.settings.registry import (
+    DISENTANGLED,
+    ENTANGLED,
+    ENTANGLED_LARGE,
+    POSENET,
+    POSENET_SHEARED,
+    UNET,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

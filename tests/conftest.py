@@ -22,7 +22,9 @@ if OWN:
     os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"  # which gets doubles wrong
-if version("jaxlib").startswith("0.10."):  # later ones do not know the flag; older emitters compile in half the time
+if version("jaxlib").startswith(
+    "0.10."
+):  # later ones do not know the flag; older emitters compile in half the time
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -75,7 +77,13 @@ def strict(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 # They take a worker longest; started last, they would keep one waiting for the other.
-FIRST = ("test_run.py", "test_laboratory.py", "test_gradient.py", "test_loop.py", "test_notebooks.py")
+FIRST = (
+    "test_run.py",
+    "test_laboratory.py",
+    "test_gradient.py",
+    "test_loop.py",
+    "test_notebooks.py",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -107,7 +115,9 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fresh, "KNOWN", 12)
 
 
-def call_with(main: Callable[[list[str]], int], capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+def call_with(
+    main: Callable[[list[str]], int], capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Answer]:
     """Return a function that calls a command line in this process."""
 
     def call(*argv: object) -> Answer:

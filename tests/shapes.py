@@ -14,7 +14,14 @@ from jaxtyping import AbstractArray, install_import_hook
 
 CHECKED = ("metrics", "scene", "contact", "model")
 # without what follows pins: checks would take a third of its time
-CHECKED += ("image.camera", "image.dots", "image.grey", "image.lattice", "image.png", "image.preprocess")
+CHECKED += (
+    "image.camera",
+    "image.dots",
+    "image.grey",
+    "image.lattice",
+    "image.png",
+    "image.preprocess",
+)
 CHECKED += ("training.losses", "training.turning", "training.drawing")
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]
 MODULES += ["verification.hyperelastic", "verification.large_strain"]

@@ -16,7 +16,9 @@ def test_angles_are_brought_onto_one_circle():
 def test_vectors_turn_from_x_towards_y():
     xy, radians = np.array([[1.0, 0.0], [0.0, 2.0]]), np.array([np.pi / 2, np.pi])
     np.testing.assert_allclose(rotate_2d(xy, radians), [[0, 1], [0, -2]], atol=1e-12)
-    np.testing.assert_allclose(jax.jit(rotate_2d)(jnp.asarray(xy), jnp.asarray(radians)), [[0, 1], [0, -2]], atol=1e-6)
+    np.testing.assert_allclose(
+        jax.jit(rotate_2d)(jnp.asarray(xy), jnp.asarray(radians)), [[0, 1], [0, -2]], atol=1e-6
+    )
 
 
 def test_the_matrix_turns_alike():

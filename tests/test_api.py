@@ -41,7 +41,9 @@ def test_images_codes_and_poses_of_released_weights(model, images):
     unsheared = model.unshear(images)
     assert unsheared.shape == images.shape and 0 <= unsheared.min() < unsheared.max() <= 1
     codes = model.codes(images)
-    assert len(codes.pose) == 3 and codes.pose.ndim == 2 and codes.shear is None  # released weights leave it out
+    assert (
+        len(codes.pose) == 3 and codes.pose.ndim == 2 and codes.shear is None
+    )  # released weights leave it out
     pose = model.pose(images)
     np.testing.assert_array_equal(
         pose[UNSHEARED]["edge_mm"], model.perceiver.answer(images).poses[UNSHEARED]["edge_mm"]
@@ -51,10 +53,14 @@ def test_images_codes_and_poses_of_released_weights(model, images):
 def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model, images):
     slides = felt_of(Ranges(move_mm=2.0, twist_deg=10.0))
     z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
-    taught = dataclasses.replace(model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides)
+    taught = dataclasses.replace(
+        model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides
+    )
     found = taught.slide(images)
     assert list(found) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
-    np.testing.assert_allclose(np.stack(list(found.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6)
+    np.testing.assert_allclose(
+        np.stack(list(found.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6
+    )
     with pytest.raises(UserError, match="its shear code was not taught the slide"):
         model.slide(images)
 
@@ -95,9 +101,20 @@ def test_the_example_of_uses_runs(capsys):
     names: dict = {}
     walks = 'Course("disk", starts=1, depth_mm=2.0'
     assert example.count(walks) == 1
-    exec(example.replace(walks, f"{walks}, patience={2 * 0.5 / outline(STIMULI['disk']).length * 0.999}"), names)
-    assert names["way_of_the_sensor"].shape == (2, 2, 3) and np.isfinite(names["way_of_the_sensor"]).all()
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["true", "disentangled"]
+    exec(
+        example.replace(
+            walks, f"{walks}, patience={2 * 0.5 / outline(STIMULI['disk']).length * 0.999}"
+        ),
+        names,
+    )
+    assert (
+        names["way_of_the_sensor"].shape == (2, 2, 3)
+        and np.isfinite(names["way_of_the_sensor"]).all()
+    )
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "true",
+        "disentangled",
+    ]
     found, model = names["found"], names["model"]
     assert found.scores[0].ends == {"took too long": 1} and found.course.stimulus == "disk"
     found.walks.end[0] = servo.WALKING

@@ -59,7 +59,10 @@ BAD_FIELDS = [
     ("--paired.stimuli disk,box", "box is unknown: use one of disk, clover"),
     ("--paired.stimuli=", "name at least one"),
     ("--paired.stimuli disk,disk", "each stimulus once"),
-    ("--paired.config standard", "no field --paired.config: a configuration is chosen by the experiment's file"),
+    (
+        "--paired.config standard",
+        "no field --paired.config: a configuration is chosen by the experiment's file",
+    ),
     ("--paired.seed -1", "--paired.seed"),
     ("--seed 3000000000", "2147483647"),
     ("--paired.ranges.depth_max_mm 25", "cannot be reached"),
@@ -165,11 +168,20 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
         (["report"], "RUN_DIR"),
         (["report", tmp_path / "none"], "no results.json"),
         (["unshear", image, "--model", run], "--out"),
-        (["unshear", tmp_path / "none.png", "--model", run, "--out", tmp_path / "out"], "none.png does not exist"),
-        (["unshear", image, "--model", tmp_path / "none", "--out", tmp_path / "out"], "no experiment.json"),
+        (
+            ["unshear", tmp_path / "none.png", "--model", run, "--out", tmp_path / "out"],
+            "none.png does not exist",
+        ),
+        (
+            ["unshear", image, "--model", tmp_path / "none", "--out", tmp_path / "out"],
+            "no experiment.json",
+        ),
         (["unshear", image, "--model", run, "--out", tmp_path / "out"], "not valid JSON"),
         (["unshear", image, "--model", other, "--out", tmp_path / "out"], "does not fit version"),
-        (["unshear", image, "--model", untrained, "--out", tmp_path / "out"], "holds no trained network"),
+        (
+            ["unshear", image, "--model", untrained, "--out", tmp_path / "out"],
+            "holds no trained network",
+        ),
         (["pose", image, "--model", untrained], "holds no trained network"),
         (["pose", tmp_path / "none", "--model", untrained], "does not exist"),
         (["pose", image, "--model", image], "no experiment.json"),
@@ -213,8 +225,16 @@ def fails_with(error: BaseException):
     ("error", "line"),
     [
         (OSError(errno.ENOSPC, "No space left on device"), "the disk is full"),
-        (ValueError("RESOURCE: write failed: No space left on device [source locations]\n  more"), "the disk is full"),
-        (PermissionError(errno.EACCES, "Permission denied", "runs/demo"), "runs/demo: Permission denied"),
+        (
+            ValueError(
+                "RESOURCE: write failed: No space left on device [source locations]\n  more"
+            ),
+            "the disk is full",
+        ),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "runs/demo"),
+            "runs/demo: Permission denied",
+        ),
         (MemoryError(), "out of memory"),
     ],
 )
@@ -240,7 +260,9 @@ def test_an_interrupt_says_how_to_go_on(run_with):
 
 
 def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command):
-    monkeypatch.setattr("jaxunshear.calibration.calibrate.calibrate", fails_with(KeyboardInterrupt()))
+    monkeypatch.setattr(
+        "jaxunshear.calibration.calibrate.calibrate", fails_with(KeyboardInterrupt())
+    )
     answer = command("calibrate", "recordings")
     assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
 
@@ -277,7 +299,9 @@ def test_a_bug_keeps_its_traceback(run_with):
 def test_commands_become_stages(stages, command, tmp_path, words, expected):
     calls = []
     stages(lambda *a, **k: calls.append((a, k)))
-    answer = command(words[0], DEMO, *words[1:], "--out", tmp_path, "--train.epochs", "2", "--data=sets")
+    answer = command(
+        words[0], DEMO, *words[1:], "--out", tmp_path, "--train.epochs", "2", "--data=sets"
+    )
     assert (answer.code, answer.err) == (0, "")
     ((experiment, asked), named) = calls[0]
     assert experiment.train.epochs == 2
@@ -290,7 +314,12 @@ def test_commands_become_stages(stages, command, tmp_path, words, expected):
 def test_lists_and_drawings(command, tmp_path):
     assert "tactip127" in command("sensors").out
     assert {"spiral_2", "edge"} < set(command("stimuli", "list").out.split())
-    drawn = (("sensors", "tactip331"), ("stimuli", "teardrop"), ("stimuli", "edge"), ("stimuli", "surface"))
+    drawn = (
+        ("sensors", "tactip331"),
+        ("stimuli", "teardrop"),
+        ("stimuli", "edge"),
+        ("stimuli", "surface"),
+    )
     for kind, name in drawn:
         path = tmp_path / f"{name}.png"
         assert command(kind, "draw", name, "--out", path).code == 0
@@ -316,7 +345,9 @@ def test_help_and_refusals_take_nothing_heavy(words):
         "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)\n"
     )
-    done = subprocess.run([sys.executable, "-c", probe, *words], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", probe, *words], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.returncode == (0 if "--help" in words else 2), done.stderr
 
 
@@ -327,7 +358,9 @@ def test_help_lists_every_field(command):
 
 
 def test_every_stage_of_a_command_is_one_of_run():
-    assert {stage for stages in cli.stages.STAGES.values() for stage in stages} == set(cli.stages.STAGES["run"])
+    assert {stage for stages in cli.stages.STAGES.values() for stage in stages} == set(
+        cli.stages.STAGES["run"]
+    )
 
 
 def test_every_field_has_its_meaning_in_help(command):
@@ -337,7 +370,9 @@ def test_every_field_has_its_meaning_in_help(command):
     written = "".join(command("run", "--help-fields", group).out for group in groups)
     entries = dict(re.findall(r"^--(\S+) .*\n((?:    .*\n?)+)", written, re.MULTILINE))
     assert entries.keys() == {name for name, _ in field_types()}
-    assert not [name for name, text in entries.items() if len(" ".join(text.split()).partition(". ")[2]) < 6]
+    assert not [
+        name for name, text in entries.items() if len(" ".join(text.split()).partition(". ")[2]) < 6
+    ]
     answer = command("run", "--help-fields", "trains")
     is_one_line(answer)
     assert "name one of sensor, paired," in answer.err
@@ -353,13 +388,18 @@ def test_help_on_fields_has_the_values_of_the_file(command):
     assert len(dict(usual)) == len(usual)  # each field once, whichever kinds of settings have it
     demo = load_experiment(DEMO)
     words = ("run", DEMO, "--help-fields", "paired", "--paired.seed", "7")
-    assert dict(shown(*words))["paired.poses"] == str(demo.paired.poses) and dict(shown(*words))["paired.seed"] == "7"
+    assert (
+        dict(shown(*words))["paired.poses"] == str(demo.paired.poses)
+        and dict(shown(*words))["paired.seed"] == "7"
+    )
     recorded = dict(shown("run", ROOT / "experiments" / "recorded.py", "--help-fields=paired"))
     assert "paired.pairing" in recorded and "paired.poses" not in recorded
     few = load_sweep(ROOT / "experiments" / "few_pairs.py").base
     words = ("sweep", ROOT / "experiments" / "few_pairs.py", "--help-fields", "train_pins")
     assert dict(shown(*words))["train_pins.epochs"] == str(few.train_pins.epochs)
-    assert dict(shown("run", "--help-fields", "train_pins"))["train_pins.epochs"] == str(demo.train_pins.epochs)
+    assert dict(shown("run", "--help-fields", "train_pins"))["train_pins.epochs"] == str(
+        demo.train_pins.epochs
+    )
 
 
 def test_help_on_fields_of_a_group_that_a_file_lacks_is_refused(command):

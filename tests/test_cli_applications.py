@@ -85,7 +85,9 @@ def test_a_model_that_is_none(command, tmp_path, monkeypatch, name):
     assert answer.code == 2 and "experiment.json" in answer.err
 
 
-@pytest.mark.parametrize(("name", "said"), [("servo", "--ways true"), ("geometry", "no trained network")])
+@pytest.mark.parametrize(
+    ("name", "said"), [("servo", "--ways true"), ("geometry", "no trained network")]
+)
 def test_a_model_without_networks(command, tmp_path, model, name, said):
     (tmp_path / "empty").mkdir()
     shutil.copy(model / "experiment.json", tmp_path / "empty")
@@ -114,7 +116,9 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert held["schema"] == SCHEMA and held["rows"] == plain(rows)
     rows = held["rows"]
     assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]
-    assert all(0 <= row["completed"] < 0.1 and row["closed"] == 0 and row["mean_mm"] < 9 for row in rows)
+    assert all(
+        0 <= row["completed"] < 0.1 and row["closed"] == 0 and row["mean_mm"] < 9 for row in rows
+    )
     assert Image.open(out / "disk.png").size[0] > 300
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
@@ -151,7 +155,12 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     ):
         answer = command(*words)
         assert answer.code == 2 and "lies among the recordings" in answer.err, words
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["000000.png", "1.png", "images", "others"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [
+        "000000.png",
+        "1.png",
+        "images",
+        "others",
+    ]
     assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 
@@ -159,17 +168,29 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
 def test_geometry_scores_and_draws(command, brief, tmp_path, model):
     answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
-    rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]}
+    rows = {
+        row["name"]: row
+        for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]
+    }
     assert set(rows) == {
         f"{s}/{k}/{w}"
         for s in ("all", "disk", "clover", "teardrop")
         for k in ("tap", "sheared", "disentangled", "untouched")
         for w in WAYS
     }
-    assert rows["all/tap/areas"]["contacts"] == 15 and rows["all/disentangled/inverse"]["unmatched"] == 15
-    assert rows["all/tap/areas"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled/inverse"]
+    assert (
+        rows["all/tap/areas"]["contacts"] == 15
+        and rows["all/disentangled/inverse"]["unmatched"] == 15
+    )
+    assert (
+        rows["all/tap/areas"]["correlation"] > 0.3
+        and "correlation" not in rows["all/disentangled/inverse"]
+    )
     assert rows["all/tap/inverse"]["correlation"] > 0.9
-    assert rows["all/untouched/inverse"]["largest_mm"] == 0 and rows["all/untouched/areas"]["largest_mm"] > 0
+    assert (
+        rows["all/untouched/inverse"]["largest_mm"] == 0
+        and rows["all/untouched/areas"]["largest_mm"] > 0
+    )
     assert (tmp_path / "out" / "geometry.png").is_file()
 
 
@@ -186,16 +207,24 @@ def test_stream_of_a_folder(command, tmp_path, model):
     folder.mkdir()
     rng = np.random.default_rng(0)
     for number in range(3):
-        Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(folder / f"{number}.png")
+        Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(
+            folder / f"{number}.png"
+        )
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
     words = ("stream", folder, "--model", model, "--no-images", "--json", summary)
     refused = command(*words)
-    assert refused.code == 1 and "skipped 3: its pins are not those of the model's sensor" in refused.err
+    assert (
+        refused.code == 1
+        and "skipped 3: its pins are not those of the model's sensor" in refused.err
+    )
     assert not any("edge_mm" in json.loads(line) for line in refused.out.splitlines())
     answer = command(*words, "--force")
     assert answer.code == 0, answer.err
-    assert "note: These networks have seen simulated touches only" in answer.err and "note" not in answer.out
+    assert (
+        "note: These networks have seen simulated touches only" in answer.err
+        and "note" not in answer.out
+    )
     lines = [json.loads(line) for line in answer.out.splitlines()]
     assert [("error" in line) for line in lines] == [False, False, False, True]
     assert set(lines[0]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg", "confidence", "ms"}

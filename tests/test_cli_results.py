@@ -24,11 +24,16 @@ def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
     assert main(["calibrate", "recordings", "--json", str(tmp_path)]) == 2
     assert "is a folder" in capsys.readouterr().err
     (tmp_path / "file").touch()
-    assert main(["calibrate", "recordings", "--json", str(tmp_path / "file" / "deeper" / "rows.json")]) == 2
+    assert (
+        main(["calibrate", "recordings", "--json", str(tmp_path / "file" / "deeper" / "rows.json")])
+        == 2
+    )
     assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [("calibrate", "recordings"), ("run", "experiments/tiny.py"), ("servo",)])
+@pytest.mark.parametrize(
+    "words", [("calibrate", "recordings"), ("run", "experiments/tiny.py"), ("servo",)]
+)
 def test_a_file_cannot_be_the_folder_of_results(tmp_path, capsys, words):
     (tmp_path / "file").touch()
     assert main([*words, "--out", str(tmp_path / "file")]) == 2

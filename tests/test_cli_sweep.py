@@ -29,7 +29,16 @@ def calls(monkeypatch):
 
 
 def test_options_and_fields_arrive(calls, command, tmp_path):
-    words = ["--seeds", "3,4", "--retry-failed", "--train.epochs", "2", "--out", tmp_path, "--data=sets"]
+    words = [
+        "--seeds",
+        "3,4",
+        "--retry-failed",
+        "--train.epochs",
+        "2",
+        "--out",
+        tmp_path,
+        "--data=sets",
+    ]
     answer = command("sweep", LAMBDA, *words, "--json", tmp_path / "found.json")
     assert (answer.code, answer.err) == (0, "")
     assert answer.out.splitlines()[-1] == str(tmp_path / "lambda_split" / "sweep.json")

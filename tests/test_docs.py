@@ -26,12 +26,18 @@ MOST_LINES = {"README.md": 120}
 def test_tables_are_what_the_results_say(page):
     tables = with_notes(page)
     assert all(len(table.splitlines()) > 3 for table, _ in tables)
-    assert placed((ROOT / page).read_text(), tables) == (ROOT / page).read_text(), "call `make tables`"
+    assert placed((ROOT / page).read_text(), tables) == (ROOT / page).read_text(), (
+        "call `make tables`"
+    )
 
 
 def test_tables_go_where_a_page_has_their_first_lines():
-    page = f"words\n\n| a | b |\n\nmore\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\n{NOTE}old</sub>\n\nend\n"
-    tables = [(f"| a | b |\n|---|---|\n| {value} | 0 |", f"{NOTE}{value}</sub>") for value in (7, 8)]
+    page = (
+        f"words\n\n| a | b |\n\nmore\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\n{NOTE}old</sub>\n\nend\n"
+    )
+    tables = [
+        (f"| a | b |\n|---|---|\n| {value} | 0 |", f"{NOTE}{value}</sub>") for value in (7, 8)
+    ]
     made = placed(page, tables)
     assert made == "\n\n".join(("words", *tables[0], "more", *tables[1], "end")) + "\n"
     assert placed(made, tables) == made
@@ -62,7 +68,9 @@ def test_commands_exist(page, capsys):
     with contextlib.suppress(SystemExit):
         main(["--help"])
     lines = (ROOT / page).read_text().splitlines()
-    text = "\n".join(line for line in lines if not line.startswith(NOTE))  # notes have commands as they were typed
+    text = "\n".join(
+        line for line in lines if not line.startswith(NOTE)
+    )  # notes have commands as they were typed
     known = set(re.findall(r"^  ([a-z]+) ", capsys.readouterr().out, re.MULTILINE))
     named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", text, re.MULTILINE))
     assert named <= known, f"{page}: {named - known}"
@@ -95,7 +103,10 @@ def test_one_version():
 
 UNPLAIN = r"\b(look|told|begun|whole|tell|tells|mended)\b"  # words that said too many things
 PLACES = (
-    *(f"{folder}/**/*.py" for folder in ("jaxunshear", "verification", "benchmarks", "data_specs", "experiments")),
+    *(
+        f"{folder}/**/*.py"
+        for folder in ("jaxunshear", "verification", "benchmarks", "data_specs", "experiments")
+    ),
     *("docs/*.md", "docs/*.py", "*.md"),
 )
 
@@ -104,5 +115,9 @@ PLACES = (
 def test_words_are_plain(place):
     files = [path for path in ROOT.glob(place) if path.name != "CHANGELOG.md"]
     assert files
-    found = [f"{path}: {word}" for path in files for word in re.findall(UNPLAIN, path.read_text(), re.IGNORECASE)]
+    found = [
+        f"{path}: {word}"
+        for path in files
+        for word in re.findall(UNPLAIN, path.read_text(), re.IGNORECASE)
+    ]
     assert not found

@@ -20,17 +20,27 @@ BITS = ("JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_THREEFRY_PARTITIONABLE")
 
 def process(*words: object, **variables: str) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [sys.executable, *map(str, words)], cwd=ROOT, env=os.environ | variables, capture_output=True, text=True
+        [sys.executable, *map(str, words)],
+        cwd=ROOT,
+        env=os.environ | variables,
+        capture_output=True,
+        text=True,
     )
 
 
 def test_what_decides_results_is_refused(monkeypatch):
-    for name, value in {"JAX_PLATFORMS": "cpu", "JAX_COMPILATION_CACHE_DIR": "/c", "JAXUNSHEAR_CACHE": "/d"}.items():
+    for name, value in {
+        "JAX_PLATFORMS": "cpu",
+        "JAX_COMPILATION_CACHE_DIR": "/c",
+        "JAXUNSHEAR_CACHE": "/d",
+    }.items():
         monkeypatch.setenv(name, value)
     check_variables()
     for name in BITS:
         monkeypatch.setenv(name, "1")
-    with pytest.raises(UserError, match=r"^JAX_DEFAULT_PRNG_IMPL=1, JAX_ENABLE_X64=1, JAX_.*: would .* unset it$"):
+    with pytest.raises(
+        UserError, match=r"^JAX_DEFAULT_PRNG_IMPL=1, JAX_ENABLE_X64=1, JAX_.*: would .* unset it$"
+    ):
         check_variables()
 
 
@@ -57,9 +67,20 @@ def test_a_notebooks_backend_draws_nothing_here(tmp_path):
     ],
 )
 def test_devices_and_flags_that_cannot_be_are_reported_before_any_work(tmp_path, name, value):
-    words = ("-m", "jaxunshear", "run", "experiments/tiny.py", "--out", tmp_path / "runs", "--data", tmp_path / "sets")
+    words = (
+        "-m",
+        "jaxunshear",
+        "run",
+        "experiments/tiny.py",
+        "--out",
+        tmp_path / "runs",
+        "--data",
+        tmp_path / "sets",
+    )
     answer = process(*words, **{name: value})
-    assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1), answer.stderr
+    assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1), (
+        answer.stderr
+    )
     assert answer.stderr.startswith(f"jaxunshear: error: {name}") and value in answer.stderr
     assert not list(tmp_path.iterdir())
 
@@ -89,7 +110,8 @@ def test_caches_lie_in_the_users_folder_unless_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "words", [("run", "tiny.py", "--out", "a"), ("calibrate", "a/b"), ("calibrate", "b", "--json", "a/x")]
+    "words",
+    [("run", "tiny.py", "--out", "a"), ("calibrate", "a/b"), ("calibrate", "b", "--json", "a/x")],
 )
 def test_a_loop_of_links_is_reported_in_one_line(command, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)

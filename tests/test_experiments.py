@@ -21,7 +21,12 @@ FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
 
 FILES = sorted(FOLDER.rglob("*.py"))
-SOMEWHERE = ["--paired.tap_folder", "somewhere", "--paired.slide_folder", "somewhere"]  # recordings that nobody opens
+SOMEWHERE = [
+    "--paired.tap_folder",
+    "somewhere",
+    "--paired.slide_folder",
+    "somewhere",
+]  # recordings that nobody opens
 
 
 def of_recordings(experiment):
@@ -31,7 +36,9 @@ def of_recordings(experiment):
 SWEEPS = [path for path in FILES if "\nsweep = " in path.read_text()]
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if path not in SWEEPS], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [path for path in FILES if path not in SWEEPS], ids=lambda path: path.stem
+)
 def test_valid_and_self_describing(path):
     experiment = load_experiment(path)
     if of_recordings(experiment):
@@ -58,7 +65,9 @@ def test_sweeps_are_valid_and_self_describing(path):
     cells = cells_of(sweep)
     assert sweep.name == path.stem and reference_of(sweep, cells) is not None
     for data in () if of_recordings(sweep.base) else (sweep.base.paired, sweep.base.pose):
-        assert config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]  # a set that an experiment has, too
+        assert (
+            config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]
+        )  # a set that an experiment has, too
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text
     assert f"jaxunshear sweep {path.relative_to(FOLDER.parent)}" in text
@@ -82,7 +91,10 @@ def test_lambda_split_is_five_by_five_by_three():
     cells = cells_of(sweep)
     assert len(cells) == 25 and sweep.seeds == (0, 1, 2) and sweep.ablation
     assert len({row.digest for row in rows_of(sweep, cells).values()}) == 75
-    assert all(cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128 for cell in cells)
+    assert all(
+        cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128
+        for cell in cells
+    )
 
 
 def test_rivals_are_of_one_make_and_read_by_one_posenet():
@@ -106,9 +118,13 @@ def test_the_commands_that_rivals_gives_make_its_rows():
         "convolving, no pose labels in the loss": "no pose labels ",
     }
     recorded = load_experiment(FOLDER / "recorded.py")
-    cells = {c.label: c for c in cells_of(with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))}
+    cells = {
+        c.label: c for c in cells_of(with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
+    }
     given = {
-        label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split("--", 1)[1]
+        label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split(
+            "--", 1
+        )[1]
         for label, start in options.items()
     }
     given["dense, direct from rendered taps, too"] += f" --{given['dense']}"
@@ -126,28 +142,60 @@ def test_paper_is_appendix_b():
         (paper.train_posenet, 256, 250, ((100, 0.5), (200, 0.1))),
     ):
         assert (training.learning_rate, training.beta1, training.beta2) == (1e-4, 0.5, 0.999)
-        assert (training.batch, training.epochs, training.schedule, training.drops) == (batch, epochs, "steps", drops)
-        assert (training.l1, training.l2, training.kernels, training.averaging) == (1e-3, 1e-3, "mean", 0.0)
+        assert (training.batch, training.epochs, training.schedule, training.drops) == (
+            batch,
+            epochs,
+            "steps",
+            drops,
+        )
+        assert (training.l1, training.l2, training.kernels, training.averaging) == (
+            1e-3,
+            1e-3,
+            "mean",
+            0.0,
+        )
         assert 0.01 <= training.shift <= 0.02
     assert (paper.train.patch_weight, paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
-    assert (paper.paired.poses, paper.paired.taps, paper.paired.slides, paper.paired.tap_depth_jitter_mm) == (
+    assert (
+        paper.paired.poses,
+        paper.paired.taps,
+        paper.paired.slides,
+        paper.paired.tap_depth_jitter_mm,
+    ) == (
         200,
         50,
         150,
         1.0,
     )
     assert paper.pose.poses * len(paper.pose.stimuli) == 30_000
-    assert paper.paired.preprocess.size == paper.pose.preprocess.size == paper.unshear.size == paper.posenet.size == 256
+    assert (
+        paper.paired.preprocess.size
+        == paper.pose.preprocess.size
+        == paper.unshear.size
+        == paper.posenet.size
+        == 256
+    )
     assert len(paper.unshear.widths) == 5
-    assert (paper.unshear.size // 2**5, paper.unshear.pose_channels, paper.unshear.shear_channels) == (8, 64, 64)
+    assert (
+        paper.unshear.size // 2**5,
+        paper.unshear.pose_channels,
+        paper.unshear.shear_channels,
+    ) == (8, 64, 64)
 
 
 def test_a_tenth_of_the_paper_is_the_paper_but_for_the_amount():
     paper, tenth = (load_experiment(FOLDER / f"{name}.py") for name in ("paper", "paper_tenth"))
-    assert (tenth.unshear, tenth.posenet, tenth.train_posenet) == (paper.unshear, paper.posenet, paper.train_posenet)
+    assert (tenth.unshear, tenth.posenet, tenth.train_posenet) == (
+        paper.unshear,
+        paper.posenet,
+        paper.train_posenet,
+    )
     amounts = {name: getattr(paper.train, name) for name in ("validate_every", "validation_images")}
     assert replace(tenth.train, **amounts) == paper.train
-    for of_tenth, of_paper in ((tenth.paired.taps, paper.paired.taps), (tenth.paired.slides, paper.paired.slides)):
+    for of_tenth, of_paper in (
+        (tenth.paired.taps, paper.paired.taps),
+        (tenth.paired.slides, paper.paired.slides),
+    ):
         assert of_paper == 10 * of_tenth
     assert 10 * tenth.pose.poses == paper.pose.poses and tenth.paired.poses == paper.paired.poses
     assert tenth.paired.tap_depth_jitter_mm == paper.paired.tap_depth_jitter_mm

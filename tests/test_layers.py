@@ -46,7 +46,11 @@ def imported(module: str) -> set[str]:
 
 def step_of(module: str) -> int | None:
     parts = module.split(".")
-    return STEPS.index(parts[1]) if parts[0] == "jaxunshear" and parts[1:2] and parts[1] in STEPS else None
+    return (
+        STEPS.index(parts[1])
+        if parts[0] == "jaxunshear" and parts[1:2] and parts[1] in STEPS
+        else None
+    )
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -60,10 +64,14 @@ def test_no_step_imports_a_later_one(step):
 def test_no_two_files_import_each_other():
     """Raises CycleError, which names them."""
     order = list(TopologicalSorter({module: imported(module) for module in FILES}).static_order())
-    assert order.index("jaxunshear.errors") < order.index("jaxunshear.cli") and len(order) == len(FILES)
+    assert order.index("jaxunshear.errors") < order.index("jaxunshear.cli") and len(order) == len(
+        FILES
+    )
 
 
-@pytest.mark.parametrize(("user", "others"), [("jaxunshear", OUTSIDE), ("verification", ("benchmarks",))])
+@pytest.mark.parametrize(
+    ("user", "others"), [("jaxunshear", OUTSIDE), ("verification", ("benchmarks",))]
+)
 def test_what_no_wheel_has_can_be_left_out(user, others):
     """A benchmark may import a verification, and both the package; never the other way around."""
     mine = [module for module in FILES if module.split(".")[0] == user]
@@ -97,8 +105,14 @@ def test_settings_import_no_jax():
         seen.add(module)
         left += imported(module) - seen
         text = FILES[module].read_text()
-        assert "\nimport jax" not in text and "\nfrom jax " not in text and "flax" not in text, module
-    assert {"jaxunshear.settings.experiment", "jaxunshear.settings.rules", "jaxunshear.errors"} <= seen
+        assert "\nimport jax" not in text and "\nfrom jax " not in text and "flax" not in text, (
+            module
+        )
+    assert {
+        "jaxunshear.settings.experiment",
+        "jaxunshear.settings.rules",
+        "jaxunshear.errors",
+    } <= seen
 
 
 def test_types_are_named():
@@ -113,7 +127,9 @@ def test_types_are_named():
 
 def test_results_are_read_and_written_in_one_place():
     """No other file calls the library that checks them."""
-    assert [module for module, path in FILES.items() if "msgspec" in path.read_text()] == ["jaxunshear.results.stored"]
+    assert [module for module, path in FILES.items() if "msgspec" in path.read_text()] == [
+        "jaxunshear.results.stored"
+    ]
 
 
 def test_files_and_functions_are_short():

@@ -45,5 +45,8 @@ def test_an_error_in_it_is_not_taken_for_one_of_the_lock_and_frees_it(tmp_path):
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     Path(tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"cannot write .*lock: "), locked(tmp_path / "file" / ".lock", wait=False):
+    with (
+        pytest.raises(UserError, match=r"cannot write .*lock: "),
+        locked(tmp_path / "file" / ".lock", wait=False),
+    ):
         pass

@@ -31,7 +31,11 @@ def test_a_computation_finds_the_memory_of_the_last_one():
     def pages(keep):
         settings = {"JAX_PLATFORMS": "cpu", "GLIBC_TUNABLES": "glibc.malloc.hugetlb=0"}
         command = [sys.executable, "-c", TWICE.format(keep=keep)]
-        return int(subprocess.run(command, env=os.environ | settings, check=True, capture_output=True).stdout)
+        return int(
+            subprocess.run(
+                command, env=os.environ | settings, check=True, capture_output=True
+            ).stdout
+        )
 
     without, kept = pages(False), pages(True)
     assert without > 1000 and kept < without / 20

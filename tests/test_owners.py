@@ -30,7 +30,12 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
     stored = place(tmp_path / "set" / "1.0.0", "shards.json", {})
     other = place(tmp_path / "other", "experiment.json", {"a": "stranger's"})
     (tmp_path / "link").symlink_to(run)
-    assert [owner_of(p / "a" / "b.json")[0] for p in (run, sweep, stored, WEIGHTS)] == [run, sweep, stored, WEIGHTS]
+    assert [owner_of(p / "a" / "b.json")[0] for p in (run, sweep, stored, WEIGHTS)] == [
+        run,
+        sweep,
+        stored,
+        WEIGHTS,
+    ]
     assert owner_of(tmp_path / "link" / "new.json")[0] == owner_of(run)[0] == run
     assert owner_of(other / "a.json") is owner_of(run.parent) is None
     check_apart(run.parent / "rows.json", "--json")
@@ -49,8 +54,24 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
         ("servo", "--out", "RUN"),
         ("sensors", "draw", "tactip331", "--out", "RUN/montage.png"),
         ("release", "RUN", "--out", "RUN/disentangled"),
-        ("run", "experiments/demo.py", "--out", "RUN/..", "--name", "new", "--json", "RUN/../new/results.json"),
-        ("sweep", "experiments/frontier.py", "--out", "RUN/..", "--json", "RUN/../frontier/sweep.json"),
+        (
+            "run",
+            "experiments/demo.py",
+            "--out",
+            "RUN/..",
+            "--name",
+            "new",
+            "--json",
+            "RUN/../new/results.json",
+        ),
+        (
+            "sweep",
+            "experiments/frontier.py",
+            "--out",
+            "RUN/..",
+            "--json",
+            "RUN/../frontier/sweep.json",
+        ),
     ],
 )
 def test_results_go_elsewhere(command, run, monkeypatch, words):
@@ -74,5 +95,7 @@ def test_only_what_a_command_measured_is_written_anew(command, tmp_path):
     file.write_text(json.dumps(ROWS, indent=2))
     assert command("doctor", image, "--json", file).code == 0
     assert command("doctor", image, "--json", file).code == 0
-    answer = command("validate", tmp_path, "--calibration", file, "--json", tmp_path / "a" / ".." / "rows.json")
+    answer = command(
+        "validate", tmp_path, "--calibration", file, "--json", tmp_path / "a" / ".." / "rows.json"
+    )
     assert answer.code == 2 and "also what this command reads" in answer.err

@@ -29,7 +29,9 @@ class Terminal(io.StringIO):
 
 def work(stream: io.StringIO, steps: int, seconds: float, done: int = 0) -> str:
     clock = Clock()
-    with Progress("train", total=done + 10 * steps, done=done, stream=stream, clock=clock) as progress:
+    with Progress(
+        "train", total=done + 10 * steps, done=done, stream=stream, clock=clock
+    ) as progress:
         for _ in range(steps):
             clock.now += seconds
             progress.advance(10)
@@ -76,7 +78,12 @@ def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
             inner.advance()
         outer.advance(2)
     left = [line.split("\r")[-1] for line in plain(stream.getvalue()).split("\n")]
-    assert [line.split(",")[0] for line in left] == ["said", "in: 1/1 images", "out [red]: 2/2 images", ""]
+    assert [line.split(",")[0] for line in left] == [
+        "said",
+        "in: 1/1 images",
+        "out [red]: 2/2 images",
+        "",
+    ]
 
 
 def test_resumed_work_does_not_count_towards_the_rate():
@@ -92,7 +99,8 @@ def test_an_interrupted_line_is_ended():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (11430, "3 h 10 min")]
+    ("seconds", "text"),
+    [(0.4, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (11430, "3 h 10 min")],
 )
 def test_duration(seconds, text):
     assert duration(seconds) == text

@@ -41,10 +41,14 @@ def test_results_are_as_a_program_wrote_them(name):
     """Their checksum holds, so that neither a figure nor a command was edited; and their code was
     committed.
     """
-    assert SEAL in read_result(name), f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
+    assert SEAL in read_result(name), (
+        f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
+    )
     read_json(ROOT / "docs" / "results" / f"{name}.json")
     for source in sources(read_result(name)):
-        assert source.commit and source.clean, f"{name}.json was made with code that no commit has: make it again"
+        assert source.commit and source.clean, (
+            f"{name}.json was made with code that no commit has: make it again"
+        )
 
 
 def test_results_whose_code_has_changed_are_listed():
@@ -199,7 +203,9 @@ def test_commands_of_earlier_versions_have_the_programs_of_today(command, starts
 
 def test_a_command_names_where_its_file_is_today():
     assert "(now `python -m benchmarks train`)" in provenance.note(["bench_train"], "docs/speed.md")
-    assert "(now experiments/ablations/lambda_split.py)" in provenance.note(["lambda_split"], "README.md")
+    assert "(now experiments/ablations/lambda_split.py)" in provenance.note(
+        ["lambda_split"], "README.md"
+    )
     assert "(now" not in provenance.note(["standard"], "README.md")
     assert provenance.note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
 
@@ -230,7 +236,9 @@ def test_a_result_is_kept_as_it_was_written(tmp_path):
         write_json(tmp_path / f"{seed}.json", result(seed=seed))
     out = keep("one", [str(tmp_path / "0.json")], tmp_path)
     assert out.read_text() == (tmp_path / "0.json").read_text()
-    several = keep("two", [f"a, seed {seed}={tmp_path / f'{seed}.json'}" for seed in (0, 1)], tmp_path)
+    several = keep(
+        "two", [f"a, seed {seed}={tmp_path / f'{seed}.json'}" for seed in (0, 1)], tmp_path
+    )
     assert read_json(several) == {"runs": {f"a, seed {seed}": result(seed=seed) for seed in (0, 1)}}
 
 

@@ -67,7 +67,12 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished") / "small"
     for name, kind, init, net in (
         ("disentangled", "unshear", partial(unshearnet.init, NET), NET),
-        ("posenet", "posenet", partial(posenet.init, POSENET, posenet.outputs_of(TARGETS)), POSENET),
+        (
+            "posenet",
+            "posenet",
+            partial(posenet.init, POSENET, posenet.outputs_of(TARGETS)),
+            POSENET,
+        ),
     ):
         variables = jax.jit(init, compiler_options=run_once())(jax.random.key(1))
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
@@ -112,7 +117,9 @@ def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
     assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
-    wide = settings | {"paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}}
+    wide = settings | {
+        "paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}
+    }
     text = card_of(RESULTS | {"settings": wide})
     assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
@@ -122,7 +129,9 @@ def test_released_weights_do_what_the_run_does(run, tmp_path):
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), (made, "by_weights")):
         infer.unshear_recordings(frames, Path(model), tmp_path / out, force=True)
-    pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_weights")]
+    pictures = [
+        np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_weights")
+    ]
     assert np.ptp(pictures[0]) > 20
     assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16
     poses = [
@@ -138,7 +147,12 @@ def test_released_weights_do_what_the_run_does(run, tmp_path):
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
     card = (made / "README.md").read_text()
-    assert "--model mine" in card and "0.123" in card and "simulated" in card and "`unseen` (leaf)" in card
+    assert (
+        "--model mine" in card
+        and "0.123" in card
+        and "simulated" in card
+        and "`unseen` (leaf)" in card
+    )
 
 
 def test_nothing_is_overwritten_and_nothing_unfinished_is_released(run, tmp_path):
@@ -157,7 +171,9 @@ def test_a_half_trained_network_is_not_released(run, tmp_path, name):
         shutil.copytree(run / "disentangled", run / name)
     (run / name / "summary.json").unlink()
     finish = f"jaxunshear train FILE --network {name} --out {run.parent}"
-    with pytest.raises(UserError, match=f"training of {name} in {run / name} was not finished: .*`{finish}`"):
+    with pytest.raises(
+        UserError, match=f"training of {name} in {run / name} was not finished: .*`{finish}`"
+    ):
         release(run, tmp_path / "new")
     assert not list(tmp_path.glob("new*"))
 
@@ -169,7 +185,11 @@ def test_a_half_trained_network_is_not_released(run, tmp_path, name):
         ("results.json", "[]", r"evaluate"),
         ("posenet/model.json", '{"net": {}}', r"model\.json lacks"),
         ("posenet/model.json", "{", r"model\.json"),
-        ("posenet/model.json", json.dumps({"kind": "posenet", "net": asdict(POSENET)}), "states no pose targets"),
+        (
+            "posenet/model.json",
+            json.dumps({"kind": "posenet", "net": asdict(POSENET)}),
+            "states no pose targets",
+        ),
     ],
 )
 def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):
@@ -221,4 +241,6 @@ def test_what_is_released_with_the_package_can_be_used(folder):
 
 
 def test_all_released_weights_are_small():
-    assert sum(path.stat().st_size for path in folders.RELEASED.rglob("*") if path.is_file()) <= 20e6
+    assert (
+        sum(path.stat().st_size for path in folders.RELEASED.rglob("*") if path.is_file()) <= 20e6
+    )

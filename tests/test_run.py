@@ -37,7 +37,15 @@ SMALL = Experiment(name="small", claim="none")
 
 
 def run_command(folder: Path, *more: str) -> list[str]:
-    words = ["run", str(TINY), "--out", str(folder / "runs"), "--data", str(folder / "datasets"), *more]
+    words = [
+        "run",
+        str(TINY),
+        "--out",
+        str(folder / "runs"),
+        "--data",
+        str(folder / "datasets"),
+        *more,
+    ]
     return [sys.executable, "-m", "jaxunshear", *words]
 
 
@@ -59,7 +67,9 @@ def results(folder: Path) -> dict:
 def test_results_bear_the_names_that_others_rely_on(finished):
     found = results(finished)
     shapes = {"disk", "clover", "teardrop", "overall"}
-    assert {kind: set(found["ms_ssim"][kind]) for kind in ("sheared", "entangled", "disentangled")} == {
+    assert {
+        kind: set(found["ms_ssim"][kind]) for kind in ("sheared", "entangled", "disentangled")
+    } == {
         "sheared": shapes,
         "entangled": shapes,
         "disentangled": shapes,
@@ -115,17 +125,30 @@ def test_the_report_stands_alone(finished):
 @pytest.mark.long
 def test_leakage_of_networks_over_images(finished, command):
     run = finished / "runs" / "tiny"
-    answer = command("ablate", run, "--leakage", "--data", finished / "datasets", "--json", finished / "leakage.json")
+    answer = command(
+        "ablate",
+        run,
+        "--leakage",
+        "--data",
+        finished / "datasets",
+        "--json",
+        finished / "leakage.json",
+    )
     assert answer.code == 0, answer.err
     found = json.loads((run / "leakage.json").read_text())
-    assert found == json.loads((finished / "leakage.json").read_text()) and found["exchanged"] is None
+    assert (
+        found == json.loads((finished / "leakage.json").read_text()) and found["exchanged"] is None
+    )
     assert len(found["rows"]) == 8 and found["slides"] == {"learnt": 36, "tested": 12}
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
 
 def test_a_second_run_keeps_all_work_and_all_numbers(finished):
     before = reproducible(results(finished))
-    trained = {path: path.stat().st_mtime_ns for path in (finished / "runs" / "tiny").glob("*/summary.json")}
+    trained = {
+        path: path.stat().st_mtime_ns
+        for path in (finished / "runs" / "tiny").glob("*/summary.json")
+    }
     assert len(trained) == 3
     assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
     assert reproducible(results(finished)) == before
@@ -133,12 +156,23 @@ def test_a_second_run_keeps_all_work_and_all_numbers(finished):
 
 
 def test_another_experiment_is_not_mixed_in(finished, command):
-    answer = command("train", TINY, "--out", finished / "runs", "--data", finished / "datasets", "--train.epochs", "3")
+    answer = command(
+        "train",
+        TINY,
+        "--out",
+        finished / "runs",
+        "--data",
+        finished / "datasets",
+        "--train.epochs",
+        "3",
+    )
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("stage", ["train", "evaluate", "ablate"])
-def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(finished, command, tmp_path, stage):
+def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(
+    finished, command, tmp_path, stage
+):
     out = shutil.copytree(finished / "runs", tmp_path / "runs")
     (out / "tiny" / "results.json").unlink()
     file = out / "tiny" / "disentangled" / "model.json"
@@ -147,7 +181,9 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     words = [out / "tiny"] if stage == "ablate" else [TINY, "--out", out]
     answer = command(stage, *words, "--data", finished / "datasets")
     assert (
-        answer.code == 2 and "learnt from a data set with another version" in answer.err and answer.err.count("\n") == 1
+        answer.code == 2
+        and "learnt from a data set with another version" in answer.err
+        and answer.err.count("\n") == 1
     )
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
@@ -155,30 +191,52 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
 @pytest.mark.long
 def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold no DS."""
-    words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
+    words = [
+        TINY,
+        "--out",
+        tmp_path,
+        "--data",
+        finished / "datasets",
+        "--networks",
+        "disentangled,posenet",
+    ]
     words += ["--train.pose_weight", 1, "--train.pose_target", "label"]
     done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"
     logged = json.loads((folder / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
     assert logged["train"]["pose"] > 0 and logged["validation"]["pose"] > 0
-    teacher, other = (json.loads((folder / name / "model.json").read_text()) for name in ("posenet_teacher", "posenet"))
+    teacher, other = (
+        json.loads((folder / name / "model.json").read_text())
+        for name in ("posenet_teacher", "posenet")
+    )
     assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
     found = json.loads((folder / "results.json").read_text())
     assert "disentangled" in found["pose_mae"]
-    assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(found["ms_per_image"])
-    plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
+    assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(
+        found["ms_per_image"]
+    )
+    plain = json.loads(
+        (finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1]
+    )
     assert "pose" not in plain["train"]
 
     assert command("release", folder, "--out", tmp_path / "weights").code == 0
     with np.load(tmp_path / "weights" / "disentangled" / "weights.npz") as file:
-        assert {name.split(".")[1] for name in file if name.startswith("params.")} == {"E", "pose", "DC"}
+        assert {name.split(".")[1] for name in file if name.startswith("params.")} == {
+            "E",
+            "pose",
+            "DC",
+        }
 
     shutil.rmtree(folder / "disentangled")
     teacher["origin"]["version"] = "2.3.0"
     write_json(folder / "posenet_teacher" / "model.json", teacher)
     refused = command("train", *words, "--network", "disentangled")
-    assert refused.code == 2 and "posenet_teacher learnt from a data set with another version" in refused.err
+    assert (
+        refused.code == 2
+        and "posenet_teacher learnt from a data set with another version" in refused.err
+    )
 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
@@ -196,9 +254,14 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
     done = command("train", TINY, *words, *begin, "--network", "disentangled")
     assert done.code == 0, done.err
-    before, after = (load_best(folder / "tiny" / "disentangled")["params"] for folder in (finished / "runs", tmp_path))
+    before, after = (
+        load_best(folder / "tiny" / "disentangled")["params"]
+        for folder in (finished / "runs", tmp_path)
+    )
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), before, after)
-    older = shutil.copytree(finished / "runs" / "tiny" / "disentangled", tmp_path / "older" / "disentangled")
+    older = shutil.copytree(
+        finished / "runs" / "tiny" / "disentangled", tmp_path / "older" / "disentangled"
+    )
     model = json.loads((older / "model.json").read_text())
     del model["data"]
     write_json(older / "model.json", model)
@@ -206,22 +269,32 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     assert leaks.code == 2 and f"{older} learnt from unknown data" in leaks.err
     assert leaks.err.count("\n") == 1 and not (tmp_path / "leak").exists()
     unknown = command("run", TINY, *words[:4], "--name", "other", "--train.start", "nowhere")
-    assert unknown.code == 2 and "start: nowhere holds no" in unknown.err and not (tmp_path / "other").exists()
-    refused = command("run", TINY, *words, "--train.pose_weight", 0.1, "--train_teacher.start", "standard")
+    assert (
+        unknown.code == 2
+        and "start: nowhere holds no" in unknown.err
+        and not (tmp_path / "other").exists()
+    )
+    refused = command(
+        "run", TINY, *words, "--train.pose_weight", 0.1, "--train_teacher.start", "standard"
+    )
     assert refused.code == 2 and "--train_teacher.start" in refused.err
 
 
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
     """Grey pins, colour, sixteen bits: all come out as images of the network's size, with a table of poses."""
     rows, columns = np.mgrid[:300, :300]
-    grey = (((rows // 9 + columns // 9) % 2) * 180 * (np.hypot(rows - 150, columns - 150) < 120)).astype(np.uint8)
+    grey = (
+        ((rows // 9 + columns // 9) % 2) * 180 * (np.hypot(rows - 150, columns - 150) < 120)
+    ).astype(np.uint8)
     recordings = tmp_path / "recordings"
     recordings.mkdir()
     Image.fromarray(grey).save(recordings / "a.png")
     Image.fromarray(np.stack([grey] * 3, -1)).save(recordings / "b.png")
     Image.fromarray(grey.astype(np.uint16) * 257).save(recordings / "c.png")
     out = tmp_path / "out"
-    answer = command("unshear", recordings, "--force", "--model", finished / "runs" / "tiny", "--out", out)
+    answer = command(
+        "unshear", recordings, "--force", "--model", finished / "runs" / "tiny", "--out", out
+    )
     assert answer.code == 0, answer.err
     assert "simulat" in answer.out and "simulat" in (out / "NOTE.txt").read_text()
     assert len((out / "poses.csv").read_text().splitlines()) == 4
@@ -281,7 +354,10 @@ def test_a_stage_done_again_from_the_start_counts_anew(stage, tmp_path, ending):
 
 
 def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock):
-    made = {name: configs.set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path) for name in ("paired", "pose")}
+    made = {
+        name: configs.set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path)
+        for name in ("paired", "pose")
+    }
 
     def make(*_):
         clock[0] += 5
@@ -346,7 +422,9 @@ def test_a_refusal_before_any_work_binds_nobody(tmp_path):
     """What was asked for, and the lock, are all that it leaves: another seed may follow."""
     for seed in (0, 7):
         with pytest.raises(UserError, match="no data set"):
-            run.run_stages(replace(SMALL, seed=seed), ("posenet",), tmp_path, tmp_path / "nowhere", "none")
+            run.run_stages(
+                replace(SMALL, seed=seed), ("posenet",), tmp_path, tmp_path / "nowhere", "none"
+            )
         left = sorted(path.name for path in (tmp_path / SMALL.name).iterdir())
         assert left == ["experiment.json", "run.lock"]
 
@@ -362,12 +440,16 @@ def test_data_that_another_process_makes_bind_nobody(tmp_path):
     try:
         for seed in (0, 7):
             with pytest.raises(UserError, match="another process"):
-                run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none", idle)
+                run.run_stages(
+                    replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none", idle
+                )
     finally:
         os.close(other)
 
 
-@pytest.mark.parametrize(("poses", "kept"), [(SMALL.paired.poses, True), (SMALL.paired.poses + 1, False)])
+@pytest.mark.parametrize(
+    ("poses", "kept"), [(SMALL.paired.poses, True), (SMALL.paired.poses + 1, False)]
+)
 def test_the_time_of_making_other_data_is_forgotten(tmp_path, poses, kept):
     other = replace(SMALL, paired=replace(SMALL.paired, poses=poses))
     times = tmp_path / SMALL.name / "times.json"

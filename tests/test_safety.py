@@ -20,7 +20,11 @@ def calls(file: Path) -> Iterator[ast.Call]:
 def test_no_file_of_a_user_is_unpickled(file):
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import | ast.ImportFrom) and file.name not in BETWEEN_PROCESSES:
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+            names = (
+                [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else [alias.name for alias in node.names]
+            )
             assert not {name.partition(".")[0] for name in names} & RUNS
     for call in calls(file):
         assert not any(each.arg == "allow_pickle" for each in call.keywords)

@@ -46,8 +46,13 @@ def test_every_step_that_is_named_is_checked(name):
     top = importlib.import_module(name)
     files = [
         top.__name__,
-        *(file.name for file in pkgutil.iter_modules(getattr(top, "__path__", ()), f"{top.__name__}.")),
+        *(
+            file.name
+            for file in pkgutil.iter_modules(getattr(top, "__path__", ()), f"{top.__name__}.")
+        ),
     ]
-    functions = [f for file in files for f in vars(importlib.import_module(file)).values() if isfunction(f)]
+    functions = [
+        f for file in files for f in vars(importlib.import_module(file)).values() if isfunction(f)
+    ]
     mine = [f for f in functions if f.__module__ in files and "jaxtyping" in str(f.__annotations__)]
     assert mine and all(hasattr(f, "__wrapped__") for f in mine)

@@ -15,7 +15,9 @@ from jaxunshear import __version__, source
 
 def git(folder, *words):
     who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "init.defaultBranch=main")
-    done = subprocess.run(["git", *who, *words], cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["git", *who, *words], cwd=folder, capture_output=True, text=True, check=True
+    )
     return done.stdout.strip()
 
 
@@ -41,7 +43,9 @@ def test_a_commit_and_whether_the_code_is_as_committed(checkout):
     assert source.committed(checkout) == (commit, False)
 
 
-def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(checkout, tmp_path, monkeypatch):
+def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
+    checkout, tmp_path, monkeypatch
+):
     other = tmp_path / "other"
     shutil.copytree(checkout, other)
     git(other, "commit", "-q", "--allow-empty", "-m", "second")
@@ -78,7 +82,10 @@ def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeyp
 
 def test_git_is_asked_once():
     assert source.read_source() is source.read_source()
-    assert source.read_source().version == __version__ and Path(__file__).resolve().parents[1] == source.ROOT
+    assert (
+        source.read_source().version == __version__
+        and Path(__file__).resolve().parents[1] == source.ROOT
+    )
 
 
 def test_an_installed_package_has_its_version_alone(tmp_path):
@@ -88,5 +95,7 @@ def test_an_installed_package_has_its_version_alone(tmp_path):
         shutil.copy(source.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
     asked = "from jaxunshear.source import read_source as read; print(read().version, read().commit, read().clean)"
     words, here = [sys.executable, "-P", "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(words, env=here, cwd=source.ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        words, env=here, cwd=source.ROOT, capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == [__version__, "None", "None"]

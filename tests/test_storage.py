@@ -18,7 +18,9 @@ from jaxunshear.places import check_new_file
 
 def test_json_round_trip_of_arrays_paths_and_nan(tmp_path):
     path = tmp_path / "deep" / "results.json"
-    storage.write_json(path, {"a": np.float32(0.5), "b": np.arange(3), "c": (float("nan"), np.inf), "d": Path("x")})
+    storage.write_json(
+        path, {"a": np.float32(0.5), "b": np.arange(3), "c": (float("nan"), np.inf), "d": Path("x")}
+    )
     assert storage.read_json(path) == {"a": 0.5, "b": [0, 1, 2], "c": [None, None], "d": "x"}
     assert os.listdir(path.parent) == ["results.json"]
 
@@ -108,7 +110,10 @@ def test_missing_json_names_file(tmp_path):
     ("error", "line"),
     [
         (MemoryError(), r"cannot read runs: there is not enough memory"),
-        (PermissionError(errno.EACCES, "Permission denied"), r"cannot read runs: Permission denied"),
+        (
+            PermissionError(errno.EACCES, "Permission denied"),
+            r"cannot read runs: Permission denied",
+        ),
         (OSError(errno.EMFILE, "Too many open files"), r"cannot read runs: Too many open files"),
     ],
 )
@@ -120,7 +125,9 @@ def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
             storage.blame_the_machine(Path("runs"), each)
 
 
-@pytest.mark.parametrize("error", [ValueError("bad header"), FileNotFoundError(errno.ENOENT, "No such file")])
+@pytest.mark.parametrize(
+    "error", [ValueError("bad header"), FileNotFoundError(errno.ENOENT, "No such file")]
+)
 def test_what_may_be_damage_is_left_to_be_called_so(error):
     storage.blame_the_machine(Path("runs"), error)
 
@@ -136,7 +143,9 @@ def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     assert storage.read_object_if_sound(path) == {"data": 1.0}
 
 
-@pytest.mark.parametrize(("text", "kind"), [("[]", "list"), ("1", "int"), ("null", "NoneType"), ('"a"', "str")])
+@pytest.mark.parametrize(
+    ("text", "kind"), [("[]", "list"), ("1", "int"), ("null", "NoneType"), ('"a"', "str")]
+)
 def test_what_is_no_object_is_refused_where_one_is_read(tmp_path, text, kind):
     path = tmp_path / "experiment.json"
     path.write_text(text)
@@ -168,7 +177,9 @@ def test_what_bears_no_seal_is_read_and_what_is_written_again_is_sealed_anew(tmp
     storage.write_json(path, json.loads(path.read_text()) | {"c": 2})  # with the old seal in it
     assert storage.read_json(path) == {"a": 1, "b": [0.5, None], "c": 2}
     path.write_text(path.read_text().replace("0.5", "0.7"))
-    with pytest.raises(UserError, match=r"its checksum differs.*by hand, delete its line 'checksum'"):
+    with pytest.raises(
+        UserError, match=r"its checksum differs.*by hand, delete its line 'checksum'"
+    ):
         storage.read_json(path)
 
 
@@ -178,7 +189,9 @@ def test_no_bit_of_an_npz_turns_over_unseen():
     np.savez_compressed(buffer, image=image)
     stored = bytearray(buffer.getvalue())
     unseen = []
-    for bit in range(8 * 200):  # the headers of zip and numpy; np.load alone reads another array after some of these
+    for bit in range(
+        8 * 200
+    ):  # the headers of zip and numpy; np.load alone reads another array after some of these
         stored[bit // 8] ^= 1 << bit % 8
         with contextlib.suppress(*storage.BROKEN_NPZ):
             read = storage.read_npz(io.BytesIO(stored))

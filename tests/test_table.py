@@ -8,7 +8,10 @@ import pytest
 
 from jaxunshear.table import plain_table
 
-ROWS = [{"": "tap [red]:smile:", "mm": 1.23456}, {"": "x" * 150, "mm": 2, "a kind of error": "0.31 [0.29, 0.33]"}]
+ROWS = [
+    {"": "tap [red]:smile:", "mm": 1.23456},
+    {"": "x" * 150, "mm": 2, "a kind of error": "0.31 [0.29, 0.33]"},
+]
 COLUMNS = ("", "mm", "a kind of error")
 
 

@@ -31,7 +31,9 @@ HALF_SIZE = replace(
     dome_radius_mm=10.0,
     skin_mm=0.5,
 )
-Solve = Callable[[str | Level, bool], Contacts]  # of the level and whether to retry at a stronger one
+Solve = Callable[
+    [str | Level, bool], Contacts
+]  # of the level and whether to retry at a stronger one
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,13 @@ def one_path(
         f"follow({written(sensor)}, ({f'SHAPES[{shape!r}]' if shape in SHAPES else repr(shape)},), "
         f"Paths(array([0]), array([{friction!r}]), array({paths.points.tolist()})), 'auto')"
     )
-    return Case(name, lambda level, retry: follow(sensor, stimuli, paths, level, retry=retry)[0], line, sensor, refused)
+    return Case(
+        name,
+        lambda level, retry: follow(sensor, stimuli, paths, level, retry=retry)[0],
+        line,
+        sensor,
+        refused,
+    )
 
 
 def written(sensor: Sensor) -> str:
@@ -88,7 +96,17 @@ def written(sensor: Sensor) -> str:
 
 def all_cases() -> list[Case]:
     """Every case; names are unique."""
-    groups = (_materials, _frictions, _depths, _slides, _turns, _edges, _together, _twins, _senseless)
+    groups = (
+        _materials,
+        _frictions,
+        _depths,
+        _slides,
+        _turns,
+        _edges,
+        _together,
+        _twins,
+        _senseless,
+    )
     return [case for group in groups for case in group()]
 
 
@@ -104,7 +122,11 @@ def _materials() -> Iterator[Case]:
     for ratio in (1e-2, 1e6):
         sensor = replace(TACTIP_331, skin_modulus_mpa=ratio * TACTIP_331.gel_modulus_mpa)
         yield one_path(f"skin:gel {ratio:.0e}, full dome", dragged, sensor=sensor)
-    yield one_path("nu 0.4999, full dome", dragged, sensor=replace(TACTIP_331, gel_poisson=0.4999, skin_poisson=0.4999))
+    yield one_path(
+        "nu 0.4999, full dome",
+        dragged,
+        sensor=replace(TACTIP_331, gel_poisson=0.4999, skin_poisson=0.4999),
+    )
     usual = one_path("", dragged)
     for factor in (1e-6, 1e6):
         moduli = (factor * TACTIP_331.skin_modulus_mpa, factor * TACTIP_331.gel_modulus_mpa)
@@ -123,7 +145,10 @@ def _frictions() -> Iterator[Case]:
     for friction in (5.0, np.inf):
         deep = motion(5.5, at=(-8.0, 0.0), slide=(2.5, 2.5))
         yield one_path(
-            f"fitted sensor, friction {friction:g}, slide", deep, friction=friction, sensor=TACTIP_331_FITTED
+            f"fitted sensor, friction {friction:g}, slide",
+            deep,
+            friction=friction,
+            sensor=TACTIP_331_FITTED,
         )
 
 
@@ -146,8 +171,14 @@ def _slides() -> Iterator[Case]:
         yield one_path(f"slide of {length:g} mm", motion(3.0, at=(-60.0, 0.0), slide=(length, 0.0)))
     yield one_path("slide of 50 mm off the shape", motion(3.0, at=(-20.0, 0.0), slide=(50.0, 0.0)))
     yield one_path("slide of 50 mm onto the shape", motion(3.0, at=(30.0, 0.0), slide=(-50.0, 0.0)))
-    yield one_path("slide of 50 mm along the edge of the flower", motion(3.0, slide=(0.0, 50.0)), shape="flower")
-    back = np.concatenate([motion(3.0, at=(-12.0, 0.0), slide=(3.0, 0.0)), motion(3.0, at=(-12.0, 0.0))[1:]])
+    yield one_path(
+        "slide of 50 mm along the edge of the flower",
+        motion(3.0, slide=(0.0, 50.0)),
+        shape="flower",
+    )
+    back = np.concatenate(
+        [motion(3.0, at=(-12.0, 0.0), slide=(3.0, 0.0)), motion(3.0, at=(-12.0, 0.0))[1:]]
+    )
     yield one_path("slide of 3 mm there and back", back)
     lifted = np.concatenate([back, motion(0.0, at=(-12.0, 0.0))[1:] - np.eye(1, 6, 3)])
     yield one_path("slide of 3 mm, then lifted", lifted)
@@ -165,13 +196,19 @@ def _turns() -> Iterator[Case]:
     yield one_path("twist of 180 deg on an edge", motion(3.0, twist=180.0))
     for tilt in ((25.0, 0.0), (0.0, -25.0), (17.0, 17.0), (1e-6, 0.0)):
         yield one_path(f"tilt of {tilt} deg, press", motion(3.0, at=(-15.0, 0.0), tilt=tilt))
-        yield one_path(f"tilt of {tilt} deg on an edge, slide", motion(3.0, tilt=tilt, slide=(1.5, 2.0)))
+        yield one_path(
+            f"tilt of {tilt} deg on an edge, slide", motion(3.0, tilt=tilt, slide=(1.5, 2.0))
+        )
     rocking = motion(3.0, at=(-15.0, 0.0))
     rocking[2, 4] = 25.0
     yield one_path("tilted by 25 deg while pressed", rocking)
-    yield one_path("tilt of 25 deg, friction 0", motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)), friction=0.0)
     yield one_path(
-        "tilt of 25 deg, friction infinite", motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)), friction=np.inf
+        "tilt of 25 deg, friction 0", motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)), friction=0.0
+    )
+    yield one_path(
+        "tilt of 25 deg, friction infinite",
+        motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)),
+        friction=np.inf,
     )
     yield one_path("tilt of 75 deg", motion(3.0, tilt=(75.0, 0.0)), refused="depth")
 
@@ -180,17 +217,31 @@ def _edges() -> Iterator[Case]:
     for name in PLANAR:
         yield one_path(f"edge of {name} through the apex, press", motion(3.0), shape=name)
         yield one_path(
-            f"edge of {name} through the apex, slide", motion(3.0, at=(-1.0, -1.0), slide=(1.0, 1.0)), shape=name
+            f"edge of {name} through the apex, slide",
+            motion(3.0, at=(-1.0, -1.0), slide=(1.0, 1.0)),
+            shape=name,
         )
-    for name in ("2-mm spiral arm", "smaller than a pin", "a point", "a hair", "empty", "everywhere"):
+    for name in (
+        "2-mm spiral arm",
+        "smaller than a pin",
+        "a point",
+        "a hair",
+        "empty",
+        "everywhere",
+    ):
         yield one_path(f"shape: {name}, press", motion(2.0), shape=name)
-        yield one_path(f"shape: {name}, slide", motion(2.0, at=(-1.0, -1.0), slide=(2.0, 1.0)), shape=name)
+        yield one_path(
+            f"shape: {name}, slide", motion(2.0, at=(-1.0, -1.0), slide=(2.0, 1.0)), shape=name
+        )
     yield one_path("shape: a point, 8 mm deep", motion(8.0, slide=(1.0, 0.0)), shape="a point")
 
 
 def _together() -> Iterator[Case]:
     """Several extremes at once."""
-    stiff, soft = (replace(HALF_SIZE, skin_modulus_mpa=ratio * HALF_SIZE.gel_modulus_mpa) for ratio in (1e6, 1e-2))
+    stiff, soft = (
+        replace(HALF_SIZE, skin_modulus_mpa=ratio * HALF_SIZE.gel_modulus_mpa)
+        for ratio in (1e6, 1e-2)
+    )
     for sensor, name in ((stiff, "1e6"), (soft, "1e-2")):
         for friction in (5.0, 1e4, np.inf):
             points = motion(4.0, at=(-6.0, 0.0), slide=(4.0, 2.0), twist=90.0)
@@ -202,14 +253,22 @@ def _together() -> Iterator[Case]:
             )
     points = motion(3.0, slide=(2.0, 3.0), twist=90.0, tilt=(10.0, 20.0))
     for friction in (0.7, 1e4, np.inf):
-        yield one_path(f"edge, tilt, slide, twist, friction {friction:g}", points, friction=friction)
+        yield one_path(
+            f"edge, tilt, slide, twist, friction {friction:g}", points, friction=friction
+        )
     yield one_path(
-        "2-mm spiral arm, 8 mm deep, friction 1e4, slide", motion(8.0, slide=(3.0, 3.0)), "2-mm spiral arm", 1e4
+        "2-mm spiral arm, 8 mm deep, friction 1e4, slide",
+        motion(8.0, slide=(3.0, 3.0)),
+        "2-mm spiral arm",
+        1e4,
     )
     rigid = replace(stiff, gel_poisson=0.4999, skin_poisson=0.4999)
     points = motion(4.0, slide=(3.0, 1.0))
     yield one_path(
-        "skin:gel 1e6, nu 0.4999, friction 1e4, edge, 4 of 10 mm deep, slide", points, friction=1e4, sensor=rigid
+        "skin:gel 1e6, nu 0.4999, friction 1e4, edge, 4 of 10 mm deep, slide",
+        points,
+        friction=1e4,
+        sensor=rigid,
     )
 
 
@@ -229,7 +288,10 @@ def _twins() -> Iterator[Case]:
     yield replace(alone, name="batch of 1, as in a batch of 16", twin=in_a_crowd)
 
     def in_two_parts(level: str | Level, retry: bool) -> Contacts:
-        half = [Paths(np.array([0]), np.array([0.7]), points[None, part]) for part in (slice(0, 2), slice(1, 3))]
+        half = [
+            Paths(np.array([0]), np.array([0.7]), points[None, part])
+            for part in (slice(0, 2), slice(1, 3))
+        ]
         _, skins = follow(TACTIP_331, ("disk",), half[0], level, retry=retry)
         return follow(TACTIP_331, ("disk",), half[1], level, skins, retry=retry)[0]
 
@@ -239,10 +301,10 @@ def _twins() -> Iterator[Case]:
         return follow_duplicated(HALF_SIZE, motion(1.5, slide=(1.0, 0.5)), 0.7, level_named(level))
 
     once = one_path("", motion(1.5, slide=(1.0, 0.5)), sensor=HALF_SIZE)
-    line = (
-        f"follow_duplicated({written(HALF_SIZE)}, array({motion(1.5, slide=(1.0, 0.5)).tolist()}), 0.7, LEVELS['auto'])"
+    line = f"follow_duplicated({written(HALF_SIZE)}, array({motion(1.5, slide=(1.0, 0.5)).tolist()}), 0.7, LEVELS['auto'])"
+    yield Case(
+        "contact nodes that stand there twice, as once", twice, line, HALF_SIZE, twin=once.solve
     )
-    yield Case("contact nodes that stand there twice, as once", twice, line, HALF_SIZE, twin=once.solve)
 
 
 def _first(contacts: Contacts) -> Contacts:
@@ -258,12 +320,16 @@ def _senseless() -> Iterator[Case]:
             yield one_path(f"point with {name} {value:g}", points, refused="points")
     for value in (np.nan, -np.inf):
         for field in ("pose", "move"):
-            scene = Scenes(np.array([0]), np.array([[0.0, 0, 0, 3]]), np.zeros((1, 2)), np.array([0.7]))
+            scene = Scenes(
+                np.array([0]), np.array([[0.0, 0, 0, 3]]), np.zeros((1, 2)), np.array([0.7])
+            )
             getattr(scene, field)[0, -1] = value
             line = f"simulate(TACTIP_331, ('disk',), {scene}, 'auto')"
             yield Case(
                 f"scene with {field} {value:g}",
-                lambda level, retry, s=scene: simulate(TACTIP_331, ("disk",), s, level, retry=retry),  # type: ignore[misc]
+                lambda level, retry, s=scene: simulate(
+                    TACTIP_331, ("disk",), s, level, retry=retry
+                ),  # type: ignore[misc]
                 line,
                 refused=field,
             )
@@ -272,11 +338,18 @@ def _senseless() -> Iterator[Case]:
     for field in (f.name for f in fields(Sensor) if f.type in ("float", float)):
         for value in (np.nan, np.inf):
             sensor = replace(TACTIP_331, **{field: value})  # type: ignore[arg-type]
-            yield one_path(f"sensor with {field} {value:g}", motion(3.0), sensor=sensor, refused=field)
+            yield one_path(
+                f"sensor with {field} {value:g}", motion(3.0), sensor=sensor, refused=field
+            )
     yield one_path(
-        "gel below zero", motion(3.0), sensor=replace(TACTIP_331, gel_modulus_mpa=-1.0), refused="gel_modulus_mpa"
+        "gel below zero",
+        motion(3.0),
+        sensor=replace(TACTIP_331, gel_modulus_mpa=-1.0),
+        refused="gel_modulus_mpa",
     )
-    yield one_path("nu 0.5", motion(3.0), sensor=replace(TACTIP_331, gel_poisson=0.5), refused="gel_poisson")
+    yield one_path(
+        "nu 0.5", motion(3.0), sensor=replace(TACTIP_331, gel_poisson=0.5), refused="gel_poisson"
+    )
     for shape in ("NaN", "infinite", "NaN target"):
         yield one_path(f"shape: {shape}", motion(3.0), shape=shape, refused=f"stimulus '{shape}'")
     yield one_path("shape without a name", motion(3.0), shape="square", refused="stimulus 'square'")

@@ -45,7 +45,9 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def laps(work: Callable[[], object], product: Callable[[], None], repeats: int, budget_s: float = np.inf) -> Laps:
+def laps(
+    work: Callable[[], object], product: Callable[[], None], repeats: int, budget_s: float = np.inf
+) -> Laps:
     """`repeats` of the work, or fewer once `budget_s` is spent; after each, the median of three matrix products."""
     spent: list[float] = []
     yard: list[float] = []

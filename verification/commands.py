@@ -16,7 +16,13 @@ COMMANDS = {
     "stability": "run stiff, extreme and senseless contacts, and networks and trainings at their extremes",
     "plan": "show what a contact needs, and what leaving out the rest saves and costs",
 }
-_CONTACT: Json = {"stimulus": "disk", "pose": "0,0,0,3", "move": "0,0", "twist": 0.0, "tilt": "0,0"}  # of plan
+_CONTACT: Json = {
+    "stimulus": "disk",
+    "pose": "0,0,0,3",
+    "move": "0,0",
+    "twist": 0.0,
+    "tilt": "0,0",
+}  # of plan
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -27,7 +33,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def make_parser() -> Parser:
     """Make the parser of COMMANDS."""
-    parser = Parser(prog="python -m verification", description="Examines the simulator and the networks.")
+    parser = Parser(
+        prog="python -m verification", description="Examines the simulator and the networks."
+    )
     commands = add_commands(parser)
     parsers = {name: new_parser(commands, name, text) for name, text in COMMANDS.items()}
     for each in parsers.values():
@@ -36,12 +44,16 @@ def make_parser() -> Parser:
     parsers["stability"].add_argument("--only", metavar="NAME", help=text)
 
     plan = parsers["plan"]
-    plan.add_argument("--stimulus", metavar="NAME", help="what is touched, or an outline's file (disk)")
+    plan.add_argument(
+        "--stimulus", metavar="NAME", help="what is touched, or an outline's file (disk)"
+    )
     plan.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
     plan.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
     plan.add_argument("--twist", metavar="DEG", type=float, help="turn that ends at the pose (0)")
     plan.add_argument("--tilt", metavar="TX,TY", help="deg (0,0)")
-    plan.add_argument("--friction", metavar="MU", type=float, help="0 to inf (default: that of the stimulus)")
+    plan.add_argument(
+        "--friction", metavar="MU", type=float, help="0 to inf (default: that of the stimulus)"
+    )
     plan.add_argument("--level", choices=tuple(LEVELS), default="auto", help="(auto)")
     plan.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
     text = "instead: how N random scenes of the paper are grouped"
@@ -87,7 +99,9 @@ def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
     print(table(rows))
     keep([as_dict(row) for row in rows])
     missed = [row.problem for row in rows if not row.holds]
-    print(f"\n{len(rows)} rows, {len(missed)} do not hold{': ' if missed else ''}{', '.join(missed)}")
+    print(
+        f"\n{len(rows)} rows, {len(missed)} do not hold{': ' if missed else ''}{', '.join(missed)}"
+    )
     return 1 if missed else 0
 
 
@@ -113,7 +127,10 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
                 )
         shown = show_plan.show_grouping(arguments.scenes, arguments.level, sensor)
     else:
-        one = {option: usual if given[option] is None else given[option] for option, usual in _CONTACT.items()}
+        one = {
+            option: usual if given[option] is None else given[option]
+            for option, usual in _CONTACT.items()
+        }
         shown = show_plan.show_plan(
             one["stimulus"],
             _numbers(one["pose"], 4, "--pose"),

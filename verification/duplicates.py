@@ -16,7 +16,9 @@ from jaxunshear.scene.stimuli import stimulus_named
 from jaxunshear.settings.sensor import Sensor
 
 
-def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7) -> Contacts:
+def follow_duplicated(
+    sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7
+) -> Contacts:
     """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
     full = dome(sensor)
     count = len(full.nodes)
@@ -25,7 +27,9 @@ def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level
     scale = np.trace(full.w) / len(full.w)
     w = full.w[np.ix_(columns, columns)] / scale
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
-    poses, _ = increments(Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm)
+    poses, _ = increments(
+        Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm
+    )
     with jax.enable_x64(level.precision == "float64"):
         fields = (w, inverse, w, full.nodes[index], sensor.dome_radius_mm)
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
@@ -50,5 +54,14 @@ def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level
     never = np.zeros(1, bool)
     stuck, slipping, free = states
     return Contacts(
-        pins[None], quality.residual_mm, converged, quality.iterations, stuck, slipping, free, total, nodes, never
+        pins[None],
+        quality.residual_mm,
+        converged,
+        quality.iterations,
+        stuck,
+        slipping,
+        free,
+        total,
+        nodes,
+        never,
     )

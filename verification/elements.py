@@ -29,7 +29,9 @@ def irregular_patch(cells: int = 4, seed: int = 0) -> Mesh:
     """A square r, z in [0, 1] cut into quadrilaterals with straight sides, whose inner corners lie anywhere near their place."""
     line = np.linspace(0, 1, cells + 1)
     corners = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
-    corners[1:-1, 1:-1] += np.random.default_rng(seed).uniform(-0.25, 0.25, (cells - 1, cells - 1, 2)) / cells
+    corners[1:-1, 1:-1] += (
+        np.random.default_rng(seed).uniform(-0.25, 0.25, (cells - 1, cells - 1, 2)) / cells
+    )
     points: list[np.ndarray] = []
     index: dict[tuple[int, int], int] = {}
 
@@ -42,7 +44,9 @@ def irregular_patch(cells: int = 4, seed: int = 0) -> Mesh:
         return index[i, j]
 
     around = [(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)]
-    elements = [[node(2 * i + a, 2 * j + b) for a, b in around] for i in range(cells) for j in range(cells)]
+    elements = [
+        [node(2 * i + a, 2 * j + b) for a, b in around] for i in range(cells) for j in range(cells)
+    ]
     none = np.zeros(0, int)
     return Mesh(np.array(points), np.array(elements), np.zeros(len(elements), bool), none, none)
 
@@ -66,13 +70,17 @@ def patch_test() -> list[Row]:
     worst = 0.0
     for m, field in fields.values():
         exact = np.stack(field, -1)
-        found = _solved(k0 + m * k1 + m * m * k2, np.repeat(edge, 3), exact.ravel(), np.zeros(exact.size))
+        found = _solved(
+            k0 + m * k1 + m * m * k2, np.repeat(edge, 3), exact.ravel(), np.zeros(exact.size)
+        )
         worst = max(worst, np.abs(found - exact.ravel()).max() / np.abs(exact).max())
     words = "patch test on distorted elements: worst of 6 homogeneous strains"
     return [vanishes(GROUP, words, worst, 1.0, 1e-9)]
 
 
-def _solved(matrix: sp.csc_matrix, fixed: np.ndarray, values: np.ndarray, load: np.ndarray) -> np.ndarray:
+def _solved(
+    matrix: sp.csc_matrix, fixed: np.ndarray, values: np.ndarray, load: np.ndarray
+) -> np.ndarray:
     """Displacements that are `values` where `fixed` (both (n,))."""
     found = np.where(fixed, values, 0.0)
     free = ~fixed
@@ -88,7 +96,11 @@ def made_up(m: int, r: jax.Array, z: jax.Array) -> jax.Array:
 
 
 def _parts(square: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    return jnp.cos(2 * z + 0.3) * jnp.exp(-square), jnp.sin(2 * z + 1), jnp.cos(1.5 * z) * (1 + square)
+    return (
+        jnp.cos(2 * z + 0.3) * jnp.exp(-square),
+        jnp.sin(2 * z + 1),
+        jnp.cos(1.5 * z) * (1 + square),
+    )
 
 
 def _cartesian(m: int, point: jax.Array) -> jax.Array:
@@ -108,7 +120,9 @@ def body_force(m: int, modulus: float, poisson: float, r: jax.Array, z: jax.Arra
     def at(angle: float) -> jax.Array:
         point = jnp.stack([r * np.cos(angle), r * np.sin(angle), z])
         second = jax.jacfwd(jax.jacfwd(lambda p: _cartesian(m, p)))(point)
-        return -(first + shear) * jnp.einsum("jij->i", second) - shear * jnp.einsum("ijj->i", second)
+        return -(first + shear) * jnp.einsum("jij->i", second) - shear * jnp.einsum(
+            "ijj->i", second
+        )
 
     along = at(0.0)
     around = 0.0 * r
@@ -131,7 +145,9 @@ class _Sample(NamedTuple):
 def _sample(m: int, poisson: float, r: jax.Array, z: jax.Array) -> _Sample:
     field = partial(made_up, m)
     slopes = lambda r, z: jnp.stack([jax.jacfwd(field, i)(r, z) for i in (0, 1)], -1)  # noqa: E731
-    return _Sample(*(jax.vmap(f)(r, z) for f in (field, slopes, partial(body_force, m, 1.0, poisson))))
+    return _Sample(
+        *(jax.vmap(f)(r, z) for f in (field, slopes, partial(body_force, m, 1.0, poisson)))
+    )
 
 
 def _everywhere(m: int, poisson: float, r: np.ndarray, z: np.ndarray) -> _Sample:
@@ -153,18 +169,24 @@ def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     exact, at_nodes = _everywhere(m, poisson, r, z), _everywhere(m, poisson, *mesh.nodes.T).field
     load = np.zeros((len(mesh.nodes), 3))
     np.add.at(load, mesh.elements, np.einsum("eq,qn,eqi->eni", weight, values, exact.force))
-    k0, k1, k2 = stiffness(mesh, np.broadcast_to(isotropic(1.0, poisson), (len(mesh.elements), 6, 6)))
+    k0, k1, k2 = stiffness(
+        mesh, np.broadcast_to(isotropic(1.0, poisson), (len(mesh.elements), 6, 6))
+    )
     edge = np.zeros(len(mesh.nodes), bool)
     edge[np.unique(mesh.surface)] = True
     edge[mesh.clamped] = True
     edge[mesh.axis] = True
-    found = _solved(k0 + m * k1 + m * m * k2, np.repeat(edge, 3), at_nodes.ravel(), load.ravel()).reshape(-1, 3)
+    found = _solved(
+        k0 + m * k1 + m * m * k2, np.repeat(edge, 3), at_nodes.ravel(), load.ravel()
+    ).reshape(-1, 3)
     here = np.einsum("qn,eni->eqi", values, found[mesh.elements])
     sloping = np.einsum("eqnx,eni->eqix", slopes, found[mesh.elements])
 
     def share(miss: np.ndarray, full: np.ndarray) -> float:
         axes = tuple(range(2, miss.ndim))
-        return float(np.sqrt(np.sum(weight * np.sum(miss**2, axes)) / np.sum(weight * np.sum(full**2, axes))))
+        return float(
+            np.sqrt(np.sum(weight * np.sum(miss**2, axes)) / np.sum(weight * np.sum(full**2, axes)))
+        )
 
     return share(here - exact.field, exact.field), share(sloping - exact.slopes, exact.slopes)
 
@@ -175,7 +197,9 @@ def made_up_orders() -> list[Row]:
     rows = []
     for m in (0, 1, 2):
         errors = np.array([made_up_errors(dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes])
-        for error, name, least in zip(errors.T, ("displacement", "slopes"), (2.7, 1.7), strict=True):
+        for error, name, least in zip(
+            errors.T, ("displacement", "slopes"), (2.7, 1.7), strict=True
+        ):
             words, order = f"made-up field, m = {m}, nu = 0.49: {name}", fit_order(sizes, error)
             more = {"order": order, "least_order": least, "note": "order in h"}
             rows.append(vanishes(GROUP, words, error[-1], 1.0, 0.01, **more))

@@ -20,7 +20,9 @@ from verification.tables import Row, vanishes
 GROUP = "the dome"
 FINE = "fine tolerance"
 # solved so well that what is left is the model's; scenes are not turned to a common side, as that would be the answer
-EXACT = replace(LEVELS["auto"], tolerance=0.003, limit=20000, precision="float64", omit=("untouched", "nodes"))
+EXACT = replace(
+    LEVELS["auto"], tolerance=0.003, limit=20000, precision="float64", omit=("untouched", "nodes")
+)
 EDGE = "edge"  # a straight one
 FLAT_MM = 30.0  # inside the edge: no contact reaches it
 FRICTION = 0.7
@@ -28,10 +30,14 @@ Points = np.ndarray | list[np.ndarray]  # (B, K, 6)
 
 
 def paths(points: Points, friction: float = FRICTION) -> Paths:
-    return Paths(np.zeros(len(points), int), np.full(len(points), friction), np.asarray(points, float))
+    return Paths(
+        np.zeros(len(points), int), np.full(len(points), friction), np.asarray(points, float)
+    )
 
 
-def _ends(sensor: Sensor, points: Points, level: str | Level = EXACT, friction: float = FRICTION) -> Contacts:
+def _ends(
+    sensor: Sensor, points: Points, level: str | Level = EXACT, friction: float = FRICTION
+) -> Contacts:
     return follow(sensor, (EDGE,), paths(points, friction), level)[0]
 
 
@@ -41,7 +47,12 @@ def _rotation(degrees: float) -> np.ndarray:
 
 
 def slide(
-    x: float, y: float, move: tuple[float, float], yaw: float = 0.0, depth: float = 2.5, twist: float = 0.0
+    x: float,
+    y: float,
+    move: tuple[float, float],
+    yaw: float = 0.0,
+    depth: float = 2.5,
+    twist: float = 0.0,
 ) -> np.ndarray:
     """(3, 6): down at (x, y) - move with this yaw, then along `move` and around by `twist` deg."""
     points = np.zeros((3, 6))
@@ -94,17 +105,30 @@ def _polar(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def mirrored(sensor: Sensor) -> list[Row]:
-    made = _ends(sensor, [slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)])
+    made = _ends(
+        sensor, [slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
+    )
     tips = pin_tips(sensor)
     partner = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
     apart = px_apart(sensor, made.pins[0] * [1, -1, 1], made.pins[1][partner])
-    return [_px("slide with a twist to the right against to the left", apart, 0.02, bool(made.converged.all()), FINE)]
+    return [
+        _px(
+            "slide with a twist to the right against to the left",
+            apart,
+            0.02,
+            bool(made.converged.all()),
+            FINE,
+        )
+    ]
 
 
 def resumed(sensor: Sensor) -> list[Row]:
     """One motion in two calls."""
     full = np.array(
-        [slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist) for depth, twist in ((2.0, 0.0), (3.5, 15.0))]
+        [
+            slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist)
+            for depth, twist in ((2.0, 0.0), (3.5, 15.0))
+        ]
     )
     rows = []
     for level, bar, note in (("auto", 0.1, ""), (EXACT, 0.02, FINE)):
@@ -124,7 +148,13 @@ def frictionless(sensor: Sensor) -> list[Row]:
     made = _ends(sensor, [end, roundabout], friction=0.0)
     apart = px_apart(sensor, made.pins[0], made.pins[1])
     return [
-        _px("no friction: pressed straight down against from the side", apart, 0.1, bool(made.converged.all()), FINE)
+        _px(
+            "no friction: pressed straight down against from the side",
+            apart,
+            0.1,
+            bool(made.converged.all()),
+            FINE,
+        )
     ]
 
 
@@ -132,7 +162,10 @@ def edge_sweep(sensor: Sensor) -> list[Row]:
     """Ends 0.05 mm apart across an edge, taps and slides: does a node that comes to touch make a pin jump?"""
     places = np.arange(-3.0, 3.0 + 1e-9, 0.05)
     rows = []
-    for words, move, yaw in (("taps", (0.0, 0.0), 0.0), ("slides of 1.5 mm along it", (0.0, 1.5), 10.0)):
+    for words, move, yaw in (
+        ("taps", (0.0, 0.0), 0.0),
+        ("slides of 1.5 mm along it", (0.0, 1.5), 10.0),
+    ):
         made = _ends(sensor, [slide(x, 0.0, move, yaw, depth=3.0) for x in places], "auto")
         pins, good = made.pins.astype(float), bool(made.converged.all())
         step = px_apart(sensor, pins[1:], pins[:-1])
@@ -154,7 +187,9 @@ def tilted(sensor: Sensor) -> list[Row]:
         points.append(point)
     made = _ends(sensor, points)
     force = np.linalg.norm(made.force_n, axis=-1)
-    sixth = px_apart(sensor, made.pins[1][sixfold(sensor.pins)[1]], made.pins[0] @ _rotation(60.0).T)
+    sixth = px_apart(
+        sensor, made.pins[1][sixfold(sensor.pins)[1]], made.pins[0] @ _rotation(60.0).T
+    )
     words = "slide on the flat, tilted by 20 deg, turned by 17 deg: change of the force"
     good = bool(made.converged.all())
     rows = [
@@ -168,9 +203,15 @@ def tilted(sensor: Sensor) -> list[Row]:
     force = np.linalg.norm(made.force_n, axis=-1)
     for tilt, here in zip(tilts[1:], force[1:], strict=True):
         words = f"frictionless press on the flat, tilted by {tilt:g} deg: change of the force"
-        rows.append(vanishes(GROUP, words, here - force[0], force[0], 0.03, settled=bool(made.converged.all())))
+        rows.append(
+            vanishes(
+                GROUP, words, here - force[0], force[0], 0.03, settled=bool(made.converged.all())
+            )
+        )
     return rows
 
 
 def _px(problem: str, apart: np.ndarray, bar: float | None, settled: bool, note: str = "") -> Row:
-    return vanishes(GROUP, f"{problem}, px", apart.max(), 1.0, bar, settled=settled, note=note, px=True)
+    return vanishes(
+        GROUP, f"{problem}, px", apart.max(), 1.0, bar, settled=settled, note=note, px=True
+    )

@@ -80,7 +80,9 @@ class HalfSpace:
 
 @lru_cache(maxsize=4)
 def half_space(poisson: float, rings: int = RINGS) -> HalfSpace:
-    mesh = half_space_mesh(rings * SPACING_MM, SPACING_MM, growth=GROWTH, reach=REACH / (rings * SPACING_MM))
+    mesh = half_space_mesh(
+        rings * SPACING_MM, SPACING_MM, growth=GROWTH, reach=REACH / (rings * SPACING_MM)
+    )
     materials = np.broadcast_to(isotropic(1.0, poisson), (len(mesh.elements), 6, 6))
     inside = np.array([[0.0, 0.0, SPACING_MM]])  # a pin that nobody asks for
     made = condense(mesh, materials, np.arange(rings + 1) * SPACING_MM, inside, 6 * (rings - 1))
@@ -129,7 +131,13 @@ def trace(
         return full
 
     force = np.concatenate([np.zeros_like(force[:1]), force]) * newtons
-    return Trace(spread(force, 0.0), spread(slip, 0.0), spread(gap, np.inf), bool(settled.all()), iterations.sum(0))
+    return Trace(
+        spread(force, 0.0),
+        spread(slip, 0.0),
+        spread(gap, np.inf),
+        bool(settled.all()),
+        iterations.sum(0),
+    )
 
 
 def press(depth_mm: np.ndarray, steps: int) -> np.ndarray:
@@ -148,7 +156,9 @@ def _system(body: HalfSpace, height: np.ndarray, chosen: np.ndarray) -> tuple[Sy
     nodes = np.column_stack([body.nodes[chosen, :2], height[chosen]])
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
     shared = jnp.asarray(w)
-    return System(shared, jnp.asarray(inverse), shared, jnp.asarray(nodes), jnp.asarray(1.0)), 1 / scale
+    return System(
+        shared, jnp.asarray(inverse), shared, jnp.asarray(nodes), jnp.asarray(1.0)
+    ), 1 / scale
 
 
 @partial(jax.jit, static_argnames="tolerance")

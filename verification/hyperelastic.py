@@ -39,7 +39,9 @@ class Body:
     @property
     def unknowns(self) -> np.ndarray:
         """(E, 16) of each element."""
-        return (2 * self.mesh.elements[:, :, None] + np.arange(2)).reshape(len(self.mesh.elements), 16)
+        return (2 * self.mesh.elements[:, :, None] + np.arange(2)).reshape(
+            len(self.mesh.elements), 16
+        )
 
     @property
     def held(self) -> np.ndarray:
@@ -57,7 +59,10 @@ def neo_hookean(
 
 
 def make_body(
-    mesh: Mesh, shear: Float[np.ndarray, "E"], first: Float[np.ndarray, "E"], density: Density = neo_hookean
+    mesh: Mesh,
+    shear: Float[np.ndarray, "E"],
+    first: Float[np.ndarray, "E"],
+    density: Density = neo_hookean,
 ) -> Body:
     """Body of moduli MPa on a mesh."""
     values, slopes, area, r = sample_elements(mesh, GAUSS)
@@ -86,7 +91,9 @@ def _energy(
     shear: jax.Array,
     first: jax.Array,
 ) -> jax.Array:
-    return volume @ jax.vmap(density, (0, None, None))(_gradients(moved, slopes, hoop), shear, first)
+    return volume @ jax.vmap(density, (0, None, None))(
+        _gradients(moved, slopes, hoop), shear, first
+    )
 
 
 def _by_element(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
@@ -102,7 +109,9 @@ _tangents = _by_element(jax.hessian(_energy, argnums=1))
 def _on_elements(function: Callable[..., jax.Array], body: Body, moved: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         at = moved[body.mesh.elements]
-        return np.asarray(function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first))
+        return np.asarray(
+            function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first)
+        )
 
 
 def energy(body: Body, moved: Float[np.ndarray, "V 2"]) -> float:
@@ -121,7 +130,10 @@ def forces(body: Body, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "2*
 def tangent(body: Body, moved: Float[np.ndarray, "V 2"]) -> sp.csc_matrix:
     """Hessian (2V, 2V) of the energy, N/mm."""
     blocks = _on_elements(_tangents, body, moved)
-    rows, columns = np.repeat(body.unknowns, 16, axis=1).ravel(), np.tile(body.unknowns, (1, 16)).ravel()
+    rows, columns = (
+        np.repeat(body.unknowns, 16, axis=1).ravel(),
+        np.tile(body.unknowns, (1, 16)).ravel(),
+    )
     return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(moved.size, moved.size)).tocsc()
 
 
@@ -132,5 +144,7 @@ def deformation(
     at = moved[body.mesh.elements]
     plane = np.eye(2) + np.einsum("eni,eqnj->eqij", at, body.slopes)
     around = 1 + np.einsum("eqn,en->eq", body.hoop, at[..., 0])
-    stretches = np.concatenate([np.linalg.svd(plane, compute_uv=False), np.abs(around)[..., None]], -1)
+    stretches = np.concatenate(
+        [np.linalg.svd(plane, compute_uv=False), np.abs(around)[..., None]], -1
+    )
     return stretches, np.linalg.det(plane) * around

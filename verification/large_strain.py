@@ -23,7 +23,15 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pins import pin_lattice, pin_tips
 from jaxunshear.settings.sensor import Sensor
-from verification.hyperelastic import Body, Density, deformation, forces, make_body, neo_hookean, tangent
+from verification.hyperelastic import (
+    Body,
+    Density,
+    deformation,
+    forces,
+    make_body,
+    neo_hookean,
+    tangent,
+)
 
 STEP_MM = 0.25  # largest increment of depth
 SMALLEST_STEP_MM = STEP_MM / 32
@@ -45,7 +53,9 @@ class LargeStrain(NamedTuple):
     contact_radius_mm: np.ndarray  # (D,) on the plate
     pins: np.ndarray  # (D, P, 3) mm, displaced pin tips in the sensor frame
     max_stretch: np.ndarray  # (D,) largest principal stretch anywhere
-    strained: np.ndarray  # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
+    strained: (
+        np.ndarray
+    )  # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
     residual: np.ndarray  # (D,) largest unbalanced nodal force over the largest nodal force
     converged: np.ndarray  # (D,) bool
     iterations: np.ndarray  # (D,) of Newton's method since the depth before
@@ -75,7 +85,11 @@ def press(
 ) -> LargeStrain:
     """The dome pressed to each of D depths (mm, rows in the order given); `density` as `hyperelastic.neo_hookean`."""
     depths = np.asarray(depths_mm, float)
-    if depths.ndim != 1 or not len(depths) or not np.all(np.isfinite(depths) & (depths < sensor.dome_radius_mm / 2)):
+    if (
+        depths.ndim != 1
+        or not len(depths)
+        or not np.all(np.isfinite(depths) & (depths < sensor.dome_radius_mm / 2))
+    ):
         raise UserError(
             f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
         )
@@ -84,7 +98,9 @@ def press(
     order = np.argsort(depths, kind="stable")
     rows = [
         _row(sensor, body, face, state, depth)
-        for state, depth in zip(follow(body, face, depths[order], progress), depths[order], strict=True)
+        for state, depth in zip(
+            follow(body, face, depths[order], progress), depths[order], strict=True
+        )
     ]
     fields = (np.array(field)[np.argsort(order)] for field in zip(*rows, strict=True))
     return LargeStrain(*fields)
@@ -93,7 +109,10 @@ def press(
 def dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
     """The sensor's gel under its skin."""
     mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
-    skin, gel = lame(sensor.skin_modulus_mpa, sensor.skin_poisson), lame(sensor.gel_modulus_mpa, sensor.gel_poisson)
+    skin, gel = (
+        lame(sensor.skin_modulus_mpa, sensor.skin_poisson),
+        lame(sensor.gel_modulus_mpa, sensor.gel_poisson),
+    )
     shear, first = np.where(mesh.skin[:, None], skin, gel).T
     return make_body(mesh, shear, first, density)
 
@@ -104,11 +123,15 @@ def make_face(mesh: Mesh) -> Face:
     columns = np.repeat(mesh.surface, len(line), axis=0)
     rows = np.repeat(np.arange(len(columns)), 3)
     entries = np.tile(line, (len(mesh.surface), 1)).ravel()
-    matrix = sp.csr_matrix((entries, (rows, columns.ravel())), shape=(len(columns), len(mesh.nodes)))
+    matrix = sp.csr_matrix(
+        (entries, (rows, columns.ravel())), shape=(len(columns), len(mesh.nodes))
+    )
     return Face(matrix, matrix @ mesh.nodes)
 
 
-def follow(body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None) -> list[State]:
+def follow(
+    body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None
+) -> list[State]:
     """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
     state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
     moving, pushing = np.zeros_like(state.moved), np.zeros_like(state.push)  # per mm of depth
@@ -117,13 +140,20 @@ def follow(body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Pro
         spent, first = 0, True
         while state.converged and (at < end or first):
             there = min(at + step, end)
-            guess = State(state.moved + (there - at) * moving, state.push + (there - at) * pushing, 0.0, 0, False)
+            guess = State(
+                state.moved + (there - at) * moving,
+                state.push + (there - at) * pushing,
+                0.0,
+                0,
+                False,
+            )
             found = equilibrium(body, face, there, guess, body.held)
             spent, first = spent + found.iterations, False
             if found.converged:
                 if there > at:
                     moving, pushing = (
-                        (now - before) / (there - at) for now, before in zip(found[:2], state[:2], strict=True)
+                        (now - before) / (there - at)
+                        for now, before in zip(found[:2], state[:2], strict=True)
                     )
                 state, at, step = found, there, min(2 * step, STEP_MM)
             elif (step := step / 2) < SMALLEST_STEP_MM:
@@ -138,22 +168,30 @@ def equilibrium(body: Body, face: Face, depth: float, start: State, held: np.nda
     """Newton's method from `start` with the plate at z = `depth` mm; the unknowns `held` keep the displacement they have."""
     free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), held)
     normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()  # (C, 2V)
-    stiff = float(np.median(body.shear) * np.ptp(body.mesh.nodes[:, 0]))  # N/mm, weighs a gap against a push
+    stiff = float(
+        np.median(body.shear) * np.ptp(body.mesh.nodes[:, 0])
+    )  # N/mm, weighs a gap against a push
     moved, push = start.moved, start.push
     for count in range(ITERATIONS + 1):
         inner = forces(body, moved)
         gap = face.place[:, 1] + face.rows @ moved[:, 1] - depth
         active = push - stiff * gap > 0
-        residual = np.abs((inner - normal.T @ push)[free]).max() / max(np.abs(inner).max(), stiff * GAP_MM)
+        residual = np.abs((inner - normal.T @ push)[free]).max() / max(
+            np.abs(inner).max(), stiff * GAP_MM
+        )
         wrong = np.where(active, np.abs(gap), np.abs(push) / stiff).max(initial=0.0)
         if residual < TOLERANCE and wrong < GAP_MM:
             return State(moved, push, float(residual), count, True)
         if count == ITERATIONS or not np.isfinite(residual):
             break
         touching = normal[active][:, free]
-        matrix = sp.bmat([[tangent(body, moved)[free][:, free], -touching.T], [-touching, None]], format="csc")
+        matrix = sp.bmat(
+            [[tangent(body, moved)[free][:, free], -touching.T], [-touching, None]], format="csc"
+        )
         try:
-            answer = splu(matrix, permc_spec="COLAMD").solve(np.concatenate([-inner[free], gap[active]]))
+            answer = splu(matrix, permc_spec="COLAMD").solve(
+                np.concatenate([-inner[free], gap[active]])
+            )
         except RuntimeError:  # singular
             break
         step, goal = np.zeros(moved.size), np.zeros_like(push)
@@ -168,7 +206,10 @@ def equilibrium(body: Body, face: Face, depth: float, start: State, held: np.nda
 def _share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
     """Of a Newton step, the largest 1, 1/2, 1/4 ... that squeezes nothing below SMALLEST_VOLUME."""
     share = 1.0
-    while share >= SMALLEST_SHARE and deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME:
+    while (
+        share >= SMALLEST_SHARE
+        and deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME
+    ):
         share /= 2
     return share
 
@@ -204,12 +245,16 @@ def contact_radius(
     return float(np.clip(rim, radius[last], inner))
 
 
-def pins_at(sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "P 3"]:
+def pins_at(
+    sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]
+) -> Float[np.ndarray, "P 3"]:
     """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
     flat = pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
     arcs, which = np.unique(np.round(arc, 9), return_inverse=True)
-    change = (_tips(sensor, mesh, mesh.nodes + moved, arcs) - _tips(sensor, mesh, mesh.nodes, arcs))[which.ravel()]
+    change = (
+        _tips(sensor, mesh, mesh.nodes + moved, arcs) - _tips(sensor, mesh, mesh.nodes, arcs)
+    )[which.ravel()]
     around = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
     return pin_tips(sensor) + np.concatenate([change[:, :1] * around, change[:, 1:]], -1)
 
@@ -218,10 +263,14 @@ def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np
     """Tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface, with the mesh's nodes at `nodes`."""
     edges = inner_face(mesh)
     rest = mesh.nodes[edges]
-    angles = np.arctan2(rest[..., 0], sensor.dome_radius_mm - rest[..., 1])  # (S, 3), evenly spaced on each edge
+    angles = np.arctan2(
+        rest[..., 0], sensor.dome_radius_mm - rest[..., 1]
+    )  # (S, 3), evenly spaced on each edge
     angle = arcs / sensor.dome_radius_mm
     edge = np.clip(np.searchsorted(angles[:, 0], angle, side="right") - 1, 0, len(edges) - 1)
     shapes = edge_shapes(2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1)
     base, along = (np.einsum("an,anx->ax", shape, nodes[edges[edge]]) for shape in shapes)
-    inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
+    inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(
+        along, axis=-1, keepdims=True
+    )
     return base + sensor.pin_length_mm * inward

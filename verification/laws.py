@@ -15,14 +15,23 @@ RADIUS_MM = 5.5 * SPACING_MM  # of the contact
 
 def _trace(body: HalfSpace, poses: np.ndarray, tolerance: float = 1e-5) -> Trace:
     """A sphere, as deep as makes the contact RADIUS_MM wide."""
-    return trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.3 * RADIUS_MM, tolerance=tolerance)
+    return trace(
+        body,
+        body.sphere(SPHERE_MM),
+        poses,
+        FRICTION,
+        within_mm=1.3 * RADIUS_MM,
+        tolerance=tolerance,
+    )
 
 
 def random_paths(body: HalfSpace, count: int = 8, steps: int = 24, seed: int = 0) -> np.ndarray:
     """Poses (steps + 1, count, 6): walks in x, y, yaw and depth that slip, stick, lift off and touch again."""
     generator = np.random.default_rng(seed)
     stride, deep = 0.5 * slip_distance(body, RADIUS_MM), depth(RADIUS_MM)
-    walk = generator.normal(size=(steps, count, 4)) * np.array([stride, stride, stride / RADIUS_MM, 0.3 * deep])
+    walk = generator.normal(size=(steps, count, 4)) * np.array(
+        [stride, stride, stride / RADIUS_MM, 0.3 * deep]
+    )
     poses = np.zeros((steps + 1, count, 6))
     poses[1:, :, :4] = np.cumsum(walk, axis=0)
     poses[1:, :, 3] = np.minimum(deep - np.abs(poses[1:, :, 3]), deep)
@@ -40,9 +49,24 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
     what = "over 8 random paths of 24 increments with twists and lift-offs"
     settled = made.settled
     return [
-        vanishes(GROUP, "adhesion: least pressure, of the largest", max(-push.min(), 0.0), most, 1e-12, note=what),
-        vanishes(GROUP, "pull beyond mu p, of the largest pressure", (pull - FRICTION * push).max(), most, 1e-9),
-        vanishes(GROUP, "penetration, of the depth", max(-finite.min(), 0.0), deep, 1e-3, settled=settled),
+        vanishes(
+            GROUP,
+            "adhesion: least pressure, of the largest",
+            max(-push.min(), 0.0),
+            most,
+            1e-12,
+            note=what,
+        ),
+        vanishes(
+            GROUP,
+            "pull beyond mu p, of the largest pressure",
+            (pull - FRICTION * push).max(),
+            most,
+            1e-9,
+        ),
+        vanishes(
+            GROUP, "penetration, of the depth", max(-finite.min(), 0.0), deep, 1e-3, settled=settled
+        ),
         vanishes(
             GROUP,
             "pressure x gap, of the largest x the depth",
@@ -60,7 +84,12 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
             settled=settled,
         ),
         vanishes(
-            GROUP, "pull that is not against the slip, of all heat", heat - power.sum(), heat, 1e-3, settled=settled
+            GROUP,
+            "pull that is not against the slip, of all heat",
+            heat - power.sum(),
+            heat,
+            1e-3,
+            settled=settled,
         ),
     ]
 
@@ -69,7 +98,11 @@ def of_the_compliance(body: HalfSpace) -> list[Row]:
     values = np.linalg.eigvalsh(body.w)
     return [
         vanishes(
-            GROUP, "compliance W: asymmetry, of its largest entry", np.abs(body.w - body.w.T).max(), body.w.max(), 1e-12
+            GROUP,
+            "compliance W: asymmetry, of its largest entry",
+            np.abs(body.w - body.w.T).max(),
+            body.w.max(),
+            1e-12,
         ),
         Row(
             GROUP,
@@ -86,7 +119,11 @@ def no_contact(body: HalfSpace) -> list[Row]:
     poses = np.zeros((4, 1, 6))
     poses[:, 0, 0], poses[:, 0, 3] = np.linspace(0, 1, 4), -0.01
     made = _trace(body, poses)
-    return [vanishes(GROUP, "no contact: largest force, exactly zero", np.abs(made.force).max(), 1.0, 0.0)]
+    return [
+        vanishes(
+            GROUP, "no contact: largest force, exactly zero", np.abs(made.force).max(), 1.0, 0.0
+        )
+    ]
 
 
 def _slide(body: HalfSpace, angles: np.ndarray, share: float, steps: int) -> np.ndarray:
@@ -102,10 +139,24 @@ def turned(body: HalfSpace) -> list[Row]:
     made = _trace(body, _slide(body, angles, 0.6, 4), tolerance=1e-7)
     cos, sin = np.cos(angles), np.sin(angles)
     total = made.total[-1]
-    back = np.stack([cos * total[:, 0] + sin * total[:, 1], -sin * total[:, 0] + cos * total[:, 1], total[:, 2]], -1)
+    back = np.stack(
+        [
+            cos * total[:, 0] + sin * total[:, 1],
+            -sin * total[:, 0] + cos * total[:, 1],
+            total[:, 2],
+        ],
+        -1,
+    )
     apart = np.linalg.norm(back - back[0], axis=-1) / np.linalg.norm(back[0])
     return [
-        vanishes(GROUP, "slide turned by 60 deg: change of the force", apart[1], 1.0, 1e-5, settled=made.settled),
+        vanishes(
+            GROUP,
+            "slide turned by 60 deg: change of the force",
+            apart[1],
+            1.0,
+            1e-5,
+            settled=made.settled,
+        ),
         vanishes(
             GROUP,
             "slide turned by 17, 30, 45 deg: change of the force",
@@ -121,7 +172,9 @@ def full_slip(body: HalfSpace) -> list[Row]:
     made = _trace(body, _slide(body, np.zeros(1), 2.0, 4))
     total = made.total[-1, 0]
     words = "full slip: Q / P"
-    return [compare(GROUP, words, FRICTION, np.hypot(*total[:2]) / total[2], 1e-4, settled=made.settled)]
+    return [
+        compare(GROUP, words, FRICTION, np.hypot(*total[:2]) / total[2], 1e-4, settled=made.settled)
+    ]
 
 
 def closed_loop(body: HalfSpace) -> list[Row]:
@@ -146,7 +199,9 @@ def closed_loop(body: HalfSpace) -> list[Row]:
             settled=made.settled,
             note=note,
         ),
-        vanishes(GROUP, "closed loop: energy still stored, of the work", stored[-1], work[-1], 1e-9),
+        vanishes(
+            GROUP, "closed loop: energy still stored, of the work", stored[-1], work[-1], 1e-9
+        ),
     ]
 
 
@@ -157,27 +212,47 @@ def of_increments(body: HalfSpace) -> list[Row]:
     poses = press(np.full(len(counts), depth(RADIUS_MM)), counts[-1])
     poses[1:] += _arc(slip_distance(body, RADIUS_MM), np.pi / 2 * share)
     made = _trace(body, poses)
-    change = np.linalg.norm(np.diff(made.force[-1], axis=0), axis=(1, 2)) / np.linalg.norm(made.force[-1, -1])
+    change = np.linalg.norm(np.diff(made.force[-1], axis=0), axis=(1, 2)) / np.linalg.norm(
+        made.force[-1, -1]
+    )
     words = f"quarter circle in {counts[-1]} increments against {counts[-2]}: nodal forces"
     order = fit_order(1 / counts[1:], change)
     note = "order in increments"
     return [
-        vanishes(GROUP, words, change[-1], 1.0, 0.02, order=order, least_order=0.8, settled=made.settled, note=note)
+        vanishes(
+            GROUP,
+            words,
+            change[-1],
+            1.0,
+            0.02,
+            order=order,
+            least_order=0.8,
+            settled=made.settled,
+            note=note,
+        )
     ]
 
 
 def _arc(radius_mm: float, angle: np.ndarray) -> np.ndarray:
     """Poses (T, B, 6) on a circle through the origin, at depth 0."""
     zero = np.zeros_like(angle)
-    return np.stack([radius_mm * np.sin(angle), radius_mm * (1 - np.cos(angle)), zero, zero, zero, zero], -1)
+    return np.stack(
+        [radius_mm * np.sin(angle), radius_mm * (1 - np.cos(angle)), zero, zero, zero, zero], -1
+    )
 
 
-def energies(body: HalfSpace, made: Trace, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def energies(
+    body: HalfSpace, made: Trace, poses: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Work of the motion (trapezia of the force along x, y and depth), heat mu p |slip|, and stored energy at the end, (B,) N mm."""
     mean = (made.total[1:] + made.total[:-1]) / 2
     change = np.diff(poses, axis=0)
-    work = np.sum(mean[..., 2] * change[..., 3] - np.sum(mean[..., :2] * change[..., :2], -1), axis=0)
-    heat = FRICTION * np.sum(made.force[1:, ..., 2] * np.linalg.norm(made.slip, axis=-1), axis=(0, 2))
+    work = np.sum(
+        mean[..., 2] * change[..., 3] - np.sum(mean[..., :2] * change[..., :2], -1), axis=0
+    )
+    heat = FRICTION * np.sum(
+        made.force[1:, ..., 2] * np.linalg.norm(made.slip, axis=-1), axis=(0, 2)
+    )
     last = made.force[-1].reshape(made.force.shape[1], -1)
     return work, heat, np.einsum("bi,ij,bj->b", last, body.w, last) / 2
 
@@ -190,7 +265,18 @@ def of_tolerance(body: HalfSpace) -> list[Row]:
     errors = np.array([np.linalg.norm(force - exact) for force in found]) / np.linalg.norm(exact)
     words = "nodal forces at tolerance 1e-6 against 1e-8"
     order = fit_order(tolerances, errors)
-    return [vanishes(GROUP, words, errors[-1], 1.0, 1e-3, order=order, least_order=0.7, note="order in the tolerance")]
+    return [
+        vanishes(
+            GROUP,
+            words,
+            errors[-1],
+            1.0,
+            1e-3,
+            order=order,
+            least_order=0.7,
+            note="order in the tolerance",
+        )
+    ]
 
 
 def scaled() -> list[Row]:
@@ -201,7 +287,9 @@ def scaled() -> list[Row]:
         mesh = dome_mesh(20.0 * size, 1.0 * size, 3.0 * size)
         gel, skin = isotropic(0.1 * modulus, 0.49), isotropic(modulus, 0.49)
         materials = np.where(mesh.skin[:, None, None], skin, gel)
-        return condense(mesh, materials, np.arange(rings + 1) * 2.0 * size, pins * size, 6 * (rings - 1))
+        return condense(
+            mesh, materials, np.arange(rings + 1) * 2.0 * size, pins * size, 6 * (rings - 1)
+        )
 
     base, stiff, large = made(1.0, 1.0), made(1.0, 1e6), made(3.0, 1.0)
     worst = {
@@ -210,7 +298,11 @@ def scaled() -> list[Row]:
     }
     return [
         vanishes(
-            GROUP, f"{words}, largest change", max(np.abs(x - y).max() / np.abs(y).max() for x, y in pairs), 1.0, 1e-9
+            GROUP,
+            f"{words}, largest change",
+            max(np.abs(x - y).max() / np.abs(y).max() for x, y in pairs),
+            1.0,
+            1e-9,
         )
         for words, pairs in worst.items()
     ]

@@ -38,14 +38,19 @@ class ModelError(NamedTuple):
     rms_px: float
     p95_px: float
     max_px: float
-    material_px: float  # rms that exact kinematics with a linear law (of logarithmic strain) would leave
+    material_px: (
+        float  # rms that exact kinematics with a linear law (of logarithmic strain) would leave
+    )
     force_ratio: float  # linear over reference
     radius_ratio: float  # of the contact
     strained: float  # share of the gel's volume beyond 20 % of principal strain, in the reference
 
 
 def model_error(
-    sensor: Sensor, depths: Sequence[float] = DEPTHS_MM, mesh_mm: float = 1.0, level: str = "reference"
+    sensor: Sensor,
+    depths: Sequence[float] = DEPTHS_MM,
+    mesh_mm: float = 1.0,
+    level: str = "reference",
 ) -> list[ModelError]:
     """Rows, a depth each. `level` "reference" keeps the solver's own error out of the model's."""
     with Progress("large strain", 2 * len(depths), unit="presses") as progress:
@@ -76,7 +81,9 @@ def logarithmic(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.
     squared = plane.T @ plane
     mean = jnp.trace(squared) / 2
     spread = jnp.sqrt(((squared[0, 0] - squared[1, 1]) / 2) ** 2 + squared[0, 1] ** 2 + TINY)
-    strains = jnp.stack([jnp.log(mean + spread) / 2, jnp.log(mean - spread) / 2, jnp.log(gradient[1, 1])])
+    strains = jnp.stack(
+        [jnp.log(mean + spread) / 2, jnp.log(mean - spread) / 2, jnp.log(gradient[1, 1])]
+    )
     return shear * jnp.sum(strains**2) + first / 2 * jnp.sum(strains) ** 2
 
 

@@ -24,7 +24,9 @@ def poses(step: int, count: int, size: int) -> Batch:
     at, slide = _contacts(step, count)
     off = 10 * (at - 0.5)
     pose = np.concatenate([off, 450 * slide[:, :1], np.full((count, 1), 3.0)], 1).astype(np.float32)
-    edge = np.stack([off[:, 0], np.rad2deg(np.arctan2(slide[:, 1], slide[:, 0]))], 1).astype(np.float32)
+    edge = np.stack([off[:, 0], np.rad2deg(np.arctan2(slide[:, 1], slide[:, 0]))], 1).astype(
+        np.float32
+    )
     return {"image": _dots(size, at, 0 * slide), "pose": pose, "edge": edge}
 
 

@@ -44,7 +44,11 @@ class Programs(NamedTuple):
 
 
 def task_of(net: Net, training: Training) -> Task:
-    return posenet_task(net, training, TARGETS) if isinstance(net, PoseNet) else unshear_task(net, training)
+    return (
+        posenet_task(net, training, TARGETS)
+        if isinstance(net, PoseNet)
+        else unshear_task(net, training)
+    )
 
 
 def programs(net: Net, training: Training) -> Programs:
@@ -62,7 +66,9 @@ def programs(net: Net, training: Training) -> Programs:
 def _programs(net: Net, training: Training) -> Programs:
     task = task_of(net, training)
 
-    def step(state: State, batch: Batch, rate: float, weight: float) -> tuple[State, dict[str, jax.Array]]:
+    def step(
+        state: State, batch: Batch, rate: float, weight: float
+    ) -> tuple[State, dict[str, jax.Array]]:
         weighed = replace(task, weights=task.weights | {"patch": weight})
         optimiser = optimiser_of(replace(training, learning_rate=rate), STEPS, 1)
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
@@ -94,13 +100,23 @@ def walk(
             guards[1](state, done, batch, folder)
             checkpoint.save(folder, done, state, {"best_step": done, "history": []})
     variables = checkpoint.load_best(folder)
-    arrays = {"terms": last, "variables": variables, "outputs": dict(use(variables, images_of(make(-1))))}
+    arrays = {
+        "terms": last,
+        "variables": variables,
+        "outputs": dict(use(variables, images_of(make(-1)))),
+    }
     return found_of(net, arrays, variables, steps, last)
 
 
-def found_of(net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]) -> Found:
+def found_of(
+    net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]
+) -> Found:
     loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
-    note = "" if last["gradient"] else "the gradient is 0: all is saturated, and nothing more is learnt"
+    note = (
+        ""
+        if last["gradient"]
+        else "the gradient is 0: all is saturated, and nothing more is learnt"
+    )
     if last["regularisation"] > loss:
         note = f"l1 and l2 weigh {last['regularisation'] / loss:.2g} times the loss: kernels shrink first"
     wrong = _parts(net, variables)
@@ -120,9 +136,15 @@ def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Ar
     if isinstance(net, UNet):
         return {"unsheared": unet.unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)
-    reported = {"unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), "z_p": z_p}
+    reported = {
+        "unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)),
+        "z_p": z_p,
+    }
     if z_s is not None:
-        reported |= {"z_s": z_s, "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))}
+        reported |= {
+            "z_s": z_s,
+            "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s)),
+        }
     return reported
 
 

@@ -45,7 +45,9 @@ DECAYS = (1e-3, 1e3)
 RATES = (1e-8, 1e-4, 1e-1, 1.0, 10.0)
 PATCH_WEIGHTS = (0.0, 1e-2, 1.0, 1e2, 1e4)
 BROKEN_FROM = 6  # steps before what breaks a training: more than to its first checkpoint, fewer than to its second
-VALIDATION = -1  # the step whose batch is validated and used: odd, so spoilt where every second one is
+VALIDATION = (
+    -1
+)  # the step whose batch is validated and used: odd, so spoilt where every second one is
 KEPT = f"the checkpoint of step {SAVED_EVERY} is kept"
 REMEDY = "the data, then run the same command"
 Change = Callable[[int, Batch], Batch]  # of the float batch that follows so many steps
@@ -96,16 +98,32 @@ def every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
 
 def _settings() -> Iterator[NetworkCase]:
     for weight in PATCH_WEIGHTS:
-        yield steps_case(f"patch weight {weight:g}", NET if weight else SHALLOW, replace(TRAINING, patch_weight=weight))
+        yield steps_case(
+            f"patch weight {weight:g}",
+            NET if weight else SHALLOW,
+            replace(TRAINING, patch_weight=weight),
+        )
     for pose, shear in ((64, 64), (128, 0)):
-        yield steps_case(f"codes {pose}:{shear}", replace(SHALLOW, pose_channels=pose, shear_channels=shear))
+        yield steps_case(
+            f"codes {pose}:{shear}", replace(SHALLOW, pose_channels=pose, shear_channels=shear)
+        )
     for pose, shear, field in ((0, 128, "pose_channels"), (128, -1, "shear_channels")):
         net = replace(SHALLOW, pose_channels=pose, shear_channels=shear)
         yield steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
-    for training, field in ((replace(TRAINING, crops=0), "crops"), (replace(TRAINING, crop_px=65), "crop_px")):
-        yield steps_case(f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,))
+    for training, field in (
+        (replace(TRAINING, crops=0), "crops"),
+        (replace(TRAINING, crop_px=65), "crop_px"),
+    ):
+        yield steps_case(
+            f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,)
+        )
     yield steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
-    yield steps_case("of the usual 128 px and widths", UnshearNet(), replace(TRAINING, batch=2), steps=SAVED_EVERY)
+    yield steps_case(
+        "of the usual 128 px and widths",
+        UnshearNet(),
+        replace(TRAINING, batch=2),
+        steps=SAVED_EVERY,
+    )
 
 
 def _decays(net: Net) -> Iterator[NetworkCase]:
@@ -120,7 +138,10 @@ def _starts() -> Iterator[NetworkCase]:
     nets: tuple[Net, ...] = (PAPER_NET, PAPER_POSENET)
     ways: tuple[Literal["sum", "mean"], ...] = ("sum", "mean")
     for net, kernels in itertools.product(nets, ways):
-        name, training = f"the paper's start, l1 and l2 per {kernels}", replace(PAPER, batch=2, kernels=kernels)
+        name, training = (
+            f"the paper's start, l1 and l2 per {kernels}",
+            replace(PAPER, batch=2, kernels=kernels),
+        )
         yield steps_case(name, net, training, steps=SAVED_EVERY)
 
 
@@ -137,7 +158,13 @@ def _rates(net: Net) -> Iterator[NetworkCase]:
 def _images(net: Net) -> Iterator[NetworkCase]:
     for name, kind in KINDS.items():
         yield steps_case(f"images {name}", net, change=every_second(kind))
-    yield steps_case("images with a NaN", net, change=_nan, expects=(STOPPED,), words=_words("of examples 1;", REMEDY))
+    yield steps_case(
+        "images with a NaN",
+        net,
+        change=_nan,
+        expects=(STOPPED,),
+        words=_words("of examples 1;", REMEDY),
+    )
     words = _words("to 1e+25;", "learning_rate")
     yield steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
     if isinstance(net, PoseNet):
@@ -185,7 +212,9 @@ def _entire(net: Net) -> Iterator[NetworkCase]:
     tried = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
     for name, training, expects in tried[: 1 if isinstance(net, UNet) else 2]:
         run = partial(train, net, training)
-        yield NetworkCase(f"network {kind_of(net)}, {name}", run, f"{net}, {training}", (expects,), words)
+        yield NetworkCase(
+            f"network {kind_of(net)}, {name}", run, f"{net}, {training}", (expects,), words
+        )
 
 
 def train(net: Net, training: Training, folder: Path) -> Found:
@@ -196,12 +225,19 @@ def train(net: Net, training: Training, folder: Path) -> Found:
 
     checked = batch_of(net, VALIDATION, 4)
     task = task_of(net, training)
-    summary = train_network(task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch)
+    summary = train_network(
+        task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch
+    )
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
     variables = checkpoint.load_best(folder)
     outputs = dict(programs(net, TRAINING).infer(variables, as_floats(images_of(checked))))
-    arrays = {"log": terms, "best loss": summary.best_loss, "variables": variables, "outputs": outputs}
+    arrays = {
+        "log": terms,
+        "best loss": summary.best_loss,
+        "variables": variables,
+        "outputs": outputs,
+    }
     return found_of(net, arrays, variables, summary.steps, terms[-1]["train"])
 
 

@@ -26,7 +26,9 @@ from verification.stability_networks import Found, NetworkCase
 LEARNT, UNSEEN = 60, 500  # steps, and the step whose batch is none of theirs
 SATURATED = 1e4  # a logit whose sigmoid is 0 or 1 to the last bit
 FLOAT64_MOST = 1e-5  # by which any output in [0, 1] may differ between float32 and float64
-EQUAL_SLOPE = 1e-6  # allowed of a gradient that is zero by definition, an image's similarity to itself
+EQUAL_SLOPE = (
+    1e-6  # allowed of a gradient that is zero by definition, an image's similarity to itself
+)
 VALUE, CAST = "value and gradient", "parameters, statistics and images cast"
 SIZES = {"ms_ssim": 128, "ssim": 64}
 Metric = Callable[..., jax.Array]
@@ -40,7 +42,9 @@ def value_cases() -> Iterator[NetworkCase]:
         yield from _inference(net)
 
 
-def _case(name: str, line: str, find: Callable[..., Found], *given: object, **more: object) -> NetworkCase:
+def _case(
+    name: str, line: str, find: Callable[..., Found], *given: object, **more: object
+) -> NetworkCase:
     return NetworkCase(f"network {name}", lambda folder: find(*given, **more), line)
 
 
@@ -51,7 +55,9 @@ def _losses() -> Iterator[NetworkCase]:
     dots, usual = (pairs(step, 4, 64)["canonical"] for step in (0, 1))
     sharp = SATURATED * (2 * as_floats(dots) - 1)
     for logit in (SATURATED, -SATURATED):
-        yield _case(f"losses, logits {logit:g}", VALUE, _loss, np.full_like(sharp, logit), as_floats(usual))
+        yield _case(
+            f"losses, logits {logit:g}", VALUE, _loss, np.full_like(sharp, logit), as_floats(usual)
+        )
     for name, kind in KINDS.items():
         yield _case(f"losses, images {name}", VALUE, _loss, sharp, kind(as_floats(usual)))
     yield _case("losses, equal images", VALUE, _loss, sharp, as_floats(dots), equal=True)
@@ -62,16 +68,21 @@ def _losses() -> Iterator[NetworkCase]:
 def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
     """All losses of images and of poses that come out of a sigmoid, and their slopes by its logits."""
     side, target = logits.shape[1], jnp.asarray(images)
-    counts = losses.coverage(losses.random_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10)
+    counts = losses.coverage(
+        losses.random_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10
+    )
     terms: dict[str, Callable[[jax.Array], jax.Array]] = {
         "supervised": lambda x: losses.supervised(x, target),
         "reconstruction": lambda x: losses.reconstruction(x, target),
         "patch": lambda x: losses.patch(x, target, counts),
-        "pose": lambda x: losses.pose(x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.output_weights(TARGETS)),
+        "pose": lambda x: losses.pose(
+            x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.output_weights(TARGETS)
+        ),
     }
     arrays = {}
     for name, term in terms.items():
-        arrays[name] = jax.value_and_grad(lambda x: jnp.sum(term(jax.nn.sigmoid(x))))(jnp.asarray(logits))  # noqa: B023
+        total = jax.value_and_grad(lambda x, term=term: jnp.sum(term(jax.nn.sigmoid(x))))
+        arrays[name] = total(jnp.asarray(logits))
     largest = max(float(np.max(np.abs(slope))) for _, slope in arrays.values())
     most = max(float(value) for value, _ in arrays.values())
     if equal:
@@ -86,15 +97,32 @@ def _saturated(net: Net) -> Found:
     if isinstance(net, PoseNet):
         params["Dense_1"] = _loud(params["Dense_1"])
     else:
-        params |= {decoder: params[decoder] | {"Last_0": _loud(params[decoder]["Last_0"])} for decoder in ("DC", "DS")}
+        params |= {
+            decoder: params[decoder] | {"Last_0": _loud(params[decoder]["Last_0"])}
+            for decoder in ("DC", "DS")
+        }
     variables = {"params": params, "batch_stats": learnt(net)["batch_stats"]}
     state, batch = start._replace(**variables, average=variables), _floats(net, 1)
-    after, terms = step(state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight))
+    after, terms = step(
+        state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight)
+    )
     reported = dict(use(variables, images_of(batch)))
     outputs = np.asarray(reported["outputs" if isinstance(net, PoseNet) else "unsheared"])
-    wrong = "" if np.isin(outputs, (0, 1)).mean() > 0.9 else "the outputs are not saturated: nothing was tried"
-    loss, gradient = (float(terms[name]) for name in ("pose" if isinstance(net, PoseNet) else "supervised", "gradient"))
-    return Found({"terms": terms, "state": after, "answers": reported}, wrong=wrong, loss=loss, gradient=gradient)
+    wrong = (
+        ""
+        if np.isin(outputs, (0, 1)).mean() > 0.9
+        else "the outputs are not saturated: nothing was tried"
+    )
+    loss, gradient = (
+        float(terms[name])
+        for name in ("pose" if isinstance(net, PoseNet) else "supervised", "gradient")
+    )
+    return Found(
+        {"terms": terms, "state": after, "answers": reported},
+        wrong=wrong,
+        loss=loss,
+        gradient=gradient,
+    )
 
 
 def _loud(layer: Variables) -> Variables:
@@ -133,14 +161,21 @@ def metric_of(name: str) -> Metric:
 
 
 def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) -> Found:
-    values, slopes = np.asarray(metric(a, b)), np.asarray(jax.grad(lambda x: jnp.sum(metric(x, b)))(jnp.asarray(a)))
+    values, slopes = (
+        np.asarray(metric(a, b)),
+        np.asarray(jax.grad(lambda x: jnp.sum(metric(x, b)))(jnp.asarray(a))),
+    )
     largest = float(np.max(np.abs(slopes)))
     outside = "" if (np.abs(values) <= 1 + 1e-5).all() else f"{values.tolist()} is beyond 1"
     if equal:
         off = np.abs(values - 1).max()
         outside = outside or ("" if off < 1e-5 else f"{values.tolist()} of equal images")
-        return Found({"values": values, "slopes": slopes}, error=largest, bar=EQUAL_SLOPE, wrong=outside)
-    return Found({"values": values, "slopes": slopes}, gradient=largest, loss=float(values[0]), wrong=outside)
+        return Found(
+            {"values": values, "slopes": slopes}, error=largest, bar=EQUAL_SLOPE, wrong=outside
+        )
+    return Found(
+        {"values": values, "slopes": slopes}, gradient=largest, loss=float(values[0]), wrong=outside
+    )
 
 
 def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
@@ -148,7 +183,9 @@ def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
     spoilt = a.copy()
     spoilt[1, 20, 20] = np.nan
     clean, scores = np.asarray(metric(a, b)), np.asarray(metric(spoilt, b))
-    return Found({"others": scores[0]}, {"score": scores[1]}, error=float(abs(scores[0] - clean[0])), bar=0.0)
+    return Found(
+        {"others": scores[0]}, {"score": scores[1]}, error=float(abs(scores[0] - clean[0])), bar=0.0
+    )
 
 
 # Inference.
@@ -158,7 +195,13 @@ def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
 def learnt(net: Net) -> Variables:
     """Variables of a short training."""
     with tempfile.TemporaryDirectory() as folder:
-        walk(net, replace(TRAINING, learning_rate=1e-2), lambda step: _floats(net, step), Path(folder), LEARNT)
+        walk(
+            net,
+            replace(TRAINING, learning_rate=1e-2),
+            lambda step: _floats(net, step),
+            Path(folder),
+            LEARNT,
+        )
         return jax.device_get(checkpoint.load_best(Path(folder)))
 
 
@@ -175,18 +218,30 @@ def _inference(net: Net) -> Iterator[NetworkCase]:
 def _nan_inference(net: Net) -> Found:
     """A NaN in the second image reaches what is inferred from it, and from no other image."""
     run, images = programs(net, TRAINING).infer, images_of(batch_of(net, UNSEEN, 4))
-    clean, broken = (jax.device_get(run(learnt(net), given)) for given in (as_floats(images), with_nan(images)))
+    clean, broken = (
+        jax.device_get(run(learnt(net), given)) for given in (as_floats(images), with_nan(images))
+    )
     others = {name: np.delete(values, 1, 0) for name, values in broken.items()}
-    apart = max(float(np.max(np.abs(np.delete(clean[name], 1, 0) - others[name]))) for name in others)
+    apart = max(
+        float(np.max(np.abs(np.delete(clean[name], 1, 0) - others[name]))) for name in others
+    )
     return Found(others, {name: values[1] for name, values in broken.items()}, error=apart, bar=0.0)
 
 
 def _precision(net: Net, kind: type, bar: float) -> Found:
     names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
-    return precision(functools.partial(infer, net), (learnt(net), images_of(_floats(net, UNSEEN))), names, kind, bar)
+    return precision(
+        functools.partial(infer, net),
+        (learnt(net), images_of(_floats(net, UNSEEN))),
+        names,
+        kind,
+        bar,
+    )
 
 
-def precision(run: Callable[..., dict], given: tuple, names: Sequence[str], kind: type, bar: float) -> Found:
+def precision(
+    run: Callable[..., dict], given: tuple, names: Sequence[str], kind: type, bar: float
+) -> Found:
     """`run` of arrays, `given` as float32 against `kind`, over all of its outputs `names`, in [0, 1]: the largest
     difference."""
 
@@ -200,6 +255,8 @@ def precision(run: Callable[..., dict], given: tuple, names: Sequence[str], kind
     difference = np.concatenate([(usual[name] - other[name]).ravel() for name in names])
     error = np.abs(difference).max()
     spread = min(float(values.std(0).max()) for values in usual.values())
-    wrong = "" if spread > 0.02 else "the network gives the same for every image: nothing was compared"
+    wrong = (
+        "" if spread > 0.02 else "the network gives the same for every image: nothing was compared"
+    )
     wrong = wrong or ("" if error > 0 else "not one number differs: nothing was cast")
     return Found({"float32": usual, "other": other}, error=float(error), bar=bar, wrong=wrong)

@@ -33,7 +33,9 @@ def hertz(body: HalfSpace) -> list[Row]:
     made = trace(body, body.sphere(SPHERE_MM), press(depth(a), 0), 0.0, tolerance=1e-6)
     force = made.force[-1, :, :, 2]
     peak = 2 * body.normal_modulus * a / (np.pi * SPHERE_MM)
-    shape = np.sqrt(np.maximum(1 - (body.radius / a[:, None]) ** 2, 0)) * (body.radius < 0.7 * a[:, None])
+    shape = np.sqrt(np.maximum(1 - (body.radius / a[:, None]) ** 2, 0)) * (
+        body.radius < 0.7 * a[:, None]
+    )
     fitted = np.sum(force * shape, -1) / np.sum(shape**2, -1) / body.node_area
     found = {
         "force P = 4/3 E* sqrt(R) d^1.5, N": (load(body, a), force.sum(-1), 0.01, 1.5),
@@ -82,7 +84,11 @@ def flat_punch(body: HalfSpace) -> list[Row]:
         ],
         -1,
     )
-    problems = ("force 2 a E* d, N", "stuck pull 8 a G* x, N", "stuck moment 16/3 G a^3 theta, N mm")
+    problems = (
+        "force 2 a E* d, N",
+        "stuck pull 8 a G* x, N",
+        "stuck moment 16/3 G a^3 theta, N mm",
+    )
     return [
         compare(
             "flat punch",

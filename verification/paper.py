@@ -19,4 +19,6 @@ def paper_scenes(kind: str, count: int, seed: int = 0) -> Scenes:
         pose = draw_poses(generator, 1, ranges.lateral_mm, ranges.yaw_deg, depth)
         single.append(np.concatenate([pose, draw_moves(generator, 1, ranges.move_mm)], axis=1))
     drawn = np.concatenate(single) if single else np.zeros((0, 6))
-    return make_scenes(NAMES, np.arange(count) % len(NAMES), drawn[:, :4], drawn[:, 4:] * (kind == "slide"))
+    return make_scenes(
+        NAMES, np.arange(count) % len(NAMES), drawn[:, :4], drawn[:, 4:] * (kind == "slide")
+    )

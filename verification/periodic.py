@@ -34,7 +34,11 @@ def rippled(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return sphere(x, y) + 0.002 * (1 - np.cos(2 * np.pi * x / 1.2))
 
 
-PROFILES = {"sphere": (sphere, 0.0196), "two spheres": (two_spheres, 0.011), "rippled sphere": (rippled, 0.0185)}
+PROFILES = {
+    "sphere": (sphere, 0.0196),
+    "two spheres": (two_spheres, 0.011),
+    "rippled sphere": (rippled, 0.0185),
+}
 SCALES = np.array([0.5, 0.7, 1.0])  # of the profile, on the same nodes: smaller is coarser
 
 
@@ -63,18 +67,39 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
         order = fit_order(1 / SCALES, apart)
         words = f"{name}: share of the force at another place"
         rows += [
-            compare(GROUP, f"{name}: depth at the same force, mm", exact_depth, depth, 0.01, settled=settled),
-            vanishes(GROUP, words, apart[-1], 1.0, 0.05, order=order, least_order=1.0, settled=settled),
+            compare(
+                GROUP,
+                f"{name}: depth at the same force, mm",
+                exact_depth,
+                depth,
+                0.01,
+                settled=settled,
+            ),
+            vanishes(
+                GROUP, words, apart[-1], 1.0, 0.05, order=order, least_order=1.0, settled=settled
+            ),
         ]
-        for axis, ours, exact in zip("xy", _spread(shapes[-1], line), _spread(pressure, line), strict=True):
+        for axis, ours, exact in zip(
+            "xy", _spread(shapes[-1], line), _spread(pressure, line), strict=True
+        ):
             rows.append(
-                compare(GROUP, f"{name}: extent of the pressure along {axis}, mm", exact, ours, 0.02, settled=settled)
+                compare(
+                    GROUP,
+                    f"{name}: extent of the pressure along {axis}, mm",
+                    exact,
+                    ours,
+                    0.02,
+                    settled=settled,
+                )
             )
     return rows
 
 
 def _tamaas(
-    tamaas: ModuleType, body: HalfSpace, profile: Callable[[np.ndarray, np.ndarray], np.ndarray], total: float
+    tamaas: ModuleType,
+    body: HalfSpace,
+    profile: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    total: float,
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Depth in mm (of an endless half-space), the grid's line, and the pressure (CELLS, CELLS) under a total force in N."""
     model = tamaas.Model(tamaas.model_type.basic_2d, [PERIOD_MM, PERIOD_MM], [CELLS, CELLS])

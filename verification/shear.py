@@ -18,19 +18,29 @@ def slip_distance(body: HalfSpace, radius_mm: Length) -> Length:
     return 3 * FRICTION * load(body, radius_mm) / (16 * radius_mm * body.pull_modulus)
 
 
-def _slides(body: HalfSpace, radius_mm: np.ndarray, shares: np.ndarray, steps: int = 4) -> np.ndarray:
+def _slides(
+    body: HalfSpace, radius_mm: np.ndarray, shares: np.ndarray, steps: int = 4
+) -> np.ndarray:
     poses = press(depth(radius_mm), steps)
-    poses[2:, :, 0] = np.linspace(0, 1, steps + 1)[1:, None] * shares * slip_distance(body, radius_mm)
+    poses[2:, :, 0] = (
+        np.linspace(0, 1, steps + 1)[1:, None] * shares * slip_distance(body, radius_mm)
+    )
     return poses
 
 
 def cattaneo_mindlin(body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = True) -> list[Row]:
     """Q and the stick radius c of slides by shares of the slip distance; `exact` False: to inform."""
-    group = "Cattaneo-Mindlin" if exact else f"Cattaneo-Mindlin at nu = {body.poisson:g}, where it is an approximation"
+    group = (
+        "Cattaneo-Mindlin"
+        if exact
+        else f"Cattaneo-Mindlin at nu = {body.poisson:g}, where it is an approximation"
+    )
     bar = 0.02 if exact else None
     shares = np.array([0.2, 0.4, 0.6, 0.8, 1.5])
     a = np.repeat(sizes * SPACING_MM, len(shares))
-    made = trace(body, body.sphere(SPHERE_MM), _slides(body, a, np.tile(shares, len(sizes))), FRICTION)
+    made = trace(
+        body, body.sphere(SPHERE_MM), _slides(body, a, np.tile(shares, len(sizes))), FRICTION
+    )
     pull = (-made.total[-1, :, 0] / (FRICTION * load(body, a))).reshape(len(sizes), -1)
     stick = (spread(body, stuck_part(made.force[-1])) / a).reshape(len(sizes), -1)[:, :-1]
     expected, radius = 1 - np.maximum(0, 1 - shares) ** 1.5, np.sqrt(1 - shares[:-1])
@@ -46,7 +56,18 @@ def cattaneo_mindlin(body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = T
         errors = np.sqrt(np.mean((stick / radius - 1) ** 2, axis=1))
         words = "relative error of these stick radii, rms"
         order = fit_order(1 / sizes, errors)
-        rows.append(vanishes(group, words, errors[-1], 1.0, bar, order=order, least_order=1.0, settled=made.settled))
+        rows.append(
+            vanishes(
+                group,
+                words,
+                errors[-1],
+                1.0,
+                bar,
+                order=order,
+                least_order=1.0,
+                settled=made.settled,
+            )
+        )
     return rows
 
 
@@ -90,7 +111,10 @@ def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
     reach = share * slip_distance(body, a)
     number = np.arange(2 * counts[-1] + 1)[:, None] / counts
     along = np.concatenate(
-        [np.zeros((2, len(counts))), np.where(number < 1, 1 - 2 * number, np.minimum(2 * number - 3, 1))]
+        [
+            np.zeros((2, len(counts))),
+            np.where(number < 1, 1 - 2 * number, np.minimum(2 * number - 3, 1)),
+        ]
     )
     poses = press(np.full(len(counts), depth(a)), len(along) - 2)
     poses[2:, :, 0] = reach * along[2:]
@@ -116,14 +140,19 @@ def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
             settled=made.settled,
             note="order in increments",
         ),
-        compare("Mindlin-Deresiewicz", f"{words}: heat", loss, heat[-1], 0.03, settled=made.settled),
+        compare(
+            "Mindlin-Deresiewicz", f"{words}: heat", loss, heat[-1], 0.03, settled=made.settled
+        ),
     ]
 
 
 def torsion(body: HalfSpace) -> list[Row]:
     """A sphere, pressed and then twisted about its normal: fully stuck, and fully slipping."""
     rows = []
-    for sizes, words in ((np.array([4.5, 6.5, 8.5, 10.5]), ""), (np.array([5.0, 7.0, 9.0, 11.0]), ", rim on a ring")):
+    for sizes, words in (
+        (np.array([4.5, 6.5, 8.5, 10.5]), ""),
+        (np.array([5.0, 7.0, 9.0, 11.0]), ", rim on a ring"),
+    ):
         a = sizes * SPACING_MM
         angle = 1e-3
         poses = press(depth(a), 1)
@@ -142,7 +171,9 @@ def torsion(body: HalfSpace) -> list[Row]:
                 order=fit_order(1 / sizes, measured / exact - 1),
                 least_order=0.7 if midway else None,
                 settled=made.settled,
-                note="" if midway else "the rim's place between two rings is worth up to half a spacing of radius",
+                note=""
+                if midway
+                else "the rim's place between two rings is worth up to half a spacing of radius",
             )
         )
     a = np.array([10.5]) * SPACING_MM

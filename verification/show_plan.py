@@ -123,7 +123,10 @@ def show_grouping(
     for kind in KINDS:
         work = _Work(sensor, NAMES, obstacles, path_of(scenes(kind, count)))
         batches = work.plan(how)
-        alone = [len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes) for i in range(count)]
+        alone = [
+            len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes)
+            for i in range(count)
+        ]
         lines += [
             f"{count} {kind}s, level {level}: {len(batches)} batches",
             "  scenes  nodes  of its scenes  increments  contact",
@@ -153,18 +156,32 @@ def show_grouping(
     return Shown(rows, "\n".join(lines))
 
 
-def _omissions(work: _Work, level: Level, omissions: Sequence[str], progress: Progress) -> list[Json]:
+def _omissions(
+    work: _Work, level: Level, omissions: Sequence[str], progress: Progress
+) -> list[Json]:
     """A row each. Switched off one by one; what changes nothing in the plan is not timed."""
     usual_s, usual = _timed(work, level)
     rows = []
     for omission in omissions:
-        less = replace(level, omit=() if omission == TOGETHER else tuple(o for o in level.omit if o != omission))
+        less = replace(
+            level,
+            omit=() if omission == TOGETHER else tuple(o for o in level.omit if o != omission),
+        )
         row: Json = {"omission": omission, "made": less.omit != level.omit, "matters": False}
         if row["made"] and not _same(work.plan(level), work.plan(less)):
             spent, contacts = _timed(work, less)
             error = pin_error(work.sensor, usual.pins, contacts.pins)
-            times = {"ms": 1e3 * usual_s, "ms_without_it": 1e3 * spent, "saves": 1 - usual_s / spent}
-            row |= {"matters": True, **times, **error._asdict(), "converged": bool(contacts.converged.all())}
+            times = {
+                "ms": 1e3 * usual_s,
+                "ms_without_it": 1e3 * spent,
+                "saves": 1 - usual_s / spent,
+            }
+            row |= {
+                "matters": True,
+                **times,
+                **error._asdict(),
+                "converged": bool(contacts.converged.all()),
+            }
         rows.append(row)
         progress.advance(1)
     return rows
@@ -196,9 +213,9 @@ def _same(some: list[Batch], others: list[Batch]) -> bool:
 def _contact(touching: bool, friction: bool, tilted: bool) -> str:
     if not touching:
         return "nothing is touched"
-    return ("friction: three unknowns a node" if friction else "no friction: one unknown a node") + (
-        ", tilted" if tilted else ""
-    )
+    return (
+        "friction: three unknowns a node" if friction else "no friction: one unknown a node"
+    ) + (", tilted" if tilted else "")
 
 
 def _needs(needs: Json) -> list[str]:

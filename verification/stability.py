@@ -31,9 +31,12 @@ from verification.px import PinError, pin_error
 from verification.stability_networks import NetworkCase, NetworkRow
 
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
-SILENT_PX = 1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
+SILENT_PX = (
+    1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
+)
 TIGHT = tuple(
-    replace(LEVELS["auto"], tolerance=tolerance, limit=3000) for tolerance in (0.005, 0.015, 0.02, 0.03)
+    replace(LEVELS["auto"], tolerance=tolerance, limit=3000)
+    for tolerance in (0.005, 0.015, 0.02, 0.03)
 )  # the first at which both precisions converge
 SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
 UNSOLVED = "given up: not converged"  # and it says so: whoever uses contacts drops and counts it
@@ -53,9 +56,7 @@ class Row:
     residual_mm: float = np.nan
     float_px: float = np.nan  # tight float32 against tight float64: largest of any pin
     twin_px: float = np.nan  # tight, against the other way to the same contact: largest
-    tight_px: float = (
-        np.nan
-    )  # auto against tight float64, or the reference where that does not converge: rms over the pins
+    tight_px: float = np.nan  # auto against tight float64, or the reference where that does not converge: rms over the pins
     iterations: int = 0
     nodes: int = 0
     ms: float = np.nan  # of auto, once compiled
@@ -65,16 +66,26 @@ class Row:
 
 def _words_like(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
     """Words of the cases' names: those spelt like `word`, or the most frequent."""
-    words = Counter(chain.from_iterable(set(re.findall(r"[A-Za-z]\w{3,}", case.name)) for case in cases))
-    return difflib.get_close_matches(word or "", words, n=5) or [name for name, _ in words.most_common(8)]
+    words = Counter(
+        chain.from_iterable(set(re.findall(r"[A-Za-z]\w{3,}", case.name)) for case in cases)
+    )
+    return difflib.get_close_matches(word or "", words, n=5) or [
+        name for name, _ in words.most_common(8)
+    ]
 
 
-def stability(only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None) -> list[Row | NetworkRow]:
+def stability(
+    only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None
+) -> list[Row | NetworkRow]:
     """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
-    every: Sequence[Case | NetworkCase] = [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
+    every: Sequence[Case | NetworkCase] = (
+        [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
+    )
     found = [case for case in every if only is None or only in case.name]
     if not found:
-        raise UserError(f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}")
+        raise UserError(
+            f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}"
+        )
     rows: list[Row | NetworkRow] = []
     with Progress("stability", len(found), unit="cases") as progress:
         for case in found:
@@ -99,7 +110,9 @@ def examine(case: Case | NetworkCase) -> Row | NetworkRow:
     try:
         return _examine(case)
     except Exception as error:
-        return Row(case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line)
+        return Row(
+            case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line
+        )
 
 
 def _examine(case: Case) -> Row:
@@ -127,7 +140,9 @@ def _examine(case: Case) -> Row:
         outcome = UNSOLVED if row.finite else "not finite"
         return replace(row, outcome=outcome, holds=outcome in PROMISED)
     for level in TIGHT:
-        narrow, wide = (case.solve(replace(level, precision=kind), False) for kind in ("float32", "float64"))
+        narrow, wide = (
+            case.solve(replace(level, precision=kind), False) for kind in ("float32", "float64")
+        )
         if narrow.converged.all() and wide.converged.all():
             break
     row = replace(row, float_px=_apart(case, narrow, wide).max_px)
@@ -164,7 +179,11 @@ def _refused(case: Case, said: str) -> Row:
         return Row(case.name, "refused, though it can be solved", False, said=said, scene=case.line)
     if case.refused not in said or "\n" in said:
         return Row(
-            case.name, f"refused by a line that does not name '{case.refused}'", False, said=said, scene=case.line
+            case.name,
+            f"refused by a line that does not name '{case.refused}'",
+            False,
+            said=said,
+            scene=case.line,
         )
     return Row(case.name, REFUSED, True, said=said, scene=case.line)
 
@@ -198,8 +217,13 @@ def _table(rows: Sequence[Row]) -> str:
     lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
     solved = [row for row in rows if row.iterations]
     if solved:
-        slowest, median = max(solved, key=lambda row: row.iterations), np.median([row.iterations for row in solved])
-        lines.append(f"slowest: {slowest.case}: {slowest.iterations} iterations, the median case {median:.0f}")
+        slowest, median = (
+            max(solved, key=lambda row: row.iterations),
+            np.median([row.iterations for row in solved]),
+        )
+        lines.append(
+            f"slowest: {slowest.case}: {slowest.iterations} iterations, the median case {median:.0f}"
+        )
     lines.append(f"float32 against float64: at most {widest:.2g} px")
     return "\n".join(lines)
 
@@ -207,7 +231,10 @@ def _table(rows: Sequence[Row]) -> str:
 def _line(row: Row, width: int) -> str:
     if row.finite is None:
         return f"{row.case:{width}}  {row.outcome}: {row.said}"
-    figures = [stability_networks.short(value) for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)]
+    figures = [
+        stability_networks.short(value)
+        for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)
+    ]
     answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]
     return (
         f"{row.case:{width}}  {answers[0]:6} {answers[1]:5}  {figures[0]:9}  {figures[1]:7}  {figures[2]:7}  {figures[3]:7}  "

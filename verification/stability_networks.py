@@ -66,7 +66,9 @@ class NetworkRow:
     gradient: float = np.nan
     error: float = np.nan
     bar: float = np.nan
-    kept: int | None = None  # step of the checkpoint that a stopped training left, loaded and found finite
+    kept: int | None = (
+        None  # step of the checkpoint that a stopped training left, loaded and found finite
+    )
     seconds: float = np.nan
     said: str = ""
     scene: str = ""
@@ -83,7 +85,9 @@ def examine(case: NetworkCase) -> NetworkRow:
 def _examine(case: NetworkCase, folder: Path) -> NetworkRow:
     row = NetworkRow(case.name, "", False, scene=case.line)
     try:
-        with contextlib.redirect_stderr(io.StringIO()):  # a line of progress for each little training
+        with contextlib.redirect_stderr(
+            io.StringIO()
+        ):  # a line of progress for each little training
             found = case.run(folder)
         return _judged(case, row, found)
     except UserError as error:
@@ -96,7 +100,9 @@ def _judged(case: NetworkCase, row: NetworkRow, found: Found) -> NetworkRow:
     if not jax.tree.leaves(dict(found.arrays)):
         return replace(row, outcome="nothing was measured")
     broken = not_finite(found.arrays)
-    row = replace(row, finite=not broken, steps=found.steps, loss=found.loss, gradient=found.gradient)
+    row = replace(
+        row, finite=not broken, steps=found.steps, loss=found.loss, gradient=found.gradient
+    )
     row = replace(row, error=found.error, bar=found.bar)
     if broken:
         return replace(row, outcome="not finite", said=", ".join(broken[:5]))
@@ -118,7 +124,12 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
         return replace(row, outcome="stopped, though it can be computed")
     missing = [word for word in case.words if word not in row.said]
     if missing or "\n" in row.said:
-        return replace(row, outcome=f"stopped by a line without '{', '.join(missing)}'" if missing else "several lines")
+        return replace(
+            row,
+            outcome=f"stopped by a line without '{', '.join(missing)}'"
+            if missing
+            else "several lines",
+        )
     kept = checkpoint.latest(folder)
     if kept is not None:
         try:
@@ -126,14 +137,18 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
         except UserError as error:
             broken = [str(error)]
         if broken:
-            return replace(row, outcome="left a checkpoint that cannot be used", said=", ".join(broken[:5]))
+            return replace(
+                row, outcome="left a checkpoint that cannot be used", said=", ".join(broken[:5])
+            )
     return replace(row, outcome=outcome, holds=True, kept=kept)
 
 
 def not_finite(tree: Mapping[str, object]) -> list[str]:
     """Dotted names of the arrays that hold a NaN or an infinity."""
     leaves = leaves_of(dict(tree))
-    return [name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()]
+    return [
+        name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()
+    ]
 
 
 def table(rows: Sequence[NetworkRow]) -> str:
@@ -151,9 +166,15 @@ def table(rows: Sequence[NetworkRow]) -> str:
     for row in rows:
         if not row.holds:
             again = f"python -m verification stability --only {row.case!r}"
-            lines += [f"\nFAILED: {row.case}: {row.outcome}", f"  again: {again}", f"  scene: {row.scene}"]
+            lines += [
+                f"\nFAILED: {row.case}: {row.outcome}",
+                f"  again: {again}",
+                f"  scene: {row.scene}",
+            ]
     counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
-    lines.append(f"\n{len(rows)} cases of networks: {counted}; {sum(not row.holds for row in rows)} break the promise")
+    lines.append(
+        f"\n{len(rows)} cases of networks: {counted}; {sum(not row.holds for row in rows)} break the promise"
+    )
     return "\n".join(lines)
 
 

@@ -6,18 +6,30 @@ import numpy as np
 from jaxunshear.scene.shapes import disk, stroke
 from jaxunshear.scene.stimuli import Stimulus
 
-_ARM = np.array([[radius * np.cos(a), radius * np.sin(a)] for a in np.linspace(0, 4 * np.pi, 81) for radius in [3 + a]])
+_ARM = np.array(
+    [
+        [radius * np.cos(a), radius * np.sin(a)]
+        for a in np.linspace(0, 4 * np.pi, 81)
+        for radius in [3 + a]
+    ]
+)
 SHAPES = {
     shape.name: shape
     for shape in (
         Stimulus("2-mm spiral arm", stroke(_ARM, 1.0), (3 + 2 * np.pi + 1.0, 0.0, 0.0), 17.0),
         Stimulus("smaller than a pin", disk(0.3), (0.0, 0.0, 0.0), 0.3),
         Stimulus("a point", disk(0.0), (0.0, 0.0, 0.0), 0.0),
-        Stimulus("a hair", stroke(np.array([[-40.0, 0.0], [40.0, 0.0]]), 0.0), (0.0, 0.0, 90.0), 40.0),
+        Stimulus(
+            "a hair", stroke(np.array([[-40.0, 0.0], [40.0, 0.0]]), 0.0), (0.0, 0.0, 90.0), 40.0
+        ),
         Stimulus("empty", lambda p: jnp.full(p.shape[:-1], 1e3, p.dtype), (0.0, 0.0, 0.0), 0.0),
-        Stimulus("everywhere", lambda p: jnp.full(p.shape[:-1], -1e3, p.dtype), (0.0, 0.0, 0.0), 1e3),
+        Stimulus(
+            "everywhere", lambda p: jnp.full(p.shape[:-1], -1e3, p.dtype), (0.0, 0.0, 0.0), 1e3
+        ),
         Stimulus("NaN", lambda p: p[..., 0] * jnp.nan, (0.0, 0.0, 0.0), 1.0),
-        Stimulus("infinite", lambda p: jnp.full(p.shape[:-1], jnp.inf, p.dtype), (0.0, 0.0, 0.0), 1.0),
+        Stimulus(
+            "infinite", lambda p: jnp.full(p.shape[:-1], jnp.inf, p.dtype), (0.0, 0.0, 0.0), 1.0
+        ),
         Stimulus("NaN target", disk(50.0), (np.nan, 0.0, 0.0), 50.0),
     )
 }

@@ -36,18 +36,35 @@ class Row:
         """Written so that a NaN does not."""
         if self.bar is None:
             return True
-        enough = self.least_order is None or (self.order is not None and self.order >= self.least_order)
+        enough = self.least_order is None or (
+            self.order is not None and self.order >= self.least_order
+        )
         return bool(abs(self.error) <= self.bar and enough and self.settled)
 
 
 def compare(
-    group: str, problem: str, closed_form: float, measured: float, bar: float | None = None, **more: Any
+    group: str,
+    problem: str,
+    closed_form: float,
+    measured: float,
+    bar: float | None = None,
+    **more: Any,
 ) -> Row:
     """A row against a closed form other than zero; `more` are further fields of `Row`."""
-    return Row(group, problem, float(closed_form), float(measured), float(measured / closed_form - 1), bar, **more)
+    return Row(
+        group,
+        problem,
+        float(closed_form),
+        float(measured),
+        float(measured / closed_form - 1),
+        bar,
+        **more,
+    )
 
 
-def vanishes(group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any) -> Row:
+def vanishes(
+    group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
+) -> Row:
     """A row of what should be zero, judged against `scale`."""
     return Row(group, problem, 0.0, float(measured), float(measured / scale), bar, **more)
 
@@ -85,7 +102,8 @@ def table(rows: Iterable[Row]) -> str:
             verdict += ", not converged"
         lines.append(
             f"  {row.problem:{WIDTH}} {closed:>12} {row.measured:>12.5g} {_share(row, row.error):>10}"
-            f" {_share(row, row.bar):>9}  {order:13} {verdict}" + (f"  ({row.note})" if row.note else "")
+            f" {_share(row, row.bar):>9}  {order:13} {verdict}"
+            + (f"  ({row.note})" if row.note else "")
         )
     return "\n".join(lines).lstrip("\n")
 

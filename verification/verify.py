@@ -44,7 +44,11 @@ def large_strain() -> list[Row]:
         note += f"; {made.material_px:.2f} px rms with exact kinematics and a linear law"
         note += f"; strain beyond 20 % in {100 * made.strained:.0f} % of the gel"
         words = f"{made.depth_mm:g} mm deep: rms error of the pins, px of their {made.motion_px:.1f} px rms motion"
-        rows.append(vanishes(group, words, made.rms_px, made.motion_px, None, settled=made.converged, note=note))
+        rows.append(
+            vanishes(
+                group, words, made.rms_px, made.motion_px, None, settled=made.converged, note=note
+            )
+        )
     return rows
 
 

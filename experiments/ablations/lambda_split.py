@@ -29,7 +29,10 @@ sweep = Sweep(
     ),
     grid=(
         ("train.patch_weight", (0.0, 0.01, 0.1, 1.0, 10.0)),
-        (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (32, 96), (64, 64), (96, 32), (120, 8))),
+        (
+            ("unshear.pose_channels", "unshear.shear_channels"),
+            ((8, 120), (32, 96), (64, 64), (96, 32), (120, 8)),
+        ),
     ),
     seeds=(0, 1, 2),
     networks=("disentangled", "posenet"),

@@ -22,14 +22,22 @@ from jaxunshear.calibration.validation import centred, r2, settled
 from jaxunshear.image.lattice import shells
 from jaxunshear.settings.sensor import Sensor
 
-STEPS = {"surface_mm": 0.2, "across_mm": 0.5, "tilt_x_deg": 1.5, "tilt_y_deg": 1.5}  # of forward differences
+STEPS = {
+    "surface_mm": 0.2,
+    "across_mm": 0.5,
+    "tilt_x_deg": 1.5,
+    "tilt_y_deg": 1.5,
+}  # of forward differences
 FARTHEST = 4.0  # steps that a round may go
 ROUNDS = 6
 DAMPING = 0.02  # of the normal matrix' diagonal
 ENOUGH = 0.003  # of R2: a round that gains less is the last
 SHORTER = (1.0, 0.5, 0.25)
 IMAGES = 48  # that labels are read by
-DEEPEST = (0.12, 0.22)  # of the contacts over the dome's radius, to begin with: the depth axis' origin is fitted later
+DEEPEST = (
+    0.12,
+    0.22,
+)  # of the contacts over the dome's radius, to begin with: the depth axis' origin is fitted later
 CREDIBLE = 0.5  # least correlation of simulated and recorded ring motion
 MARGIN = 0.03  # by which a reading must beat those before it
 
@@ -62,17 +70,24 @@ def read_labels(
         part = contacts.take(some)
         for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEEPEST):
             surface = float(-contacts.tip[:, 1, 2].min()) - deepest * sensor.dome_radius_mm
-            moved, converged = displacements(sensor, part, side, start.friction, surface, start.skin_to_gel)
+            moved, converged = displacements(
+                sensor, part, side, start.friction, surface, start.skin_to_gel
+            )
             if not converged.any():
                 continue
-            place, rest = place_of(start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan))
+            place, rest = place_of(
+                start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan)
+            )
             simulated = ring_motion(shells(sensor), place - rest)
             wide = ring_radii(shells(sensor), place, rest)
             for mirrored in (True, False):
                 turn, match = _turn(recorded[converged], simulated[converged], mirrored)
                 score = match + 0.5 * _correlation(widths[converged], wide[converged])
                 if score > best_score + MARGIN:
-                    best, best_score = Reading(contacts, sign, side, surface, mirrored, turn, match), score
+                    best, best_score = (
+                        Reading(contacts, sign, side, surface, mirrored, turn, match),
+                        score,
+                    )
     return best if best is not None and best.match >= CREDIBLE else None
 
 
@@ -104,7 +119,9 @@ class Matter(NamedTuple):
         """As `prediction.displacements`."""
         values = self.values
         contacts = framed(self.contacts, frame)
-        return self.simulate(self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel)
+        return self.simulate(
+            self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel
+        )
 
     def compared(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Recorded and simulated motions (N, P, 2) px as `centred` gives them, zero where one is not known; the simulated ones are
@@ -155,14 +172,20 @@ def find_frame(matter: Matter, start: Frame, names: Collection[str] = tuple(STEP
 
 def along(frame: Frame, step: dict[str, float]) -> Frame:
     """The frame, moved on by numbers of STEPS."""
-    return frame._replace(**{name: float(getattr(frame, name) + STEPS[name] * size) for name, size in step.items()})
+    return frame._replace(
+        **{name: float(getattr(frame, name) + STEPS[name] * size) for name, size in step.items()}
+    )
 
 
 def _frame_step(
     matter: Matter, frame: Frame, names: list[str], recorded: np.ndarray, simulated: np.ndarray
 ) -> np.ndarray:
     """Of Gauss-Newton, in units of STEPS."""
-    slopes = np.array([(matter.compared(along(frame, {name: 1.0}))[1] - simulated).ravel() for name in names])
+    slopes = np.array(
+        [(matter.compared(along(frame, {name: 1.0}))[1] - simulated).ravel() for name in names]
+    )
     normal = slopes @ slopes.T
-    step = np.linalg.solve(normal + DAMPING * np.diag(np.diag(normal)), slopes @ (recorded - simulated).ravel())
+    step = np.linalg.solve(
+        normal + DAMPING * np.diag(np.diag(normal)), slopes @ (recorded - simulated).ravel()
+    )
     return np.clip(step, -FARTHEST, FARTHEST)

@@ -69,28 +69,43 @@ def calibrate(
     recorded, notes = sample(path, images, seed)
     sensor = sensor or _sensor_for(recorded)
     camera = camera or Camera()
-    start = Values(camera.mm_across, camera.distance_mm, sensor.pin_spacing_mm, ABS_FRICTION, skin_to_gel(sensor))
+    start = Values(
+        camera.mm_across,
+        camera.distance_mm,
+        sensor.pin_spacing_mm,
+        ABS_FRICTION,
+        skin_to_gel(sensor),
+    )
     groups, surfaces = _groups(recorded, sensor, start, notes)
     start = replace(start, surface_mm=surfaces)
     fitted = _fit(groups, sensor, start, held)
     before = replace(start, surface_mm=fitted.values.surface_mm)
     tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
     after_sensor = fitted.values.sensor(sensor)
-    tips_after = [contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)]
+    tips_after = [
+        contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)
+    ]
     solved = [tips[converged] if converged.any() else tips for tips, converged in tips_after]
     radius = _with_scale(fit_pin_radius(groups, after_sensor, fitted.values, solved), fitted)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
     after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
-    reported, pictures = compared(recorded, groups, (sensor, before, tips_before), (after_sensor, after, tips_after))
+    reported, pictures = compared(
+        recorded, groups, (sensor, before, tips_before), (after_sensor, after, tips_after)
+    )
     parameters = _parameters(start, fitted, sensor, radius, held)
     lost = {"the fit, where each counts for 3 px": fitted.dropped}
-    for where, tips in (("the images before, left out", tips_before), ("the images after, left out", tips_after)):
+    for where, tips in (
+        ("the images before, left out", tips_before),
+        ("the images after, left out", tips_after),
+    ):
         lost[where] = sum(int((~converged).sum()) for _, converged in tips)
     notes += _reported(held, fitted, lost)
     results: Json = {
         "rows": rows_of(reported),
         "parameters": parameters,
-        "preset": Calibrated("", after_sensor, after.camera(Camera().frame_px), after.friction).preset,
+        "preset": Calibrated(
+            "", after_sensor, after.camera(Camera().frame_px), after.friction
+        ).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.seen.found) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -132,7 +147,9 @@ def _sensor_for(recorded: list[Recorded]) -> Sensor:
     nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
     if abs(nearest.pins - pins) > 0.1 * nearest.pins:
         known = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in SENSORS.values())
-        raise UserError(f"about {pins:.0f} pins are found in an image, which is none of the known sensors: {known}")
+        raise UserError(
+            f"about {pins:.0f} pins are found in an image, which is none of the known sensors: {known}"
+        )
     return nearest
 
 
@@ -144,7 +161,10 @@ def _groups(
     for part in recorded:
         seen = part.observe(sensor)
         framing.append(
-            np.linalg.norm(seen.lattice.place[seen.lattice.shell == sensor.rings] - seen.lattice.middle, axis=-1).mean()
+            np.linalg.norm(
+                seen.lattice.place[seen.lattice.shell == sensor.rings] - seen.lattice.middle,
+                axis=-1,
+            ).mean()
             / seen.size
         )
         if not seen.sure.any():
@@ -160,11 +180,15 @@ def _groups(
         surfaces.append(surface)
     if max(framing) > (1 + SAME_FRAMING) * min(framing):
         worst = recorded[int(np.argmax(framing))].name, recorded[int(np.argmin(framing))].name
-        raise UserError(f"{worst[0]} and {worst[1]} are framed differently: calibrate one camera at a time")
+        raise UserError(
+            f"{worst[0]} and {worst[1]} are framed differently: calibrate one camera at a time"
+        )
     return groups, tuple(surfaces)
 
 
-def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]) -> tuple[Group, float]:
+def _labelled(
+    part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]
+) -> tuple[Group, float]:
     unread = Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
     rows = np.flatnonzero(seen.sure & part.labelled)
     if part.poses is None or len(rows) < LEAST_LABELLED:
@@ -191,7 +215,11 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
 
 
 def _parameters(
-    start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float], held: Collection[str]
+    start: Values,
+    fitted: Fitted,
+    sensor: Sensor,
+    radius: tuple[float, float, float],
+    held: Collection[str],
 ) -> list[Json]:
     """Rows; `low` and `high` are None for what was not fitted, `determined` says whether the images determine it."""
     rows = []
@@ -202,8 +230,18 @@ def _parameters(
             before, after, low, high, determined = sensor.pin_radius_mm, *radius, True
         else:
             before, after = getattr(start, name), getattr(fitted.values, name)
-            low, high, determined = fitted.low.get(name), fitted.high.get(name), fitted.determined.get(name, False)
-        known = {"before": before, "after": after, "low": low, "high": high, "determined": determined}
+            low, high, determined = (
+                fitted.low.get(name),
+                fitted.high.get(name),
+                fitted.determined.get(name, False),
+            )
+        known = {
+            "before": before,
+            "after": after,
+            "low": low,
+            "high": high,
+            "determined": determined,
+        }
         rows.append({"name": name, "unit": unit, **known, "held": name in held})
     return rows
 
@@ -213,7 +251,12 @@ def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[flo
     best, low, high = radius
     scale = 0.0
     if "mm_across" in fitted.low:
-        scale = best * (fitted.high["mm_across"] - fitted.low["mm_across"]) / 2 / fitted.values.mm_across
+        scale = (
+            best
+            * (fitted.high["mm_across"] - fitted.low["mm_across"])
+            / 2
+            / fitted.values.mm_across
+        )
     half = float(np.hypot((high - low) / 2, scale))
     return best, best - half, best + half
 
@@ -223,8 +266,14 @@ def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> li
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):
             most, part = fitted.high[name], name.removeprefix("surface_mm ")
-            notes.append(f"{part}: contact begins at {low:.2f} to {most:.2f} mm of the labelled depth axis (95 %)")
-    unknown = [name for name, known in fitted.determined.items() if not known and not name.startswith("surface_mm")]
+            notes.append(
+                f"{part}: contact begins at {low:.2f} to {most:.2f} mm of the labelled depth axis (95 %)"
+            )
+    unknown = [
+        name
+        for name, known in fitted.determined.items()
+        if not known and not name.startswith("surface_mm")
+    ]
     if unknown:
         notes.append(f"not determined by these images, kept near the start: {', '.join(unknown)}")
     fittable = [name for name in ("friction", "skin_to_gel", "pin_spacing_mm") if name not in held]

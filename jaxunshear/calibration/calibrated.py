@@ -28,16 +28,28 @@ class Calibrated:
         camera = self.camera
         ratio = skin_to_gel(self.sensor)
         return Values(
-            camera.mm_across, camera.distance_mm, self.sensor.pin_spacing_mm, self.friction, ratio, (), camera.housing
+            camera.mm_across,
+            camera.distance_mm,
+            self.sensor.pin_spacing_mm,
+            self.friction,
+            ratio,
+            (),
+            camera.housing,
         )
 
     @property
     def preset(self) -> Json:
         """Fields of `Sensor` and `Camera` and the friction, as `read_calibration` reads them."""
-        return {"sensor": asdict(self.sensor), "camera": asdict(self.camera), "friction": self.friction}
+        return {
+            "sensor": asdict(self.sensor),
+            "camera": asdict(self.camera),
+            "friction": self.friction,
+        }
 
 
-SHIPPED = Calibrated(f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION)
+SHIPPED = Calibrated(
+    f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION
+)
 
 
 def read_calibration(file: Path) -> Calibrated:
@@ -46,7 +58,10 @@ def read_calibration(file: Path) -> Calibrated:
     try:
         preset = found["preset"]
         sensor, camera = Sensor(**preset["sensor"]), Camera(**preset["camera"])
-        friction, used = float(preset["friction"]), tuple(str(name) for name in found.get("image_names", ()))
+        friction, used = (
+            float(preset["friction"]),
+            tuple(str(name) for name in found.get("image_names", ())),
+        )
         check_sensor(sensor)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(

@@ -28,7 +28,9 @@ class Fitted(NamedTuple):
     low: dict[str, float]
     high: dict[str, float]
     determined: dict[str, bool]
-    before_px: float  # from recorded to simulated rings, rms over an image's pins, median image, px of 128
+    before_px: (
+        float  # from recorded to simulated rings, rms over an image's pins, median image, px of 128
+    )
     after_px: float
     dropped: int  # contacts that did not converge
 
@@ -63,7 +65,12 @@ def fit(
             tried = problem.all(problem.values(proposed))
             damping *= 10
             if _cost(tried, proposed / prior) < cost:
-                x, base, cost, damping = proposed, tried, _cost(tried, proposed / prior), damping / 100
+                x, base, cost, damping = (
+                    proposed,
+                    tried,
+                    _cost(tried, proposed / prior),
+                    damping / 100,
+                )
                 break
         elsewhere = problem.recentre(problem.values(x))
         if elsewhere:
@@ -84,7 +91,9 @@ def _weights(residual: np.ndarray) -> np.ndarray:
 
 def _cost(residual: np.ndarray, prior: np.ndarray) -> float:
     size = np.sum(residual**2, axis=1) / OUTLIER_PX**2
-    return float(np.sum(2 * OUTLIER_PX**2 * (np.sqrt(1 + size) - 1)) + PRIOR_PX**2 * np.sum(prior**2))
+    return float(
+        np.sum(2 * OUTLIER_PX**2 * (np.sqrt(1 + size) - 1)) + PRIOR_PX**2 * np.sum(prior**2)
+    )
 
 
 def _error(residual: np.ndarray) -> float:
@@ -93,7 +102,12 @@ def _error(residual: np.ndarray) -> float:
 
 
 def _solve(
-    slopes: np.ndarray, residual: np.ndarray, weight: np.ndarray, x: np.ndarray, prior: np.ndarray, damping: float
+    slopes: np.ndarray,
+    residual: np.ndarray,
+    weight: np.ndarray,
+    x: np.ndarray,
+    prior: np.ndarray,
+    damping: float,
 ) -> np.ndarray:
     normal = np.einsum("nfk,n,nfl->kl", slopes, weight, slopes) + np.diag(PRIOR_PX**2 / prior**2)
     slope = np.einsum("nfk,n,nf->k", slopes, weight, residual) + PRIOR_PX**2 * x / prior**2
@@ -122,9 +136,13 @@ def _bootstrap(
     )
 
 
-def _reported(problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray) -> Fitted:
+def _reported(
+    problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray
+) -> Fitted:
     ends = np.percentile(spread, [2.5, 97.5], axis=0)
-    ends = ends - np.median(spread, axis=0) + x  # the draws scatter about their own middle; the fit is what is reported
+    ends = (
+        ends - np.median(spread, axis=0) + x
+    )  # the draws scatter about their own middle; the fit is what is reported
     low, high = (problem.named(problem.values(end)) for end in ends)
     width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
     return Fitted(

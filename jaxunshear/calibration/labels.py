@@ -22,13 +22,17 @@ class Motions(NamedTuple):
 
     tip: np.ndarray  # (N, 2, 3) mm, the undeformed apex at the start and the end of the slide
     turn: Rotation  # (2 N,) the sensor's, starts first
-    across: bool  # whether some label runs across the object's top, which may then have an edge there
+    across: (
+        bool  # whether some label runs across the object's top, which may then have an edge there
+    )
 
     def __len__(self) -> int:
         return len(self.tip)
 
     def take(self, rows: np.ndarray) -> "Motions":
-        return Motions(self.tip[rows], self.turn[np.concatenate([rows, rows + len(self)])], self.across)
+        return Motions(
+            self.tip[rows], self.turn[np.concatenate([rows, rows + len(self)])], self.across
+        )
 
     @property
     def slide(self) -> np.ndarray:
@@ -51,7 +55,9 @@ class Frame(NamedTuple):
 
     surface_mm: float = 0.0  # of the depth axis, where its top is
     across_mm: float = 0.0  # from the edge to where labels have it, along the scene's x
-    tilt_x_deg: float = 0.0  # of its top, about the scene's x and y axes through the origin of the labels
+    tilt_x_deg: float = (
+        0.0  # of its top, about the scene's x and y axes through the origin of the labels
+    )
     tilt_y_deg: float = 0.0
 
 
@@ -83,13 +89,17 @@ def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
     points = np.stack([poses - moves, poses], axis=1)
     turn = Rotation.from_matrix(
         basis
-        @ Rotation.from_euler("xyz", points[..., 3:].swapaxes(0, 1).reshape(-1, 3), degrees=True).as_matrix()
+        @ Rotation.from_euler(
+            "xyz", points[..., 3:].swapaxes(0, 1).reshape(-1, 3), degrees=True
+        ).as_matrix()
         @ basis.T
     )
     return Motions(points[..., :3] @ basis.T, turn, bool(vary[lateral]))
 
 
-def to_paths(motions: Motions, sensor: Sensor, surface_mm: float, side: int, friction: float | np.ndarray) -> Paths:
+def to_paths(
+    motions: Motions, sensor: Sensor, surface_mm: float, side: int, friction: float | np.ndarray
+) -> Paths:
     """Paths over HALF_PLANE. The top lies at `surface_mm` of the depth axis; `side` is +1 or -1 for an edge whose object lies
     towards negative or positive labels, 0 for no edge; `friction` of all, or (N,)."""
     count = len(motions)
@@ -107,7 +117,12 @@ def to_paths(motions: Motions, sensor: Sensor, surface_mm: float, side: int, fri
     centre = tip.swapaxes(0, 1).reshape(-1, 3) + axis
     tilt = Rotation.from_euler("z", -yaw[:, None]).apply(swing)  # in the yawed frame
     point = np.column_stack(
-        [centre[:, :2], np.degrees(yaw), sensor.dome_radius_mm - centre[:, 2], np.degrees(tilt[:, :2])]
+        [
+            centre[:, :2],
+            np.degrees(yaw),
+            sensor.dome_radius_mm - centre[:, 2],
+            np.degrees(tilt[:, :2]),
+        ]
     )
     start, end = point[:count], point[count:]
     hover = start.copy()

@@ -43,7 +43,9 @@ class Values:
 
     def sensor(self, sensor: Sensor) -> Sensor:
         return replace(
-            sensor, pin_spacing_mm=self.pin_spacing_mm, gel_modulus_mpa=sensor.skin_modulus_mpa / self.skin_to_gel
+            sensor,
+            pin_spacing_mm=self.pin_spacing_mm,
+            gel_modulus_mpa=sensor.skin_modulus_mpa / self.skin_to_gel,
         )
 
 
@@ -88,9 +90,13 @@ def interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
         others = first[:, None] + np.arange(4)
         used = (others == ring).any(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            factor = np.where(others == ring, 1.0, (across[:, None] - others) / (ring - others)).prod(axis=1)
+            factor = np.where(
+                others == ring, 1.0, (across[:, None] - others) / (ring - others)
+            ).prod(axis=1)
         turn = angle[:, None] - 2 * np.pi * np.arange(pins) / pins
-        weights[:, start : start + pins] = np.where(used, factor, 0.0)[:, None] * _periodic(pins, turn)
+        weights[:, start : start + pins] = np.where(used, factor, 0.0)[:, None] * _periodic(
+            pins, turn
+        )
     return weights
 
 
@@ -104,7 +110,12 @@ def _periodic(count: int, turn: np.ndarray) -> np.ndarray:
 
 
 def displacements(
-    sensor: Sensor, contacts: Motions, side: int, friction: float | np.ndarray, surface_mm: float, ratio: float
+    sensor: Sensor,
+    contacts: Motions,
+    side: int,
+    friction: float | np.ndarray,
+    surface_mm: float,
+    ratio: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts were reached and converged."""
     body = probe(sensor, ratio)
@@ -127,20 +138,31 @@ def within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
 
 def spread(weights: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """(N, P, 3): probe displacements (N, Q, 3) at the places of `interpolation_at`'s weights (P, Q)."""
-    return (weights @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1)).reshape(len(weights), -1, 3).swapaxes(0, 1)
+    return (
+        (weights @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1))
+        .reshape(len(weights), -1, 3)
+        .swapaxes(0, 1)
+    )
 
 
 def seen_at(values: Values, sensor: Sensor, size: int, tips: np.ndarray) -> np.ndarray:
     """(..., 2) px from the middle of an image of `size`, of tips (..., 3) mm."""
-    return np.asarray(project(values.camera(size), jnp.asarray(tips), values.sensor(sensor))) - (size - 1) / 2
+    return (
+        np.asarray(project(values.camera(size), jnp.asarray(tips), values.sensor(sensor)))
+        - (size - 1) / 2
+    )
 
 
-def place_of(values: Values, sensor: Sensor, size: int, moved: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def place_of(
+    values: Values, sensor: Sensor, size: int, moved: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Pins (N, P, 2) px of an image of `size` from its middle for probe displacements (N, Q, 3), and (P, 2) undisturbed ones."""
     own = values.sensor(sensor)
     tips = pin_tips(own)
     rest = seen_at(values, sensor, size, tips)
     if moved is None:
         return rest[None], rest
-    alike = replace(own, gel_modulus_mpa=sensor.gel_modulus_mpa)  # one entry of the cache for all stiffnesses
+    alike = replace(
+        own, gel_modulus_mpa=sensor.gel_modulus_mpa
+    )  # one entry of the cache for all stiffnesses
     return seen_at(values, sensor, size, tips + spread(interpolation(alike), moved)), rest

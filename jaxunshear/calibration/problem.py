@@ -115,10 +115,14 @@ class Problem:
             for i, group in enumerate(groups)
         ]
         self.recorded = [
-            features(group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size) for group in groups
+            features(group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size)
+            for group in groups
         ]
         labelled = any(group.contacts is not None for group in groups)
-        slid = any(group.contacts is not None and np.any(np.abs(group.contacts.slide) > 1e-6) for group in groups)
+        slid = any(
+            group.contacts is not None and np.any(np.abs(group.contacts.slide) > 1e-6)
+            for group in groups
+        )
         names = ["mm_across", "distance_mm"]
         names += ["pin_spacing_mm", "skin_to_gel"] if labelled else []
         names += ["friction"] if slid else []
@@ -131,7 +135,8 @@ class Problem:
     def values(self, x: np.ndarray) -> Values:
         """Parameters as logarithms over the start, surfaces as differences from it."""
         scalars = {
-            name: float(getattr(self.start, name) * np.exp(step)) for name, step in zip(self.scalars, x, strict=False)
+            name: float(getattr(self.start, name) * np.exp(step))
+            for name, step in zip(self.scalars, x, strict=False)
         }
         surface = list(self.start.surface_mm)
         for i, step in zip(self.surfaces, x[len(self.scalars) :], strict=True):
@@ -140,8 +145,12 @@ class Problem:
 
     def place(self, values: Values) -> np.ndarray:
         """The inverse of `values`."""
-        scalars = [np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars]
-        return np.array(scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces])
+        scalars = [
+            np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars
+        ]
+        return np.array(
+            scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces]
+        )
 
     def named(self, values: Values) -> dict[str, float]:
         """What of the values is sought, by `names`."""
@@ -174,7 +183,9 @@ class Problem:
         self.steps = round(place) if moved else self.steps
         for simulated in self.simulated:
             if simulated is not None:
-                simulated.nodes = [self.start.skin_to_gel * RATIO_STEP ** (self.steps + i) for i in (-1, 0, 1)]
+                simulated.nodes = [
+                    self.start.skin_to_gel * RATIO_STEP ** (self.steps + i) for i in (-1, 0, 1)
+                ]
         return moved
 
     def residuals(self, values: Values, which: int) -> np.ndarray:
@@ -200,7 +211,9 @@ class Problem:
 
     def _undisturbed(self, difference: np.ndarray) -> np.ndarray:
         """(N, F) of unlabelled images: a touch widens all rings, nobody knows how far, so the narrowest tenth is held to be undisturbed."""
-        difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
+        difference = np.broadcast_to(
+            np.nanpercentile(difference, 90, axis=0), difference.shape
+        ).copy()
         difference[:, self.sensor.rings :] = 0
         return difference
 
@@ -211,7 +224,9 @@ class Problem:
         for i, group in enumerate(self.groups):
             if self.simulated[i] is None:
                 place, rest = place_of(values, self.sensor, group.seen.size, None)
-                apart[i] = features(shells(self.sensor), place, rest, group.seen.size) - self.recorded[i]
+                apart[i] = (
+                    features(shells(self.sensor), place, rest, group.seen.size) - self.recorded[i]
+                )
 
         def redraw(generator: np.random.Generator) -> np.ndarray:
             drawn = base.copy()
@@ -241,9 +256,15 @@ class Problem:
             moved[k] += step
             values = self.values(moved)
             near = here if name.split()[0] in ("friction", "surface_mm") else None
-            own = [self.surfaces[k - len(self.scalars)]] if k >= len(self.scalars) else range(len(self.groups))
+            own = (
+                [self.surfaces[k - len(self.scalars)]]
+                if k >= len(self.scalars)
+                else range(len(self.groups))
+            )
             for i in own:
                 rows = slice(ends[i], ends[i + 1])
                 change = self._difference(values, i, near) - base[i]
-                slopes[rows, :, k] = np.nan_to_num(_less_mean_motion(change, self.sensor.rings)) / step
+                slopes[rows, :, k] = (
+                    np.nan_to_num(_less_mean_motion(change, self.sensor.rings)) / step
+                )
         return slopes

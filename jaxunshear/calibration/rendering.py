@@ -24,13 +24,20 @@ FRAME_PX = 256  # at least: what a camera sees before it is made smaller
 SOME_IMAGES = 16  # determine the size of pins and housing
 RADIUS_STEPS = 3
 HOUSING_ROUNDS = 3  # the threshold follows the local mean, so that the ring's area is not all
-UNKNOWN_DEPTHS = (0.03, 0.15)  # over the dome's radius, of flat taps that stand in for unlabelled images
+UNKNOWN_DEPTHS = (
+    0.03,
+    0.15,
+)  # over the dome's radius, of flat taps that stand in for unlabelled images
 
 
-def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tuple[np.ndarray, np.ndarray]:
+def contact_tips(
+    group: Group, sensor: Sensor, values: Values, which: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Pin tips (N, P, 3) mm of a group's contacts, or of flat taps where these are unknown; and (N,) bool: converged."""
     if group.contacts is not None:
-        paths = to_paths(group.contacts, sensor, values.surface_mm[which], group.side, values.friction)
+        paths = to_paths(
+            group.contacts, sensor, values.surface_mm[which], group.side, values.friction
+        )
     else:
         count = len(group.seen.found)
         points = np.zeros((count, 2, 6))
@@ -39,7 +46,10 @@ def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tu
         paths = Paths(np.zeros(count, int), np.full(count, values.friction), points)
     fine = within_reach(sensor, paths)
     solved, _ = follow(sensor, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
-    tips, converged = np.repeat(pin_tips(sensor)[None], len(paths), axis=0), np.zeros(len(paths), bool)
+    tips, converged = (
+        np.repeat(pin_tips(sensor)[None], len(paths), axis=0),
+        np.zeros(len(paths), bool),
+    )
     tips[fine], converged[fine] = solved.pins, solved.converged
     return tips, converged
 
@@ -51,10 +61,14 @@ def render(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> n
 
     @jax.jit
     def draw(tips: jax.Array, keys: jax.Array) -> jax.Array:
-        grey = jax.vmap(partial(frame, before, sensor, Nuisance()))(jnp.asarray(tips, jnp.float32), keys)
+        grey = jax.vmap(partial(frame, before, sensor, Nuisance()))(
+            jnp.asarray(tips, jnp.float32), keys
+        )
         return binarise(Preprocess(size=camera.frame_px), grey)
 
-    return np.concatenate([np.asarray(draw(tips[i : i + 1], keys[i : i + 1])) for i in range(len(tips))])
+    return np.concatenate(
+        [np.asarray(draw(tips[i : i + 1], keys[i : i + 1])) for i in range(len(tips))]
+    )
 
 
 def _some(tips: np.ndarray) -> np.ndarray:
@@ -75,8 +89,12 @@ def fit_pin_radius(
         """By what factor the rendered pins are larger than the recorded ones."""
         ratios = []
         for group, tip, wanted in zip(groups, tips, recorded, strict=True):
-            images = render(values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), _some(tip))
-            ratios.append(np.mean([np.nanmean(pin_diameters(i, find_pins(i))) for i in images]) / wanted)
+            images = render(
+                values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), _some(tip)
+            )
+            ratios.append(
+                np.mean([np.nanmean(pin_diameters(i, find_pins(i))) for i in images]) / wanted
+            )
         return float(np.mean(ratios))
 
     most = 0.49 * sensor.pin_spacing_mm
@@ -94,7 +112,9 @@ def fit_pin_radius(
     return best, best - error, best + error
 
 
-def fit_housing(groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]) -> float:
+def fit_housing(
+    groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]
+) -> float:
     """The housing's inner radius over the outermost pins' (`Camera.housing`) that makes images as white as the recorded ones.
 
     What is white beside the pins is a ring from there to the mask, so that its area gives the radius.

@@ -23,7 +23,9 @@ COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
 LONGEST = 30  # characters of a title
 Summaries = dict[str, list[Summary]]
 ByName = dict[str, dict[str, np.ndarray]]
-Tips = list[tuple[np.ndarray, np.ndarray]]  # of each group: pins' tips, and which contacts converged
+Tips = list[
+    tuple[np.ndarray, np.ndarray]
+]  # of each group: pins' tips, and which contacts converged
 
 
 def compared(
@@ -33,7 +35,9 @@ def compared(
     after: tuple[Sensor, Values, Tips],
 ) -> tuple[Summaries, list[tuple[str, np.ndarray]]]:
     """Statistics of recorded images and of simulated ones before and after the fit, and pictures with their titles."""
-    reported: Summaries = {RECORDED: _merged([summaries_of(group, group.seen, group.seen.sure) for group in groups])}
+    reported: Summaries = {
+        RECORDED: _merged([summaries_of(group, group.seen, group.seen.sure) for group in groups])
+    }
     pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, (sensor, values, tips) in ((BEFORE, before), (AFTER, after)):
         reported[kind], picture = _simulated(groups, sensor, values, tips)
@@ -41,7 +45,9 @@ def compared(
     return reported, pictures
 
 
-def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: Tips) -> tuple[list[Summary], np.ndarray]:
+def _simulated(
+    groups: list[Group], sensor: Sensor, values: Values, tips: Tips
+) -> tuple[list[Summary], np.ndarray]:
     """Statistics of rendered images of the same contacts, and the first image. Left out are, as among the recorded ones, images whose
     pins cannot be followed, and contacts that did not converge."""
     parts: list[list[Summary]] = []
@@ -58,7 +64,8 @@ def summaries_of(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
     """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
     contacts = group.contacts
     seen = seen._replace(
-        place=np.where(kept[:, None, None], seen.place, np.nan), diameter=np.where(kept[:, None], seen.diameter, np.nan)
+        place=np.where(kept[:, None, None], seen.place, np.nan),
+        diameter=np.where(kept[:, None], seen.diameter, np.nan),
     )
     rows = summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
     return [row._replace(values=np.where(kept, row.values, np.nan)) for row in rows]
@@ -70,14 +77,20 @@ def _merged(parts: list[list[Summary]]) -> list[Summary]:
     for part in parts:
         for row in part:
             known = merged.get(row.name)
-            merged[row.name] = row if known is None else row._replace(values=np.concatenate([known.values, row.values]))
+            merged[row.name] = (
+                row
+                if known is None
+                else row._replace(values=np.concatenate([known.values, row.values]))
+            )
     return list(merged.values())
 
 
 def rows_of(summaries: Summaries) -> list[Json]:
     """A row for each statistic: means over images, and the recorded mean's standard error; None where there are no images."""
     rows = []
-    for real, before, after in zip(*(summaries[kind] for kind in (RECORDED, BEFORE, AFTER)), strict=True):
+    for real, before, after in zip(
+        *(summaries[kind] for kind in (RECORDED, BEFORE, AFTER)), strict=True
+    ):
         count = int(np.isfinite(real.values).sum())
         rows.append(
             {
@@ -115,7 +128,13 @@ def table(rows: Sequence[Json], parameters: Sequence[Json]) -> str:
     lines += ["", f"{'':{width}}  {'before':>9}  {'after':>9}  95 % interval"]
     for row in parameters:
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["low"] is not None else ""
-        known = "" if row["determined"] else "  held" if row["held"] else "  not determined by these images"
+        known = (
+            ""
+            if row["determined"]
+            else "  held"
+            if row["held"]
+            else "  not determined by these images"
+        )
         lines.append(
             f"{row['name']:{width}}  {_number(row['before'])}  {_number(row['after'])}  {interval}  {_unit(row)}{known}"
         )
@@ -133,7 +152,14 @@ def _unit(row: Json) -> str:
 def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> bytes:
     """PNG: ring layout, spacing, pin size and motion over slide; below them names and images (S, S)."""
     by_name = {kind: {row.name: row.values for row in rows} for kind, rows in summaries.items()}
-    with rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}):
+    with rc_context(
+        {
+            "font.size": 9,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "legend.frameon": False,
+        }
+    ):
         figure = Figure(figsize=(11, 7), layout="constrained", dpi=110)
         panels = figure.subplots(2, 4)
         _rings(panels[0, 0], by_name)
@@ -176,5 +202,11 @@ def _slides(axes: Axes, by_name: ByName) -> None:
             known = [i for i, each in enumerate(means) if np.isfinite(each).any()]
             if known:
                 middle = np.array(SLIDE_BINS_MM)[known] + 0.5
-                axes.plot(middle, [np.nanmean(means[i]) for i in known], style, markersize=3, color=COLOURS[kind])
+                axes.plot(
+                    middle,
+                    [np.nanmean(means[i]) for i in known],
+                    style,
+                    markersize=3,
+                    color=COLOURS[kind],
+                )
     axes.set(xlabel="slide, mm", title="pins left behind, px of 128\n(full: central, dotted: rim)")

@@ -65,7 +65,9 @@ class Parts(NamedTuple):
     scored: Recorded
 
 
-def split_folders(path: Path, each: int | None, seed: int, used: Collection[str]) -> tuple[list[Parts], list[str]]:
+def split_folders(
+    path: Path, each: int | None, seed: int, used: Collection[str]
+) -> tuple[list[Parts], list[str]]:
     """Split every folder of recordings at `path` in two parts, and give notes.
 
     `each`: images of a folder that are compared, at most; None: all. What `used` names (images as
@@ -87,12 +89,16 @@ def split_folders(path: Path, each: int | None, seed: int, used: Collection[str]
         align.append(np.sort(np.concatenate([rows[seen][:count], fresh[:missing]])))
         scored.append(np.sort(fresh[missing:][:each]))
     if not any(len(rows) for rows in scored):
-        raise UserError(f"{path}: the calibration was fitted to all its images: compare with others")
+        raise UserError(
+            f"{path}: the calibration was fitted to all its images: compare with others"
+        )
     kept = [(a, s) for a, s in zip(align, scored, strict=True) if len(s)]
     first, more = load(recordings, [pair[0] for pair in kept])
     second, still = load(recordings, [pair[1] for pair in kept])
     by_name = {part.name: part for part in first}
-    return [Parts(by_name[part.name], part) for part in second if part.name in by_name], notes + more + still
+    return [
+        Parts(by_name[part.name], part) for part in second if part.name in by_name
+    ], notes + more + still
 
 
 def are_among(names: Collection[str], used: Collection[str]) -> np.ndarray:
@@ -102,7 +108,11 @@ def are_among(names: Collection[str], used: Collection[str]) -> np.ndarray:
     """
     ends = tuple(f"/{name}" for name in used)
     return np.array(
-        [f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends) for name in names], bool
+        [
+            f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends)
+            for name in names
+        ],
+        bool,
     )
 
 
@@ -117,7 +127,10 @@ def open_recordings(path: Path) -> tuple[Recordings, list[str]]:
 def rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
     """The rows of each folder of images."""
     folders = sorted({file.parent for file in recordings.files})
-    return [np.array([i for i, file in enumerate(recordings.files) if file.parent == folder]) for folder in folders]
+    return [
+        np.array([i for i, file in enumerate(recordings.files) if file.parent == folder])
+        for folder in folders
+    ]
 
 
 def load(recordings: Recordings, chosen: list[np.ndarray]) -> tuple[list[Recorded], list[str]]:
@@ -167,7 +180,9 @@ def _first(recordings: Recordings) -> np.ndarray:
     return read_image(recordings.files[-1])
 
 
-def _choose(moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
+def _choose(
+    moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator
+) -> np.ndarray:
     """At most `count` rows, with short slides as likely as long ones: they are rare, and say most about sticking."""
     rows = generator.permutation(rows)
     if moves is None or len(rows) <= count:

@@ -53,26 +53,38 @@ def view_of(taps: Taps, lattice: Lattice, size: int, known: Calibrated) -> View:
     seen = _seen(pins, lattice, size)
     reading = read_labels(seen, pose, None, known.values, known.sensor)
     if reading is None:
-        raise UserError("the taps' labels do not go with their images: no slide to them can be simulated")
+        raise UserError(
+            "the taps' labels do not go with their images: no slide to them can be simulated"
+        )
     matter = Matter(
-        seen.turned(reading.mirrored, reading.angle), reading.contacts, reading.side, known.values, known.sensor
+        seen.turned(reading.mirrored, reading.angle),
+        reading.contacts,
+        reading.side,
+        known.values,
+        known.sensor,
     )
     frame = find_frame(matter, Frame(reading.surface_mm))
     angle = reading.angle - matter.turn(frame)
     turn = camera_turn(angle, reading.mirrored)
     view = View(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, known)
     moved, fine = _moved(view, pose, None, known.friction)
-    flat, _ = settled(known.values, known.sensor, size, (pins[fine] - lattice.middle) @ turn, moved[fine])
+    flat, _ = settled(
+        known.values, known.sensor, size, (pins[fine] - lattice.middle) @ turn, moved[fine]
+    )
     return view._replace(flat=flat)
 
 
-def shear(view: View, pose: np.ndarray, moves: np.ndarray, friction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def shear(
+    view: View, pose: np.ndarray, moves: np.ndarray, friction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """By how many px (N, P, 2) a slide `moves` (N, 6) mm and deg that ends at `pose` (N, 6) moves each pin further than a tap there
     does, and which contacts were reached and converged (N,). `friction` (N,)."""
     tapped, fine = _moved(view, pose, None, friction)
     slid, converged = _moved(view, pose, moves, friction)
     values, sensor = view.known.values, view.known.sensor
-    apart = places(values, sensor, view.size, view.flat, slid) - places(values, sensor, view.size, view.flat, tapped)
+    apart = places(values, sensor, view.size, view.flat, slid) - places(
+        values, sensor, view.size, view.flat, tapped
+    )
     return (apart @ view.turn.T).astype(np.float32), fine & converged
 
 
@@ -89,4 +101,14 @@ def _seen(pins: np.ndarray, lattice: Lattice, size: int) -> Seen:
     """Pins (N, P, 2) px of whose images nothing else is known."""
     unknown, count = np.full(pins.shape[:2], np.nan), len(pins)
     zeros = np.zeros(count)
-    return Seen(size, lattice, pins - lattice.middle, unknown, zeros, np.ones(count, bool), zeros, zeros, zeros)
+    return Seen(
+        size,
+        lattice,
+        pins - lattice.middle,
+        unknown,
+        zeros,
+        np.ones(count, bool),
+        zeros,
+        zeros,
+        zeros,
+    )

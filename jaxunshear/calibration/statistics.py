@@ -31,9 +31,7 @@ class Seen(NamedTuple):
 
     size: int  # px, of the square images
     lattice: Lattice
-    place: (
-        np.ndarray
-    )  # (N, P, 2) from the middle of the outermost ring, as (column, row); NaN where a pin was not found
+    place: np.ndarray  # (N, P, 2) from the middle of the outermost ring, as (column, row); NaN where a pin was not found
     diameter: np.ndarray  # (N, P) of a disc of the pin's area; NaN where not found
     doubt: np.ndarray  # (N,), see `tracking.Track`
     sure: np.ndarray  # (N,) bool: the pins' identities are beyond doubt
@@ -47,7 +45,9 @@ class Seen(NamedTuple):
     def turned(self, mirrored: bool, angle: float) -> "Seen":
         """The same pins seen by a camera that is not mirrored, and turned by `angle` rad from column towards row."""
         turn = camera_turn(angle, mirrored)
-        return self._replace(place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn))
+        return self._replace(
+            place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn)
+        )
 
     @property
     def rest(self) -> np.ndarray:
@@ -67,7 +67,9 @@ def unit_vectors(place: np.ndarray) -> np.ndarray:
     return np.where(length > 0.05 * length.max(), place / np.maximum(length, 1e-9), 0.0)
 
 
-def observe(images: Sequence[np.ndarray] | np.ndarray, sensor: Sensor, progress: Progress | None = None) -> Seen:
+def observe(
+    images: Sequence[np.ndarray] | np.ndarray, sensor: Sensor, progress: Progress | None = None
+) -> Seen:
     """Finds and follows the pins of binary images (S, S) uint8. Raises UserError where they are not this sensor's pins."""
     found = []
     for image in images:
@@ -144,7 +146,9 @@ def left_behind(motion: np.ndarray, slide: np.ndarray, yaw: np.ndarray) -> np.nd
     """How far (N,) px a motion (N,) complex in the frame of a sensor at `yaw` (N,) rad lies against its slide (N, 2) mm."""
     heading = slide @ np.array([1, 1j])
     length = np.abs(heading)
-    return -np.real(motion * np.exp(1j * yaw) * np.conj(heading)) / np.where(length > 0, length, np.nan)
+    return -np.real(motion * np.exp(1j * yaw) * np.conj(heading)) / np.where(
+        length > 0, length, np.nan
+    )
 
 
 def slide_bin(slide: np.ndarray) -> np.ndarray:
@@ -161,14 +165,21 @@ class Summary(NamedTuple):
     values: np.ndarray
 
 
-def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | None = None) -> list[Summary]:
+def summaries(
+    seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | None = None
+) -> list[Summary]:
     """Statistics in px of 128, so that images of any size compare. `slide` (N, 2) mm and `yaw` (N,), see `left_behind`."""
     scale = 128 / seen.size
     shell, radii = seen.lattice.shell, ring_radii(seen.lattice.shell, seen.place, seen.rest)
-    diameter, middle = _by_ring(shell, seen.diameter), _by_ring((shell > CENTRAL).astype(int), seen.diameter)[:, 0]
+    diameter, middle = (
+        _by_ring(shell, seen.diameter),
+        _by_ring((shell > CENTRAL).astype(int), seen.diameter)[:, 0],
+    )
     followed = np.isfinite(seen.diameter).any(axis=1)
     usual, area = np.full((2, len(followed)), np.nan)
-    usual[followed] = np.nanmean(seen.diameter[followed], axis=1)  # the median would be that of a few integers
+    usual[followed] = np.nanmean(
+        seen.diameter[followed], axis=1
+    )  # the median would be that of a few integers
     area[followed] = np.nansum(np.pi / 4 * seen.diameter[followed] ** 2, axis=1) / seen.size**2
     rows = [
         Summary("pins found", "1", seen.found.astype(float)),
@@ -180,7 +191,8 @@ def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | Non
         Summary("outermost ring, share of width", "1", radii[:, -1] / seen.size),
     ]
     rows += [
-        Summary(f"ring {k + 1} over outermost", "1", radii[:, k] / radii[:, -1]) for k in range(radii.shape[1] - 1)
+        Summary(f"ring {k + 1} over outermost", "1", radii[:, k] / radii[:, -1])
+        for k in range(radii.shape[1] - 1)
     ]
     if slide is not None and yaw is not None:
         motion, index = ring_motion(shell, seen.place - seen.rest), slide_bin(slide)
@@ -190,7 +202,9 @@ def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | Non
                 most = f"to {SLIDE_BINS_MM[k + 1]:g}" if k + 1 < len(SLIDE_BINS_MM) else "or more"
                 rows.append(
                     Summary(
-                        f"{name} left behind, slide {least:g} {most} mm", "px", np.where(index == k, behind, np.nan)
+                        f"{name} left behind, slide {least:g} {most} mm",
+                        "px",
+                        np.where(index == k, behind, np.nan),
                     )
                 )
     return rows

@@ -69,7 +69,9 @@ def validate(
         found = _compare_folder(part, calibrated, as_labelled, notes, left_out)
         compared += [] if found is None else [found]
     if not compared:
-        raise UserError(f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}")
+        raise UserError(
+            f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}"
+        )
     for why in sorted({one["why"] for one in left_out}):
         names = [one["image"] for one in left_out if one["why"] == why]
         some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
@@ -93,8 +95,18 @@ def table(rows: list[Row]) -> str:
     lines: dict[str, Json] = {}
     for row in rows:
         measure, _, part = str(row["name"]).partition(".")
-        lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})[measure] = row["value"]
-    columns = ("contacts of", "contacts", "r2", "ceiling_r2", "residual_px", "residual_mm", "motion_px")
+        lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})[measure] = row[
+            "value"
+        ]
+    columns = (
+        "contacts of",
+        "contacts",
+        "r2",
+        "ceiling_r2",
+        "residual_px",
+        "residual_mm",
+        "motion_px",
+    )
     return plain_table(list(lines.values()), columns)
 
 
@@ -105,7 +117,9 @@ def _used(path: Path, calibrated: Calibrated, notes: list[str]) -> tuple[str, ..
             notes.append("the calibration does not name its images: some of them may be compared")
         return calibrated.used
     parts, _ = sample(path, IMAGES, 0)
-    fitted = [part for part in parts if any(f"/{known}".endswith(f"/{part.name}") for known in FITTED_TO)]
+    fitted = [
+        part for part in parts if any(f"/{known}".endswith(f"/{part.name}") for known in FITTED_TO)
+    ]
     return tuple(name for part in fitted for name in part.names)
 
 
@@ -168,7 +182,9 @@ def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder |
     seen = align.observe(known.sensor)
     rows = np.flatnonzero(align.labelled & seen.sure)
     if len(rows) < LEAST_LABELLED:
-        return f"{len(rows)} images to align by are labelled and followed, fewer than {LEAST_LABELLED}"
+        return (
+            f"{len(rows)} images to align by are labelled and followed, fewer than {LEAST_LABELLED}"
+        )
     assert align.poses is not None  # else none would be labelled
     moves = None if align.moves is None else align.moves[rows]
     reading = read_labels(seen.take(rows), align.poses[rows], moves, known.values, known.sensor)
@@ -189,12 +205,16 @@ def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder |
         reading.mirrored,
         reading.angle,
         compared.take(kept),
-        motions(scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]),
+        motions(
+            scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]
+        ),
         tuple(scored.names[i] for i in kept),
     )
 
 
-def _compared(name: str, seen: Seen, contacts: Motions, moved: np.ndarray, known: Calibrated) -> Compared:
+def _compared(
+    name: str, seen: Seen, contacts: Motions, moved: np.ndarray, known: Calibrated
+) -> Compared:
     flat, place = settled(known.values, known.sensor, seen.size, seen.place, moved)
     scale = 128 / seen.size
     recorded, simulated = centred(seen.place * scale, place * scale)
@@ -210,15 +230,21 @@ def _compared(name: str, seen: Seen, contacts: Motions, moved: np.ndarray, known
     )
 
 
-def _solved(name: str, contacts: Motions, side: int, known: Calibrated) -> tuple[np.ndarray, np.ndarray]:
+def _solved(
+    name: str, contacts: Motions, side: int, known: Calibrated
+) -> tuple[np.ndarray, np.ndarray]:
     """As `displacements`, some contacts at a time."""
     values, parts = known.values, []
     with Progress(f"contacts of {name}", len(contacts), unit="contacts") as progress:
         for begin in range(0, len(contacts), CHUNK):
             some = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
-            parts.append(displacements(known.sensor, some, side, values.friction, 0.0, values.skin_to_gel))
+            parts.append(
+                displacements(known.sensor, some, side, values.friction, 0.0, values.skin_to_gel)
+            )
             progress.advance(len(some))
-    return np.concatenate([moved for moved, _ in parts]), np.concatenate([fine for _, fine in parts])
+    return np.concatenate([moved for moved, _ in parts]), np.concatenate(
+        [fine for _, fine in parts]
+    )
 
 
 def _lost(names: tuple[str, ...], lost: np.ndarray, why: str) -> LeftOut:

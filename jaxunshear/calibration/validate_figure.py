@@ -26,7 +26,9 @@ def validate_figure(parts: list[Compared]) -> bytes:
                 heat = _map(row[0], part, rms(part.recorded, axis=0), most)
                 _map(row[1], part, rms(part.recorded - part.simulated, axis=0), most)
                 _axes_of(row[1], part)
-            figure.colorbar(heat, ax=list(row[:2]), label="px of 128, rms over contacts", shrink=0.8)
+            figure.colorbar(
+                heat, ax=list(row[:2]), label="px of 128, rms over contacts", shrink=0.8
+            )
             row[0].set_title(f"{kind}s: recorded motion, each pin less its mean")
             row[1].set_title(f"{kind}s: left over; lines: its main direction, x {AXIS_PX:g}")
             _rings(row[2], kind, chosen)
@@ -48,7 +50,9 @@ def _axes_of(axes: Axes, part: Compared) -> None:
     size, direction = np.linalg.eigh(spread)
     half = 0.5 * AXIS_PX * np.sqrt(np.maximum(size[:, 1], 0))[:, None] * direction[..., 1]
     axes.add_collection(
-        LineCollection(list(np.stack([part.rest - half, part.rest + half], 1)), colors=INK, linewidths=0.7)
+        LineCollection(
+            list(np.stack([part.rest - half, part.rest + half], 1)), colors=INK, linewidths=0.7
+        )
     )
 
 
@@ -66,5 +70,9 @@ def _rings(axes: Axes, kind: str, parts: list[Compared]) -> None:
             for shell in shells
         ]
         axes.plot(shells, scores, "o-", markersize=3, color=colour, label=label)
-    axes.set(xlabel="ring (0: apex)", title=f"{kind}s: share of the motion explained, R2", ylim=(min(0.0, *scores), 1))
+    axes.set(
+        xlabel="ring (0: apex)",
+        title=f"{kind}s: share of the motion explained, R2",
+        ylim=(min(0.0, *scores), 1),
+    )
     axes.legend(loc="lower left")

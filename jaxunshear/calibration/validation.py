@@ -17,7 +17,9 @@ from jaxunshear.scene.pins import pin_tips, tips_at
 from jaxunshear.settings.sensor import Sensor
 
 FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
-SETTLING = 3  # rounds in which the places of untouched pins follow from the mean of the touched ones
+SETTLING = (
+    3  # rounds in which the places of untouched pins follow from the mean of the touched ones
+)
 KINDS = {"tap": True, "slide": False}
 
 
@@ -36,13 +38,23 @@ class Compared:
 
     def take(self, rows: np.ndarray) -> "Compared":
         return replace(
-            self, **{name: getattr(self, name)[rows] for name in ("recorded", "simulated", "ceiling", "taps")}
+            self,
+            **{
+                name: getattr(self, name)[rows]
+                for name in ("recorded", "simulated", "ceiling", "taps")
+            },
         )
 
     def ring(self, shell: int) -> "Compared":
         here = self.shell == shell
         pins = {name: getattr(self, name)[:, here] for name in ("recorded", "simulated", "ceiling")}
-        return replace(self, **pins, shell=self.shell[here], rest=self.rest[here], mm_per_px=self.mm_per_px[here])
+        return replace(
+            self,
+            **pins,
+            shell=self.shell[here],
+            rest=self.rest[here],
+            mm_per_px=self.mm_per_px[here],
+        )
 
 
 def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.ndarray:
@@ -56,10 +68,14 @@ def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.nda
     return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
 
 
-def places(values: Values, sensor: Sensor, size: int, flat: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def places(
+    values: Values, sensor: Sensor, size: int, flat: np.ndarray, moved: np.ndarray
+) -> np.ndarray:
     """(N, P, 2) px from the middle, of pins at `flat` (P, 2) mm of arc, for displacements (N, Q, 3) mm of the probe's pins."""
     weights = interpolation_at(sensor, flat)
-    return seen_at(values, sensor, size, tips_at(values.sensor(sensor), flat) + spread(weights, moved))
+    return seen_at(
+        values, sensor, size, tips_at(values.sensor(sensor), flat) + spread(weights, moved)
+    )
 
 
 def settled(
@@ -80,13 +96,20 @@ def mm_per_px(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np
     """(P,) at the height of each untouched pin."""
     own, camera = values.sensor(sensor), values.camera(size)
     apex = pin_tips(own)[0, 2]
-    return camera.mm_across / size * (camera.distance_mm - tips_at(own, flat)[:, 2]) / (camera.distance_mm - apex)
+    return (
+        camera.mm_across
+        / size
+        * (camera.distance_mm - tips_at(own, flat)[:, 2])
+        / (camera.distance_mm - apex)
+    )
 
 
 def centred(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both (N, P, 2), each pin less its mean over the contacts in which both are known."""
     known = np.isfinite(recorded) & np.isfinite(simulated)
-    return less_mean(np.where(known, recorded, np.nan)), less_mean(np.where(known, simulated, np.nan))
+    return less_mean(np.where(known, recorded, np.nan)), less_mean(
+        np.where(known, simulated, np.nan)
+    )
 
 
 def r2(recorded: np.ndarray, simulated: np.ndarray) -> float:
@@ -117,7 +140,11 @@ def rows_of(parts: list[Compared]) -> list[Row]:
 def by_kind(parts: list[Compared]) -> dict[str, list[Compared]]:
     """Part taps from slides, folders without any left out; only those kinds that there are."""
     kinds = {
-        kind: [part.take(np.flatnonzero(part.taps == tapped)) for part in parts if (part.taps == tapped).any()]
+        kind: [
+            part.take(np.flatnonzero(part.taps == tapped))
+            for part in parts
+            if (part.taps == tapped).any()
+        ]
         for kind, tapped in KINDS.items()
     }
     return {kind: mine for kind, mine in kinds.items() if mine}

@@ -48,7 +48,19 @@ MODULES: tuple[ModuleType, ...] = (
 )
 GROUPS = {  # of `jaxunshear --help`
     "use": (
-        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export", "unshear", "pose"),
+        *(
+            "doctor",
+            "fit",
+            "run",
+            "data",
+            "train",
+            "evaluate",
+            "report",
+            "release",
+            "export",
+            "unshear",
+            "pose",
+        ),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
@@ -85,7 +97,9 @@ class _Parser(Parser):
 
 
 def _commands(parser: argparse.ArgumentParser) -> argparse._SubParsersAction:
-    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    (commands,) = (
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    )
     return commands
 
 
@@ -95,7 +109,12 @@ class _Commands(_Parser):
     def format_help(self) -> str:
         texts = {choice.dest: choice.help or "" for choice in _commands(self)._choices_actions}
         groups = {group: {name: texts[name] for name in names} for group, names in GROUPS.items()}
-        lines = [f"usage: {self.prog} COMMAND ...", "", self.description or "", "`COMMAND --help` says more."]
+        lines = [
+            f"usage: {self.prog} COMMAND ...",
+            "",
+            self.description or "",
+            "`COMMAND --help` says more.",
+        ]
         for group, rows in groups.items():
             lines += ["", group]
             for name, text in rows.items():
@@ -106,7 +125,9 @@ class _Commands(_Parser):
 def _parser() -> _Parser:
     parser = _Commands(prog="jaxunshear", description="Takes the shear out of touch.")
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+    )
     for module in MODULES:
         module.add_parsers(commands)
     return parser

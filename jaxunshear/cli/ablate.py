@@ -10,11 +10,15 @@ COMMANDS = ("ablate",)
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "show what the decoders make of swapped, blanked and foreign codes (the paper's appendix D)"
+    text = (
+        "show what the decoders make of swapped, blanked and foreign codes (the paper's appendix D)"
+    )
     parser = new_parser(commands, "ablate", text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
     add_data(parser)
-    parser.add_argument("--leakage", action="store_true", help="what each code holds that it should not, by probes")
+    parser.add_argument(
+        "--leakage", action="store_true", help="what each code holds that it should not, by probes"
+    )
     add_json(parser)
 
 

@@ -11,21 +11,36 @@ COMMANDS = ("calibrate", "validate")
 
 
 def add_parsers(commands: Commands) -> None:
-    parser = new_parser(commands, "calibrate", "fit camera, pins, friction and stiffness to recordings")
-    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
+    parser = new_parser(
+        commands, "calibrate", "fit camera, pins, friction and stiffness to recordings"
+    )
+    parser.add_argument(
+        "recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings"
+    )
     add_results(parser, "folder for figures")
 
     text = "simulate recorded contacts from their labels and compare the motion of every pin"
     parser = new_parser(commands, "validate", text)
-    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of labelled recordings")
     parser.add_argument(
-        "--calibration", metavar="FILE", type=Path, help="calibration.json of `calibrate` (default: the fitted preset)"
+        "recordings", metavar="RECORDINGS", type=Path, help="a folder of labelled recordings"
     )
     parser.add_argument(
-        "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="calibration.json of `calibrate` (default: the fitted preset)",
     )
     parser.add_argument(
-        "--as-labelled", action="store_true", help="leave edge and tilt of the object where the labels have them"
+        "--contacts",
+        metavar="N",
+        type=int,
+        default=400,
+        help="of each folder, at random; 0: all (400)",
+    )
+    parser.add_argument(
+        "--as-labelled",
+        action="store_true",
+        help="leave edge and tilt of the object where the labels have them",
     )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
     add_results(parser, "folder for validate.png and validate.txt")
@@ -60,7 +75,9 @@ def _validate(arguments: argparse.Namespace) -> Json:
     from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
     from jaxunshear.calibration.validate import validate
 
-    calibrated = SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
+    calibrated = (
+        SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
+    )
     found = validate(
         arguments.recordings,
         calibrated,

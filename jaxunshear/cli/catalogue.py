@@ -14,7 +14,12 @@ def add_parsers(commands: Commands) -> None:
         parser = new_parser(commands, name, f"list or draw the {name}")
         parser.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
         parser.add_argument("name", metavar="NAME", nargs="?", help="what to draw")
-        parser.add_argument("--out", metavar="FILE", type=Path, help="PNG, SVG or PDF to draw to (default: NAME.png)")
+        parser.add_argument(
+            "--out",
+            metavar="FILE",
+            type=Path,
+            help="PNG, SVG or PDF to draw to (default: NAME.png)",
+        )
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
@@ -22,7 +27,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     if arguments.action == "list":
         if arguments.name or arguments.out:
-            raise UserError(f"`list` takes nothing more; to draw: jaxunshear {arguments.command} draw NAME --out FILE")
+            raise UserError(
+                f"`list` takes nothing more; to draw: jaxunshear {arguments.command} draw NAME --out FILE"
+            )
         print(catalogue.listing(arguments.command))
         return 0
     if not arguments.name:

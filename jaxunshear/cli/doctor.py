@@ -9,7 +9,9 @@ COMMANDS = ("doctor",)
 
 
 def add_parsers(commands: Commands) -> None:
-    parser = new_parser(commands, "doctor", "check a folder of recordings and suggest the next command")
+    parser = new_parser(
+        commands, "doctor", "check a folder of recordings and suggest the next command"
+    )
     text = "a folder of recordings, one above several, or an image"
     parser.add_argument("path", metavar="PATH", type=Path, help=text)
     add_json(parser, "what was found, with command, machine and versions")

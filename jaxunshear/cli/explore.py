@@ -17,12 +17,16 @@ def add_parsers(commands: Commands) -> None:
     add_like(parser)
     shapes = "outlines in files (.svg, .csv, .json) to be touched, too"
     parser.add_argument("--stimulus", metavar="FILE,FILE", help=shapes)
-    parser.add_argument("--port", metavar="N", type=int, default=8080, help="of this machine alone (8080)")
+    parser.add_argument(
+        "--port", metavar="N", type=int, default=8080, help="of this machine alone (8080)"
+    )
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     if importlib.util.find_spec("nicegui") is None:
-        raise UserError("the page needs the extra `explore`: pip install -c constraints.txt '.[explore]'")
+        raise UserError(
+            "the page needs the extra `explore`: pip install -c constraints.txt '.[explore]'"
+        )
     _check_port(arguments.port)
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.folders import load_settings, model_folder

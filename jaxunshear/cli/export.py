@@ -10,14 +10,26 @@ COMMANDS = ("export",)
 
 
 def add_parsers(commands: Commands) -> None:
-    parser = new_parser(commands, "export", "a trained model as one file for a robot's computer: ONNX, or StableHLO")
-    parser.add_argument(
-        "model", metavar="MODEL", type=Path, help="a finished run (runs/demo), or released weights by name (standard)"
+    parser = new_parser(
+        commands, "export", "a trained model as one file for a robot's computer: ONNX, or StableHLO"
     )
     parser.add_argument(
-        "--out", dest="file", metavar="FILE", type=Path, required=True, help="its name ends in .onnx or .stablehlo"
+        "model",
+        metavar="MODEL",
+        type=Path,
+        help="a finished run (runs/demo), or released weights by name (standard)",
     )
-    parser.add_argument("--batch", metavar="N", default="any", help="how many images it takes at once (any)")
+    parser.add_argument(
+        "--out",
+        dest="file",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help="its name ends in .onnx or .stablehlo",
+    )
+    parser.add_argument(
+        "--batch", metavar="N", default="any", help="how many images it takes at once (any)"
+    )
     parser.add_argument(
         "--preprocess",
         metavar="FRAMES",

@@ -35,7 +35,9 @@ def help_on(group: str, experiment: Experiment | None = None) -> str:
     """
     known = dict(_groups(Experiment, ""))
     if group not in known:
-        raise UserError(f"{FLAG} {group}: name one of {', '.join(filter(None, known))}, or '' for those of no group")
+        raise UserError(
+            f"{FLAG} {group}: name one of {', '.join(filter(None, known))}, or '' for those of no group"
+        )
     held = _group(experiment or Experiment(name="", claim=""), group)
     entries: dict[str, list[_Entry]] = {}
     for kind in [type(held)] if experiment else known[group]:
@@ -92,7 +94,9 @@ def _text(entries: list[_Entry]) -> str:
     values = " or ".join(dict.fromkeys(entry.value for entry in entries))
     meanings = {entry.kind: entry.meaning for entry in entries}
     if len(set(meanings.values())) > 1:
-        meaning = " ".join(f"Of {kind}: {text[:1].lower()}{text[1:]}." for kind, text in meanings.items())
+        meaning = " ".join(
+            f"Of {kind}: {text[:1].lower()}{text[1:]}." for kind, text in meanings.items()
+        )
     else:
         meaning = entries[0].meaning
     text = f"{entries[0].takes}. {meaning}".rstrip()
@@ -108,9 +112,13 @@ def _default(field: dataclasses.Field) -> str:
 
 def _meaning(kind: type, field: str) -> str:
     """The comment beside or above the field's definition."""
-    from simple_parsing.docstring import get_attribute_docstring  # only for this: the command line starts quickly
+    from simple_parsing.docstring import (
+        get_attribute_docstring,  # only for this: the command line starts quickly
+    )
 
-    owner = next(base for base in reversed(kind.__mro__) if field in vars(base).get("__annotations__", {}))
+    owner = next(
+        base for base in reversed(kind.__mro__) if field in vars(base).get("__annotations__", {})
+    )
     written = get_attribute_docstring(owner, field)
     text = " ".join((written.comment_inline or written.comment_above).split())
     return text[:1].upper() + text[1:]

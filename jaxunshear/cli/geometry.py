@@ -11,9 +11,13 @@ from jaxunshear.settings.experiment import simulated_of
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(commands, "geometry", "contact geometry of taps, sheared and unsheared images")
+    parser = new_parser(
+        commands, "geometry", "contact geometry of taps, sheared and unsheared images"
+    )
     add_results(parser, "for the results (geometry)")
-    parser.add_argument("path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings")
+    parser.add_argument(
+        "path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings"
+    )
     add_model(parser)
     parser.add_argument(
         "--contacts",
@@ -34,20 +38,32 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     from jaxunshear.table import plain_table
 
     if arguments.path is not None:
-        read_recordings(arguments.path, Preprocess())  # refuses a place without images before there is work to lose
+        read_recordings(
+            arguments.path, Preprocess()
+        )  # refuses a place without images before there is work to lose
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
     paired, _ = simulated_of(experiment, "geometry")
     felt = geometry(folder, experiment, arguments.contacts)
     figure = geometry_figure.of_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
     write_bytes(out / "geometry.png", figure)
-    columns = ("name", "contacts", "unmatched", "correlation", "rmse_mm", "largest_mm", "ms_per_image")
+    columns = (
+        "name",
+        "contacts",
+        "unmatched",
+        "correlation",
+        "rmse_mm",
+        "largest_mm",
+        "ms_per_image",
+    )
     print(plain_table([plain(row) for row in felt.table.rows], columns))
     print(out / "geometry.png")
     if arguments.path is not None:
         from jaxunshear.downstream.recorded_geometry import heights_of_recordings
 
-        shown = heights_of_recordings(arguments.path, experiment, felt.lattice, felt.ways[INVERSE], felt.networks)
+        shown = heights_of_recordings(
+            arguments.path, experiment, felt.lattice, felt.ways[INVERSE], felt.networks
+        )
         write_bytes(out / "recordings.png", geometry_figure.of_recordings(felt.lattice, shown))
         print(out / "recordings.png")
     return felt.table

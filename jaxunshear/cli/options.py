@@ -11,16 +11,23 @@ from jaxunshear.settings.stimuli import Touched, stimulus_names
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
-DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
+DEFAULT, SKIN = (
+    Path("standard"),
+    Path("skin"),
+)  # of the released weights, for simulated touches and for recorded ones
 RAY_CORES = 2  # for each row or chunk
 ROWS = "the rows, with command, machine and versions"  # what `--json` writes, of commands that measure in rows
 
 
-def new_parser(commands: Commands, name: str, text: str, usage: str | None = None) -> argparse.ArgumentParser:
+def new_parser(
+    commands: Commands, name: str, text: str, usage: str | None = None
+) -> argparse.ArgumentParser:
     return commands.add_parser(name, help=text, description=text, usage=usage)
 
 
-def add_json(parser: argparse.ArgumentParser, what: str = "what was measured, with machine and versions") -> None:
+def add_json(
+    parser: argparse.ArgumentParser, what: str = "what was measured, with machine and versions"
+) -> None:
     parser.add_argument("--json", metavar="FILE", type=Path, help=f"write {what}")
 
 
@@ -31,7 +38,9 @@ def add_results(parser: argparse.ArgumentParser, out: str, what: str = ROWS) -> 
 
 
 def add_data(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    parser.add_argument(
+        "--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)"
+    )
 
 
 def add_base(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +68,10 @@ def add_like(parser: argparse.ArgumentParser) -> None:
 
 def add_stimulus(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--stimulus", metavar="NAME,FILE", default="all", help="which objects, outlines in files among them (all)"
+        "--stimulus",
+        metavar="NAME,FILE",
+        default="all",
+        help="which objects, outlines in files among them (all)",
     )
 
 
@@ -76,7 +88,9 @@ def stimuli_of(text: str) -> tuple[Touched, ...]:
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--force", action="store_true", help="answer images that are not of the model's sensor, too")
+    parser.add_argument(
+        "--force", action="store_true", help="answer images that are not of the model's sensor, too"
+    )
 
 
 def choose_exit_code(used: float, left_out: float) -> int:
@@ -88,9 +102,14 @@ def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
     """Who does the pieces of a command; `engine_asked` reads it."""
     text = f"one {piece} after the other, or all over a Ray cluster (serial)"
     parser.add_argument("--engine", choices=("serial", "ray"), default="serial", help=text)
-    parser.add_argument("--ray-address", metavar="ADDRESS", help="of a Ray cluster (default: one on this machine)")
     parser.add_argument(
-        "--ray-cores", metavar="N", type=int, help=f"cores that a {piece} takes of the cluster ({RAY_CORES})"
+        "--ray-address", metavar="ADDRESS", help="of a Ray cluster (default: one on this machine)"
+    )
+    parser.add_argument(
+        "--ray-cores",
+        metavar="N",
+        type=int,
+        help=f"cores that a {piece} takes of the cluster ({RAY_CORES})",
     )
 
 

@@ -13,17 +13,34 @@ from jaxunshear.settings.experiment import simulated_of
 def add_parser(commands: Commands) -> None:
     parser = new_parser(commands, "pins", "find, identify and draw the pins of recorded images")
     add_results(parser, "for the results (pins)")
-    parser.add_argument("path", metavar="IMAGES", type=Path, help="an image, or a folder of recordings")
-    known = parser.add_mutually_exclusive_group()
-    known.add_argument("--sensor", metavar="NAME", default="tactip331", help="whose pins they are (tactip331)")
-    known.add_argument(
-        "--layout", metavar="FILE", type=Path, help="instead: x and y of each pin, a line each, any unit"
-    )
-    known.add_argument("--model", metavar="DIR", type=Path, help="instead: images of the sensor and camera of this run")
     parser.add_argument(
-        "--rest", metavar="IMAGES", type=Path, help="of the untouched sensor (default: the images' mean)"
+        "path", metavar="IMAGES", type=Path, help="an image, or a folder of recordings"
     )
-    parser.add_argument("--size", metavar="PX", type=int, help="of the prepared images (theirs, at most 256)")
+    known = parser.add_mutually_exclusive_group()
+    known.add_argument(
+        "--sensor", metavar="NAME", default="tactip331", help="whose pins they are (tactip331)"
+    )
+    known.add_argument(
+        "--layout",
+        metavar="FILE",
+        type=Path,
+        help="instead: x and y of each pin, a line each, any unit",
+    )
+    known.add_argument(
+        "--model",
+        metavar="DIR",
+        type=Path,
+        help="instead: images of the sensor and camera of this run",
+    )
+    parser.add_argument(
+        "--rest",
+        metavar="IMAGES",
+        type=Path,
+        help="of the untouched sensor (default: the images' mean)",
+    )
+    parser.add_argument(
+        "--size", metavar="PX", type=int, help="of the prepared images (theirs, at most 256)"
+    )
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRows:
@@ -42,7 +59,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
     for recordings in (arguments.path, *([arguments.rest] if arguments.rest else [])):
         check_beside(recordings, out, "--out")
-        read_recordings(recordings, Preprocess())  # refuses a place without images before there is work to lose
+        read_recordings(
+            recordings, Preprocess()
+        )  # refuses a place without images before there is work to lose
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess(size=arguments.size) if arguments.size else None
@@ -53,11 +72,17 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
         experiment = model[1]
         paired, _ = simulated_of(experiment, "pins --model")
         if arguments.size or arguments.rest:
-            raise UserError("--model knows the images' size and the untouched pins: leave --size and --rest out")
+            raise UserError(
+                "--model knows the images' size and the untouched pins: leave --size and --rest out"
+            )
         preprocess = paired.preprocess
         lattice = undeformed(experiment.sensor, paired.camera, preprocess)
     else:
-        lattice = read_layout(arguments.layout) if arguments.layout else layout_of(sensor_named(arguments.sensor))
+        lattice = (
+            read_layout(arguments.layout)
+            if arguments.layout
+            else layout_of(sensor_named(arguments.sensor))
+        )
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
     from jaxunshear.report.pin_figure import pin_figure
 

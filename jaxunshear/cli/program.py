@@ -52,7 +52,10 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     except UserError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
-        print(f"stopped; {'run the same command to continue' if continued else AGAIN}", file=sys.stderr)
+        print(
+            f"stopped; {'run the same command to continue' if continued else AGAIN}",
+            file=sys.stderr,
+        )
         return 130
     except BrokenPipeError:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
@@ -67,7 +70,13 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
         raise
 
 
-def _noted(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
+def _noted(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
+) -> str:
     if issubclass(category, Note):
         return f"jaxunshear: note: {' '.join(str(message).split())}\n"
     return _usual(message, category, filename, lineno, line)
@@ -92,8 +101,15 @@ def check_json(arguments: argparse.Namespace) -> None:
     check_apart(json, "--json")
     check_new_file(json)
     for option, value in vars(arguments).items():
-        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
-            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+        if (
+            json is not None
+            and option != "json"
+            and isinstance(value, Path)
+            and value.resolve() == json.resolve()
+        ):
+            raise UserError(
+                f"--json {json} is also what this command reads or writes: name another file"
+            )
 
 
 def run_tool(

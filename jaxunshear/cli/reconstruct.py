@@ -3,7 +3,15 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, add_model, add_results, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import (
+    Commands,
+    Model,
+    add_model,
+    add_results,
+    add_stimulus,
+    new_parser,
+    stimuli_of,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
 from jaxunshear.settings.experiment import simulated_of
@@ -11,7 +19,9 @@ from jaxunshear.settings.stimuli import stimulus_names
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(commands, "reconstruct", "complete objects from the walks that `servo` left")
+    parser = new_parser(
+        commands, "reconstruct", "complete objects from the walks that `servo` left"
+    )
     add_results(parser, "where they are, and results go")
     add_model(parser)
     add_stimulus(parser)
@@ -25,7 +35,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.table import plain_table
 
     folder, experiment = model
-    simulated_of(experiment, "reconstruct")  # before walks are missed that such a model cannot have made
+    simulated_of(
+        experiment, "reconstruct"
+    )  # before walks are missed that such a model cannot have made
     asked = list(stimulus_names(stimuli_of(arguments.stimulus)))
     if arguments.stimulus == "all":  # of outlines of one's own, too
         asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
@@ -36,15 +48,28 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
         )
     if arguments.stimulus != "all" and len(names) < len(asked):
         lacking = ", ".join(name for name in asked if name not in names)
-        raise UserError(f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first")
+        raise UserError(
+            f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first"
+        )
     rows: list[ObjectScore] = []
-    for found in reconstruct(folder, experiment, [stored_walks(out / f"{name}.npz") for name in names]):
+    for found in reconstruct(
+        folder, experiment, [stored_walks(out / f"{name}.npz") for name in names]
+    ):
         name = str(found.course.stimulus)
         rows += found.scores
         for maker, (file, text) in PICTURES.items():
             shown = {way: solid for (by, way), solid in found.solids.items() if by == maker}
             write_bytes(out / f"{name}-{file}.png", object_figure(name, shown, text))
-        columns = ("name", "walks", "closed", "iou", "iou_felt", "mean_mm", "hausdorff_mm", "height_rms_mm")
+        columns = (
+            "name",
+            "walks",
+            "closed",
+            "iou",
+            "iou_felt",
+            "mean_mm",
+            "hausdorff_mm",
+            "height_rms_mm",
+        )
         print(plain_table([vars(row) for row in found.scores], columns))
     print(out)
     return ObjectScores(rows)

@@ -16,7 +16,9 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     if not (arguments.run / "results.json").is_file():
-        raise UserError(f"{arguments.run} holds no results.json: name the folder of a finished run, such as runs/demo")
+        raise UserError(
+            f"{arguments.run} holds no results.json: name the folder of a finished run, such as runs/demo"
+        )
     from jaxunshear.report.report import write_report
 
     print(write_report(arguments.run))

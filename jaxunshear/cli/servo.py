@@ -3,18 +3,32 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, add_model, add_results, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import (
+    Commands,
+    Model,
+    add_model,
+    add_results,
+    add_stimulus,
+    new_parser,
+    stimuli_of,
+)
 from jaxunshear.results.applications import WalkScore, WalkScores
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(commands, "servo", "follow the outlines of objects by touch, in the simulator")
+    parser = new_parser(
+        commands, "servo", "follow the outlines of objects by touch, in the simulator"
+    )
     add_results(parser, "for the results (servo)")
     add_model(parser)
     add_stimulus(parser)
-    parser.add_argument("--starts", metavar="N", type=int, default=5, help="for each way of perceiving (5)")
     parser.add_argument(
-        "--ways", metavar="NAME,NAME", help="of perceiving (default: all that the model's networks allow)"
+        "--starts", metavar="N", type=int, default=5, help="for each way of perceiving (5)"
+    )
+    parser.add_argument(
+        "--ways",
+        metavar="NAME,NAME",
+        help="of perceiving (default: all that the model's networks allow)",
     )
     parser.add_argument("--depth", metavar="MM", type=float, default=3.0, help="of the contact (3)")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
@@ -28,7 +42,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
     from jaxunshear.table import plain_table
 
     stimuli = stimuli_of(arguments.stimulus)
-    courses = [Course(touched, arguments.starts, arguments.depth, seed=arguments.seed) for touched in stimuli]
+    courses = [
+        Course(touched, arguments.starts, arguments.depth, seed=arguments.seed)
+        for touched in stimuli
+    ]
     ways = tuple(arguments.ways.split(",")) if arguments.ways else None
     rows: list[WalkScore] = []
     for found in servo(*model, courses, ways, out):

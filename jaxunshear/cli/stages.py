@@ -4,7 +4,15 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
+from jaxunshear.cli.options import (
+    Commands,
+    add_base,
+    add_data,
+    add_engine,
+    add_json,
+    engine_asked,
+    new_parser,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.experiment import Experiment, recorded_of, trained
@@ -28,10 +36,20 @@ def add_parsers(commands: Commands) -> None:
         ("train", "train the networks"),
         ("evaluate", "measure the networks on held-out poses"),
     ):
-        command = new_parser(commands, name, text, f"jaxunshear {name} FILE [options] [--field value ...]")
+        command = new_parser(
+            commands, name, text, f"jaxunshear {name} FILE [options] [--field value ...]"
+        )
         command.set_defaults(takes_fields=True)
-        command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
-        command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+        command.add_argument(
+            "file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py"
+        )
+        command.add_argument(
+            "--out",
+            metavar="DIR",
+            type=Path,
+            default=Path("runs"),
+            help="results: DIR/<name> (runs)",
+        )
         add_data(command)
         add_base(command)
         if name in ("run", "evaluate"):
@@ -39,7 +57,9 @@ def add_parsers(commands: Commands) -> None:
         if name in SIMULATING:
             add_engine(command, "chunk of contacts")
         if name == "train":
-            command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
+            command.add_argument(
+                "--network", metavar="NAME", help="only this one of the experiment's (default: all)"
+            )
 
     text = "fit networks to your own recordings: writes an experiment about them, and runs it"
     usage = "jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
@@ -48,9 +68,14 @@ def add_parsers(commands: Commands) -> None:
     command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
     command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
     command.add_argument(
-        "--pairs", metavar="FILE", type=Path, help="CSV with columns slide and tap: which belong together"
+        "--pairs",
+        metavar="FILE",
+        type=Path,
+        help="CSV with columns slide and tap: which belong together",
     )
-    command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+    command.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)"
+    )
     add_data(command)
     add_json(command)
 
@@ -73,10 +98,16 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     networks = trained(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
-            raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")
+            raise UserError(
+                f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}"
+            )
         networks = (arguments.network,)
     check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
-    stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
+    stages = [
+        name
+        for stage in STAGES[arguments.command]
+        for name in (networks if stage == NETWORKS else (stage,))
+    ]
     from jaxunshear.cluster import here, over_ray
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages
@@ -84,7 +115,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     keep_freed_memory()
     spread = over_ray(*asked) if asked else here
     results = run_stages(
-        experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command, spread=spread
+        experiment,
+        tuple(stages),
+        out=arguments.out,
+        data=arguments.data,
+        command=command,
+        spread=spread,
     )
     if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
@@ -121,7 +157,9 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
     if arguments.recordings:
         from jaxunshear.fit import with_recordings
 
-        experiment = with_recordings(experiment, str(arguments.recordings), str(arguments.recordings))
+        experiment = with_recordings(
+            experiment, str(arguments.recordings), str(arguments.recordings)
+        )
     validate(experiment)
     return experiment
 
@@ -168,7 +206,9 @@ def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) 
     from jaxunshear.results.stored import write
 
     if recorded_of(experiment):
-        results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
+        results = score_recordings(
+            experiment, arguments.file, arguments.recordings, arguments.data, command
+        )
     else:
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     print(table(results))

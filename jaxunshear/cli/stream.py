@@ -7,7 +7,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from jaxunshear.cli.options import SKIN, Commands, Model, add_force, add_json, add_like, add_model, new_parser
+from jaxunshear.cli.options import (
+    SKIN,
+    Commands,
+    Model,
+    add_force,
+    add_json,
+    add_like,
+    add_model,
+    new_parser,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_beside, check_new_file, check_new_folder
@@ -18,14 +27,28 @@ from jaxunshear.storage import os_error
 def add_parser(commands: Commands) -> None:
     text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
     parser = new_parser(commands, "stream", text)
-    parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
+    parser.add_argument(
+        "source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N"
+    )
     add_model(parser, SKIN)
     add_like(parser)
     add_force(parser)
-    parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
-    parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
+    parser.add_argument(
+        "--fps",
+        metavar="N",
+        type=float,
+        help="play a folder or video at this rate, as a camera would",
+    )
+    parser.add_argument(
+        "--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)"
+    )
     shown = parser.add_mutually_exclusive_group()
-    shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
+    shown.add_argument(
+        "--images",
+        metavar="DIR",
+        type=Path,
+        help="for unsheared images (default: within the lines)",
+    )
     shown.add_argument("--no-images", action="store_true", help="leave them out")
     add_json(parser, "the summary, with command, machine and versions")
 
@@ -52,7 +75,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
     with _lines(arguments.lines) as lines:
-        summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
+        summary = stream(
+            frames, live, robot, lines, arguments.images, not arguments.no_images, truth
+        )
     latency = summary.latency_ms
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
     print(

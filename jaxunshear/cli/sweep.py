@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
+from jaxunshear.cli.options import (
+    Commands,
+    add_base,
+    add_data,
+    add_engine,
+    add_json,
+    engine_asked,
+    new_parser,
+)
 
 if TYPE_CHECKING:
     from jaxunshear.settings.experiment import Experiment
@@ -17,17 +25,30 @@ COMMANDS = ("sweep",)
 
 def add_parsers(commands: Commands) -> None:
     text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
-    parser = new_parser(commands, "sweep", text, "jaxunshear sweep FILE [options] [--field value ...]")
+    parser = new_parser(
+        commands, "sweep", text, "jaxunshear sweep FILE [options] [--field value ...]"
+    )
     parser.set_defaults(takes_fields=True)
     parser.add_argument(
-        "file", metavar="FILE", type=Path, help="such as experiments/ablations/lambda_split.py, or an experiment"
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="such as experiments/ablations/lambda_split.py, or an experiment",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("runs/sweeps"),
+        help="DIR/<name> (runs/sweeps)",
+    )
     add_data(parser)
     add_base(parser)
     parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
     add_engine(parser, "row")
-    parser.add_argument("--retry-failed", action="store_true", help="also try rows again that failed")
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="also try rows again that failed"
+    )
     add_json(parser, "sweep.json here, too")
 
 
@@ -72,7 +93,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     check_apart(arguments.json, "--json", home=arguments.out / sweep.name)
     engine: engines.Engine = engines.ray_engine(*asked) if asked else engines.serial
-    summary = run_sweep(sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed)
+    summary = run_sweep(
+        sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
+    )
     print(table(summary))
     print(arguments.out / sweep.name / "sweep.json")
     if arguments.json is not None:

@@ -23,12 +23,16 @@ def add_parsers(commands: Commands) -> None:
         ("pose", "predict the poses of recorded images, as they are and unsheared"),
     ):
         parser = new_parser(commands, name, text)
-        parser.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
+        parser.add_argument(
+            "path", metavar="PATH", type=Path, help="an image, or a folder of recordings"
+        )
         add_model(parser, SKIN)
         add_like(parser)
         add_force(parser)
         if name == "unshear":
-            parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
+            parser.add_argument(
+                "--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv"
+            )
         add_json(parser)
 
 
@@ -37,10 +41,16 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     if arguments.command == "unshear":
         measured = infer.unshear_recordings(
-            arguments.path, arguments.model, arguments.out, force=arguments.force, like=arguments.like
+            arguments.path,
+            arguments.model,
+            arguments.out,
+            force=arguments.force,
+            like=arguments.like,
         )
     else:
-        measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force, like=arguments.like)
+        measured = infer.pose_of_recordings(
+            arguments.path, arguments.model, force=arguments.force, like=arguments.like
+        )
     if arguments.json:
         from dataclasses import replace
 
@@ -48,4 +58,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         write_json(arguments.json, replace(measured, command=command))
     counts = {row.name: row.value or 0 for row in measured.rows}
-    return choose_exit_code(counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"])
+    return choose_exit_code(
+        counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"]
+    )

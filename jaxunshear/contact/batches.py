@@ -12,7 +12,15 @@ from jaxunshear.contact.friction import Quality, Skin, Solved, System, follow_pa
 from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import BATCHES, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
+from jaxunshear.contact.plan import (
+    BATCHES,
+    PATH_LENGTHS,
+    Batch,
+    gaps,
+    increments,
+    make_plan,
+    padded,
+)
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.contact.state import contact_state
 from jaxunshear.contact.systems import dome, matrices, system_of
@@ -23,7 +31,9 @@ from jaxunshear.settings.reach import ring_arcs, ring_spacing
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline
 
-PENETRATION_MM = 0.03  # a node that was left out and ends deeper than this in the stimulus was needed
+PENETRATION_MM = (
+    0.03  # a node that was left out and ends deeper than this in the stimulus was needed
+)
 NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node
 
 Stimuli = tuple[str | Outline | Stimulus, ...]
@@ -65,23 +75,33 @@ def solve_batches(
     for part in batches:
         before = None if start is None else start.take(part.rows)
         if len(part.nodes):
-            parts.append(_solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before))
+            parts.append(
+                _solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before)
+            )
         else:
             parts.append(_untouched(sensor, obstacles, paths.take(part.rows), level))
         order.append(part.rows)
         if progress is not None:
             progress.advance(len(part.rows))
     back = np.argsort(np.concatenate(order), kind="stable")
-    fields = [np.concatenate(field)[back] for field in zip(*((*c, *s, i) for c, s, i in parts), strict=True)]
+    fields = [
+        np.concatenate(field)[back]
+        for field in zip(*((*c, *s, i) for c, s, i in parts), strict=True)
+    ]
     return Contacts(*fields[:-3]), Skins(*fields[-3:-1]), fields[-1]
 
 
 def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
     """A batch that also solves for the nodes that carry a force at the start, with what those need."""
     force = start.force_n[part.rows]
-    loaded = [np.flatnonzero(np.any(f[turned[k]] != 0, axis=-1)) for k, f in zip(part.turn, force, strict=True)]
+    loaded = [
+        np.flatnonzero(np.any(f[turned[k]] != 0, axis=-1))
+        for k, f in zip(part.turn, force, strict=True)
+    ]
     friction = part.friction or bool(np.any(force[..., :2]))
-    return part._replace(nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction)
+    return part._replace(
+        nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction
+    )
 
 
 def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
@@ -91,11 +111,15 @@ def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts
     pins = np.repeat(full.pins[None].astype(level.precision), count, axis=0)
     free = np.full(count, len(full.nodes))
     good = np.ones(count, bool)
-    contacts = Contacts(pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good)
+    contacts = Contacts(
+        pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good
+    )
     return contacts, Skins(np.zeros((count, len(full.nodes), 3)), paths.points[:, -1])
 
 
-def _untouched(sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
+def _untouched(
+    sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level
+) -> tuple[Contacts, Skins, np.ndarray]:
     """Of paths for which no node seemed to be needed. One that ends inside the stimulus shows that some are: a grazing touch."""
     nodes, pose = dome(sensor).nodes, paths.radians[:, -1]
     still = np.zeros((len(paths), *nodes.shape))
@@ -107,15 +131,26 @@ def _turned_back(turn: np.ndarray) -> np.ndarray:
     """(B, 3, 3): from the turned lattice to the sensor frame."""
     angle = np.radians(60.0 * turn)
     cos, sin, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(turn)), np.ones(len(turn))
-    return np.stack([np.stack(row, -1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], 1)
+    return np.stack(
+        [np.stack(row, -1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], 1
+    )
 
 
 def _solve(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, level: Level, batch: int, start: Skins | None
+    sensor: Sensor,
+    obstacles: Obstacles,
+    paths: Paths,
+    part: Batch,
+    level: Level,
+    batch: int,
+    start: Skins | None,
 ) -> tuple[Contacts, Skins, np.ndarray]:
     """One batch, padded by repeating its last scene."""
     count, full = len(paths), dome(sensor)
-    rotation, place = _turned_back(part.turn), sixfold(len(full.nodes))[part.turn][:, part.nodes]  # (b, n)
+    rotation, place = (
+        _turned_back(part.turn),
+        sixfold(len(full.nodes))[part.turn][:, part.nodes],
+    )  # (b, n)
     poses, _ = increments(paths, level, sensor.dome_radius_mm)
     poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
     poses[..., TILT_X:] = np.einsum("bji,btj->bti", rotation[:, :2, :2], poses[..., TILT_X:])
@@ -123,12 +158,17 @@ def _solve(
     length = padded(part.steps, PATH_LENGTHS)
     filled = np.minimum(np.arange(length + 1), poses.shape[1] - 1)
     with jax.enable_x64(level.precision == "float64"):
-        system, newtons = system_of(sensor, part.nodes.astype(np.int64).tobytes(), part.friction, level.precision)
+        system, newtons = system_of(
+            sensor, part.nodes.astype(np.int64).tobytes(), part.friction, level.precision
+        )
         size, unknowns = len(system.nodes), len(system.w) // len(system.nodes)
         force = np.zeros((len(rows), size, unknowns))
         if start is not None:
             loaded = (
-                np.einsum("bji,bnj->bni", rotation, np.take_along_axis(start.force_n, place[..., None], 1)) / newtons
+                np.einsum(
+                    "bji,bnj->bni", rotation, np.take_along_axis(start.force_n, place[..., None], 1)
+                )
+                / newtons
             )
             force[:, : len(part.nodes)] = loaded[rows][..., 3 - unknowns :]
         skin, quality, states = jax.device_get(
@@ -176,12 +216,19 @@ def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     full = dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
     matrix = matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
-    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(-1, matrix.shape[-1])
+    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(
+        -1, matrix.shape[-1]
+    )
     return (full.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
 
 def _needs_more(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, pose: np.ndarray, force_n: np.ndarray
+    sensor: Sensor,
+    obstacles: Obstacles,
+    paths: Paths,
+    part: Batch,
+    pose: np.ndarray,
+    force_n: np.ndarray,
 ) -> np.ndarray:
     """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
     full = dome(sensor)
@@ -227,6 +274,17 @@ def _run(
     displacement = product(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
     skin = skin._replace(force=force, displacement=displacement)
     skin, quality = follow_path(
-        system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps, strong, solver
+        system,
+        obstacles,
+        which,
+        friction,
+        path[1:],
+        skin,
+        tolerance,
+        limit,
+        tilted,
+        steps,
+        strong,
+        solver,
     )
     return skin, quality, contact_state(skin, friction, tilted)

@@ -43,7 +43,9 @@ def factorise(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray]:
         for number in reversed(range(len(lower))):
             if number + 1 < len(lower):
                 parts[number] = parts[number] - coupling[number] @ parts[number + 1]
-            parts[number] = solve_triangular(lower[number], parts[number], lower=True, trans="T", check_finite=False)
+            parts[number] = solve_triangular(
+                lower[number], parts[number], lower=True, trans="T", check_finite=False
+            )
         answer = np.empty_like(right)
         answer[order] = np.concatenate(parts)
         return answer

@@ -64,7 +64,9 @@ def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> 
     arcs = ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
     levers, part = pin_levers(sensor), mesh.skin if varied else None
-    return respond(mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), levers, part, progress)
+    return respond(
+        mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), levers, part, progress
+    )
 
 
 def _harmonics(sensor: Sensor) -> int:
@@ -95,7 +97,9 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.touch()  # before the work: a folder that cannot be written to is reported at once
-        with Progress(f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics") as progress:
+        with Progress(
+            f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics"
+        ) as progress:
             made = _compute(sensor, varied, progress)
         part.write_bytes(_packed(made, text))
         os.replace(part, path)
@@ -111,7 +115,11 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
 
 def _packed(made: Response, settings: str) -> bytes:
     stream = io.BytesIO()
-    np.savez(stream, settings=np.array(settings), **{field.name: getattr(made, field.name) for field in fields(made)})
+    np.savez(
+        stream,
+        settings=np.array(settings),
+        **{field.name: getattr(made, field.name) for field in fields(made)},
+    )
     return hashlib.sha256(stream.getvalue()).digest() + stream.getvalue()
 
 
@@ -124,7 +132,11 @@ def _read(path: Path, settings: str, sensor: Sensor) -> Response:
         made = Response(**{field.name: stored[field.name] for field in fields(Response)})
         if str(stored["settings"]) != settings:
             raise ValueError("made with other settings")
-    rings, harmonics, places = len(ring_arcs(sensor)), _harmonics(sensor) + 1, int(made.place.max(initial=0)) + 1
+    rings, harmonics, places = (
+        len(ring_arcs(sensor)),
+        _harmonics(sensor) + 1,
+        int(made.place.max(initial=0)) + 1,
+    )
     shapes = {
         "nodes": (1 + 3 * rings * (rings - 1), 3),
         "pins": (sensor.pins, 3),

@@ -71,7 +71,9 @@ def isotropic(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
     return d
 
 
-def stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
+def stiffness(
+    mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]
+) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
     """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
     values, slopes, area, r = sample_elements(mesh, GAUSS)
     over_r = values[None] / r[..., None]
@@ -112,7 +114,9 @@ def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndar
     return line, np.einsum("qn,snx->sqx", line, ends), speeds
 
 
-def ring_loads(mesh: Mesh, arcs: Float[np.ndarray, "_"]) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
+def ring_loads(
+    mesh: Mesh, arcs: Float[np.ndarray, "_"]
+) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
     """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
 
     `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
@@ -120,7 +124,9 @@ def ring_loads(mesh: Mesh, arcs: Float[np.ndarray, "_"]) -> tuple[Float[np.ndarr
     line, points, speeds = _along_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     lengths = 2 * speeds / _SAMPLES
     ends = np.cumsum(lengths.ravel()).reshape(lengths.shape)
-    hats = np.stack([np.interp(ends - lengths / 2, arcs, row, right=0.0) for row in np.eye(len(arcs))[:-1]], -1)
+    hats = np.stack(
+        [np.interp(ends - lengths / 2, arcs, row, right=0.0) for row in np.eye(len(arcs))[:-1]], -1
+    )
     weight = hats * (points[..., 0] * lengths)[..., None]
     weight /= weight.sum(axis=(0, 1))
     loads = np.zeros((len(mesh.nodes), len(arcs) - 1))
@@ -145,9 +151,14 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     if m != 0:
         keep[3 * axis + 2] = False
     free = np.flatnonzero(keep)
-    select = sp.csc_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(size, len(free)))
+    select = sp.csc_matrix(
+        (np.ones(len(free)), (free, np.arange(len(free)))), shape=(size, len(free))
+    )
     if m == 1:
-        ties = sp.csc_matrix((-np.ones(len(axis)), (3 * axis + 1, np.searchsorted(free, 3 * axis))), shape=select.shape)
+        ties = sp.csc_matrix(
+            (-np.ones(len(axis)), (3 * axis + 1, np.searchsorted(free, 3 * axis))),
+            shape=select.shape,
+        )
         select = select + ties
     return select.tocsc()
 
@@ -183,7 +194,9 @@ def respond(
 
     spatial = sp.kron(sp.csr_matrix(loads), sp.eye(3)).tocsc()  # (3V, 3R)
     parts = stiffness(mesh, materials)
-    slopes = None if varied is None else stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
+    slopes = (
+        None if varied is None else stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
+    )
     rings = np.zeros((harmonics + 1, spatial.shape[1], spatial.shape[1]))
     fields = np.zeros((harmonics + 1, 3 * len(places), spatial.shape[1]))
     with _one_thread():

@@ -23,21 +23,29 @@ def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
     )
 
 
-def product(a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]) -> Float[jax.Array, "*C m n"]:
+def product(
+    a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]
+) -> Float[jax.Array, "*C m n"]:
     """Of matrices, in their own precision also on a GPU, which would round float32 to ten bits; as all of the physics."""
     return jnp.matmul(a, b, precision="highest")
 
 
-def rotate(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]) -> Float[jax.Array, "B N 3"]:
+def rotate(
+    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
+) -> Float[jax.Array, "B N 3"]:
     return jnp.einsum("bij,bnj->bni", frame, vectors, precision="highest")
 
 
-def rotate_back(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]) -> Float[jax.Array, "B N 3"]:
+def rotate_back(
+    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
+) -> Float[jax.Array, "B N 3"]:
     return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
 
 
 def levelled(
-    frame: Float[jax.Array, "B 3 3"] | None, points: Float[jax.Array, "B N 3"], centre_mm: Float[jax.Array, ""]
+    frame: Float[jax.Array, "B 3 3"] | None,
+    points: Float[jax.Array, "B N 3"],
+    centre_mm: Float[jax.Array, ""],
 ) -> Float[jax.Array, "B N 3"]:
     """Points of the sensor frame in the level frame (None: the same), whose lowest point of the dome lies at z = 0."""
     if frame is None:
@@ -50,7 +58,9 @@ def levelled(
 def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N 2"]:
     """By angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-    return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
+    return jnp.stack(
+        [cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1
+    )
 
 
 def increment_length(

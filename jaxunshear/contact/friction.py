@@ -24,7 +24,15 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import increment_length, level_frame, levelled, product, rotate, rotate_back, turn
+from jaxunshear.contact.frame import (
+    increment_length,
+    level_frame,
+    levelled,
+    product,
+    rotate,
+    rotate_back,
+    turn,
+)
 from jaxunshear.contact.level import STRONG
 from jaxunshear.contact.obstacle import Obstacles, drop
 from jaxunshear.scene.paths import DEPTH, YAW
@@ -37,7 +45,10 @@ FIRST_PASS = 2.0  # of the tolerance is enough for all but the last pass: a quar
 # Where friction is STRONG the same tolerance leaves larger errors: half of it is aimed at first, which some scenes do not reach.
 STRICTER, PATIENCE = 0.5, 100
 FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
-LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
+LEAST_MM, MOST_MM = (
+    0.05,
+    0.5,
+)  # an increment's length for its tolerance: pauses and long presses are judged sensibly
 
 
 class System(NamedTuple):
@@ -74,7 +85,9 @@ class Quality(NamedTuple):
 # what a solver of increments gives: force, dual, residual mm and iterations
 Solved = tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]
 _Iterates = tuple[Array, Array, Array, Array]  # z, its dual, x, and z before
-_Solving = tuple[_Iterates, Array, Array, Array]  # with residual (B,), iterations (B,), and the count of them
+_Solving = tuple[
+    _Iterates, Array, Array, Array
+]  # with residual (B,), iterations (B,), and the count of them
 
 
 def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[Array, "B N d"]:
@@ -87,7 +100,9 @@ def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[
     sticks = jnp.isinf(friction)[:, None, None]
     limit = jnp.where(sticks, 0, friction[:, None, None]) * normal
     cut = limit * jax.lax.rsqrt(jnp.maximum(squared, 1e-30))
-    shrink = jnp.where(sticks, jnp.where(normal > 0, 1.0, 0.0), jnp.where(squared > limit**2, cut, 1.0))
+    shrink = jnp.where(
+        sticks, jnp.where(normal > 0, 1.0, 0.0), jnp.where(squared > limit**2, cut, 1.0)
+    )
     return jnp.concatenate([tangential * shrink.astype(force.dtype), normal], axis=-1)
 
 
@@ -115,7 +130,11 @@ def solve_increment(
     None: that of all.
     """
     hard = friction > STRONG
-    share = OVER_RELAXATION if strong is None else jnp.where(hard, strong, OVER_RELAXATION)[:, None, None]
+    share = (
+        OVER_RELAXATION
+        if strong is None
+        else jnp.where(hard, strong, OVER_RELAXATION)[:, None, None]
+    )
 
     def iterate(_: Array, state: _Iterates) -> _Iterates:
         z, y, _, _ = state
@@ -132,7 +151,11 @@ def solve_increment(
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
     def aim(count: Array) -> Array:
-        return tolerance if strong is None else tolerance * jnp.where(hard & (count < PATIENCE), STRICTER, 1.0)
+        return (
+            tolerance
+            if strong is None
+            else tolerance * jnp.where(hard & (count < PATIENCE), STRICTER, 1.0)
+        )
 
     def unfinished(state: _Solving) -> Array:
         _, error, _, count = state
@@ -143,10 +166,19 @@ def solve_increment(
         after = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
         now = error(after)
         if strong is not None:
-            done = hard & (before <= aim(count))  # and would leave the solution again, while others are waited for
-            after = jax.tree.map(lambda old, new: jnp.where(done[:, None, None], old, new), inner, after)
+            done = hard & (
+                before <= aim(count)
+            )  # and would leave the solution again, while others are waited for
+            after = jax.tree.map(
+                lambda old, new: jnp.where(done[:, None, None], old, new), inner, after
+            )
             now = jnp.where(done, before, now)
-        return after, now, spent + jnp.where(before > aim(count), BETWEEN_CHECKS, 0), count + BETWEEN_CHECKS
+        return (
+            after,
+            now,
+            spent + jnp.where(before > aim(count), BETWEEN_CHECKS, 0),
+            count + BETWEEN_CHECKS,
+        )
 
     # what holds already, as where nothing touches, needs no iteration
     force, dual, moved = start
@@ -177,10 +209,15 @@ def increment_offset(
     frame = level_frame(pose) if tilted else None
 
     def in_target_frame(displaced: Array) -> Array:
-        return turn(pose[:, YAW], levelled(frame, displaced, system.centre_mm)[..., :2]) + pose[:, None, :2]
+        return (
+            turn(pose[:, YAW], levelled(frame, displaced, system.centre_mm)[..., :2])
+            + pose[:, None, :2]
+        )
 
     place = system.nodes[None] + skin.displacement
-    rest_height = levelled(frame, jnp.broadcast_to(system.nodes, place.shape), system.centre_mm)[..., 2]
+    rest_height = levelled(frame, jnp.broadcast_to(system.nodes, place.shape), system.centre_mm)[
+        ..., 2
+    ]
     fall = drop(obstacles, which, in_target_frame(system.nodes[None] + displacement))
     height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, FAR_MM)
     if skin.force.shape[-1] == 1:
@@ -231,11 +268,17 @@ def advance(
     for allowed in [FIRST_PASS] * (PASSES - 1) + [1.0]:
         offset = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
         # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
-        moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
+        moved = (displacement if frame is None else rotate(frame, displacement))[
+            ..., -force.shape[-1] :
+        ]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
-        force, dual, error, spent = solve(system, frame, offset, friction, start, allowed * wanted, limit)
+        force, dual, error, spent = solve(
+            system, frame, offset, friction, start, allowed * wanted, limit
+        )
         inside = force if frame is None else rotate_back(frame, force)
-        displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(skin.displacement.shape)
+        displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(
+            skin.displacement.shape
+        )
         count = count + spent
     if frame is not None:
         back = jnp.swapaxes(frame, 1, 2)
@@ -275,15 +318,31 @@ def follow_path(
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
         skin, now = advance(
-            system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost, strong, solver
+            system,
+            obstacles,
+            which,
+            friction,
+            path[number],
+            skin,
+            tolerance,
+            limit,
+            tilted,
+            lost,
+            strong,
+            solver,
         )
         worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
         pick = lambda new, old: jnp.where(worse, new, old)  # noqa: E731
-        residual, goal = pick(now.residual_mm, worst.residual_mm), pick(now.tolerance_mm, worst.tolerance_mm)
+        residual, goal = (
+            pick(now.residual_mm, worst.residual_mm),
+            pick(now.tolerance_mm, worst.tolerance_mm),
+        )
         return number + 1, skin, Quality(residual, goal, worst.iterations + now.iterations)
 
     last = jnp.asarray(len(path) if steps is None else steps, jnp.int32)
     none = jnp.zeros(path.shape[1], path.dtype)
     start = Quality(none, none + tolerance * LEAST_MM, jnp.zeros(path.shape[1], jnp.int32))
-    _, skin, worst = jax.lax.while_loop(lambda state: state[0] < last, step, (jnp.zeros((), jnp.int32), skin, start))
+    _, skin, worst = jax.lax.while_loop(
+        lambda state: state[0] < last, step, (jnp.zeros((), jnp.int32), skin, start)
+    )
     return skin, worst

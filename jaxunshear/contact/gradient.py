@@ -125,7 +125,9 @@ def pin_model(
     for ratio in ratios or (own,):
         other = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
         full, (dw, dg) = domes.dome(other), domes.sensitivity(other)
-        parts.append((full.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], full.g[:, rows], dg[:, rows]))
+        parts.append(
+            (full.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], full.g[:, rows], dg[:, rows])
+        )
     force = np.zeros((len(paths), len(index), 3)) if start is None else start.force_n[:, index]
     w, w_slope, g, g_slope = (jnp.asarray(np.stack(part)) for part in zip(*parts, strict=True))
     return PinModel(
@@ -153,7 +155,10 @@ def path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarra
     """
     legs = range(paths.points.shape[1] - 1)
     counts = [
-        increments(Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm)[1] for k in legs
+        increments(
+            Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm
+        )[1]
+        for k in legs
     ]
     number = np.arange(int(np.sum(counts, axis=0).max(initial=0)) + 1)
     shares = np.zeros((len(paths), len(number), len(legs) + 1))
@@ -175,7 +180,12 @@ def compliance(
         left = jnp.clip(jnp.searchsorted(model.knots, log_ratio) - 1, 0, len(model.knots) - 2)
         width = model.knots[left + 1] - model.knots[left]
         s = (log_ratio - model.knots[left]) / width
-        weights = (1 + 2 * s) * (1 - s) ** 2, s**2 * (3 - 2 * s), width * s * (1 - s) ** 2, width * s**2 * (s - 1)
+        weights = (
+            (1 + 2 * s) * (1 - s) ** 2,
+            s**2 * (3 - 2 * s),
+            width * s * (1 - s) ** 2,
+            width * s**2 * (s - 1),
+        )
 
         def between(values: Array, slopes: Array) -> Array:
             ends = jnp.stack([values[left], values[left + 1], slopes[left], slopes[left + 1]])
@@ -197,12 +207,19 @@ def pins(
     Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
     """
     turns = jnp.zeros(6, bool).at[jnp.array(TURNS)].set(True)
-    path = jnp.einsum("btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None])
+    path = jnp.einsum(
+        "btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None]
+    )
     w, g, scale = compliance(model, model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
     system = System(w, inverse, w, model.nodes, model.centre_mm)
     force = model.force_n * scale
-    skin = Skin(force, jnp.zeros_like(force), (force.reshape(len(force), -1) @ w).reshape(force.shape), path[0])
+    skin = Skin(
+        force,
+        jnp.zeros_like(force),
+        (force.reshape(len(force), -1) @ w).reshape(force.shape),
+        path[0],
+    )
     state = pin_state(system, g.T, model.obstacles, model.which, friction, path, skin, model.most)
     return Pins(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
 
@@ -225,8 +242,14 @@ def pin_gradient(
             rows = np.arange(first, min(first + batch, len(paths)))
             part, before = paths.take(rows), None if start is None else start.take(rows)
             model = pin_model(sensor, names, part, level, start=before)
-            parts.append(jax.device_get(_derivatives(model, jnp.asarray(part.points), jnp.asarray(part.friction))))
-    answer, by_points, by_friction, by_ratio = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+            parts.append(
+                jax.device_get(
+                    _derivatives(model, jnp.asarray(part.points), jnp.asarray(part.friction))
+                )
+            )
+    answer, by_points, by_friction, by_ratio = jax.tree.map(
+        lambda *fields: np.concatenate(fields), *parts
+    )
     return PinGradient(
         answer.pins,
         by_points,
@@ -239,11 +262,15 @@ def pin_gradient(
 
 
 @jax.jit
-def _derivatives(model: PinModel, points: Array, friction: Array) -> tuple[Pins, Array, Array, Array]:
+def _derivatives(
+    model: PinModel, points: Array, friction: Array
+) -> tuple[Pins, Array, Array, Array]:
     """One tangent for all scenes at once, as none knows of another; all tangents share each increment's matrix."""
     count, ways = points.shape[0], points.shape[1] * 6
     tangents = (
-        jnp.broadcast_to(jnp.eye(ways + 2, ways).reshape(-1, 1, points.shape[1], 6), (ways + 2, *points.shape)),
+        jnp.broadcast_to(
+            jnp.eye(ways + 2, ways).reshape(-1, 1, points.shape[1], 6), (ways + 2, *points.shape)
+        ),
         jnp.zeros((ways + 2, count)).at[ways].set(1.0),
         jnp.zeros(ways + 2).at[ways + 1].set(1.0),
     )

@@ -20,7 +20,9 @@ def ring_sizes(rings: int) -> Int[np.ndarray, "{rings}"]:
 def lattice(rings: int) -> tuple[Int[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Ring and angle (rad) of each of the N nodes, ring by ring, counter-clockwise from +x."""
     sizes = ring_sizes(rings)
-    return np.repeat(np.arange(rings), sizes), np.concatenate([np.arange(n) * 2 * np.pi / n for n in sizes])
+    return np.repeat(np.arange(rings), sizes), np.concatenate(
+        [np.arange(n) * 2 * np.pi / n for n in sizes]
+    )
 
 
 def spread_forces(rings: int, harmonics: int) -> Float[np.ndarray, "{harmonics+1} {rings} 3 3"]:
@@ -29,10 +31,15 @@ def spread_forces(rings: int, harmonics: int) -> Float[np.ndarray, "{harmonics+1
     def hat(order: np.ndarray) -> np.ndarray:
         width = 2 * np.pi / ring_sizes(rings)[1:]
         around = np.sinc(order[:, None] * width / (2 * np.pi)) ** 2
-        return np.concatenate([(order == 0)[:, None], around], axis=1) / (2 * np.pi)  # the apex has no angle
+        return np.concatenate([(order == 0)[:, None], around], axis=1) / (
+            2 * np.pi
+        )  # the apex has no angle
 
     m = np.arange(harmonics + 1)
-    along, across = (hat(m - 1) + hat(m + 1)) / 2, (hat(m - 1) - hat(m + 1)) / 2  # times cos, times sin of the angle
+    along, across = (
+        (hat(m - 1) + hat(m + 1)) / 2,
+        (hat(m - 1) - hat(m + 1)) / 2,
+    )  # times cos, times sin of the angle
     forces = np.zeros((*along.shape, 3, 3))
     forces[..., 0, 0] = forces[..., 1, 1] = along
     forces[..., 0, 1] = forces[..., 1, 0] = -across
@@ -48,7 +55,9 @@ def sixfold(count: int) -> Int[np.ndarray, "6 {count}"]:
         raise ValueError(f"{count} nodes do not fill complete rings 1 + 6 + 12 + ...")
     turned = [np.zeros((6, 1), int)]
     for k in range(1, round(rings)):
-        turned.append(1 + 3 * k * (k - 1) + (np.arange(6 * k) + k * np.arange(6)[:, None]) % (6 * k))
+        turned.append(
+            1 + 3 * k * (k - 1) + (np.arange(6 * k) + k * np.arange(6)[:, None]) % (6 * k)
+        )
     return np.concatenate(turned, axis=1)
 
 
@@ -59,14 +68,18 @@ def node_to_node(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3
     """
     rings = between.shape[1] // 3
     forces = spread_forces(rings, len(between) - 1)
-    mean = 2 * np.pi * np.einsum("mkap,mkalb->mkplb", forces, between.reshape(-1, rings, 3, rings, 3))
+    mean = (
+        2 * np.pi * np.einsum("mkap,mkalb->mkplb", forces, between.reshape(-1, rings, 3, rings, 3))
+    )
     ring, angle = lattice(rings)
     sector = np.flatnonzero(angle < np.pi / 3 - 1e-9)
     part = _sum(mean, ring, angle, forces, sector)
     w = np.empty((len(ring), 3, len(ring), 3))
     turned = sixfold(len(ring))
     for sixth in range(6):
-        columns = np.moveaxis(_turn(part, sixth * np.pi / 3, sixth * np.pi / 3), (0, 1), (1, 3))[turned[-sixth]]
+        columns = np.moveaxis(_turn(part, sixth * np.pi / 3, sixth * np.pi / 3), (0, 1), (1, 3))[
+            turned[-sixth]
+        ]
         images = turned[sixth][sector]
         for number in range(rings):  # neighbours stay neighbours: copied in one piece
             here = np.flatnonzero(ring[sector] == number)[[0, -1]]
@@ -86,7 +99,11 @@ def node_to_point(
 
 
 def _sum(
-    fields: np.ndarray, place: np.ndarray, angle: np.ndarray, forces: np.ndarray, nodes: np.ndarray | slice
+    fields: np.ndarray,
+    place: np.ndarray,
+    angle: np.ndarray,
+    forces: np.ndarray,
+    nodes: np.ndarray | slice,
 ) -> np.ndarray:
     """(3, 3, P, K): directions of P points at (place, angle), of unit forces at K `nodes`; the points; the nodes.
 

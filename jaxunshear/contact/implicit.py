@@ -88,7 +88,9 @@ def slopes(
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
     matrix = jnp.concatenate([jnp.concatenate([disk, by_normal[..., None]], -1), bottom], -2)
-    by_friction = jnp.concatenate([jnp.where(slips, jnp.maximum(normal, 0), 0)[..., None] * along, zero[..., None]], -1)
+    by_friction = jnp.concatenate(
+        [jnp.where(slips, jnp.maximum(normal, 0), 0)[..., None] * along, zero[..., None]], -1
+    )
     touches = (normal > 0)[..., None]
     return jnp.where(touches[..., None], matrix, 0), jnp.where(touches, by_friction, 0)
 
@@ -164,7 +166,9 @@ def _dense_blocks(blocks: Array, slope: Array, right: Array) -> Array:
     one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(1, nodes, 3, nodes, 3)
     matrix = one + jnp.einsum("bnij,bnjmk->bnimk", slope, blocks - one)
     factors = jax.scipy.linalg.lu_factor(matrix.reshape(count, 3 * nodes, 3 * nodes))
-    return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(right.shape)
+    return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(
+        right.shape
+    )
 
 
 def _moved(w: Array, frame: Array, offset: Array, force: Array) -> Array:
@@ -199,9 +203,9 @@ def _find(most: int, w: Array, frame: Array, offset: Array, friction: Array, gue
     def one_round(state: _Search) -> _Search:
         force, dual, error, number = state
         length = jnp.clip(guess.length_mm, LEAST_MM, MOST_MM)
-        wanted = jnp.where(error > goal, TOLERANCE * length * 10.0 ** -number.astype(length.dtype), jnp.inf).astype(
-            offset.dtype
-        )
+        wanted = jnp.where(
+            error > goal, TOLERANCE * length * 10.0 ** -number.astype(length.dtype), jnp.inf
+        ).astype(offset.dtype)
         warm = (force, dual, _times(w, force, frame))
         force, dual, _, _ = solve_increment(system, frame, offset, friction, warm, wanted, LIMIT)
         start = (force, _size(miss(force)), jnp.ones((), bool), jnp.zeros((), jnp.int32))
@@ -236,7 +240,9 @@ def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[Ar
     w, frame, offset, friction, guess = primals
     force = checkpoint_name(contact_force(most, *primals), "force")
     total, change = jax.jvp(
-        lambda *given: _times(given[0], force, given[1]) + given[2], (w, frame, offset), tangents[:3]
+        lambda *given: _times(given[0], force, given[1]) + given[2],
+        (w, frame, offset),
+        tangents[:3],
     )
     slope, by_friction = slopes(force - total, friction)
     finite = jnp.where(jnp.isinf(friction), 0, tangents[3])
@@ -261,26 +267,44 @@ def pin_state(
     the batch is its own. `most`: see `contact_force`.
     """
 
-    def step(state: tuple[Skin, Array, Array], pose: Array) -> tuple[tuple[Skin, Array, Array], None]:
+    def step(
+        state: tuple[Skin, Array, Array], pose: Array
+    ) -> tuple[tuple[Skin, Array, Array], None]:
         skin, margin, worst = state
         moves = jnp.any(pose != skin.pose, axis=-1)
         length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)
         frame = level_frame(pose)
         back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
 
-        @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
+        @partial(
+            jax.checkpoint,
+            prevent_cse=False,
+            policy=jax.checkpoint_policies.save_only_these_names("force"),
+        )
         def one_pass(state: _Pass, _: None) -> tuple[_Pass, None]:
             force, dual, displacement, margin, worst = state
             offset = increment_offset(system, obstacles, which, skin, pose, True, displacement)
             guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
             force = contact_force(most, system.w, frame, offset, friction, guess)
             total = _times(system.w, force, frame) + offset
-            displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(force.shape)
-            margin = jnp.minimum(margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf))
-            worst = jnp.maximum(worst, jnp.where(moves, _size(force - project(force - total, friction)), 0))
+            displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(
+                force.shape
+            )
+            margin = jnp.minimum(
+                margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf)
+            )
+            worst = jnp.maximum(
+                worst, jnp.where(moves, _size(force - project(force - total, friction)), 0)
+            )
             return (force, -total / RHO, displacement, margin, worst), None
 
-        start = (rotate(frame, skin.force), rotate(frame, skin.dual), skin.displacement, margin, worst)
+        start = (
+            rotate(frame, skin.force),
+            rotate(frame, skin.dual),
+            skin.displacement,
+            margin,
+            worst,
+        )
         (force, dual, displacement, margin, worst), _ = jax.lax.scan(one_pass, start, length=PASSES)
         after = Skin(
             jnp.where(keep, rotate(back, force), skin.force),

@@ -34,7 +34,9 @@ class Level:
 
 LEVELS = {
     "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.25, limit=300),
-    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600, omit=()),
+    "default": Level(
+        press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600, omit=()
+    ),
     "auto": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600),
     "reference": Level(
         press=6,

@@ -32,7 +32,9 @@ class Mesh:
         return np.flatnonzero(self.nodes[:, 0] < 1e-9)
 
 
-def shape_functions(local: Float[np.ndarray, "Q 2"]) -> tuple[Float[np.ndarray, "Q 8"], Float[np.ndarray, "Q 8 2"]]:
+def shape_functions(
+    local: Float[np.ndarray, "Q 2"],
+) -> tuple[Float[np.ndarray, "Q 8"], Float[np.ndarray, "Q 8 2"]]:
     """Serendipity shape functions: values and local gradients."""
     x, y = local[:, :1], local[:, 1:]
     cx, cy = _CORNERS.T
@@ -48,7 +50,9 @@ def shape_functions(local: Float[np.ndarray, "Q 2"]) -> tuple[Float[np.ndarray, 
             values.append((1 - y**2) * (1 + x * sx) / 2)
             in_x.append((1 - y**2) * sx / 2)
             in_y.append(-y * (1 + x * sx))
-    return np.concatenate(values, 1), np.stack([np.concatenate(in_x, 1), np.concatenate(in_y, 1)], -1)
+    return np.concatenate(values, 1), np.stack(
+        [np.concatenate(in_x, 1), np.concatenate(in_y, 1)], -1
+    )
 
 
 class Samples(NamedTuple):
@@ -70,9 +74,13 @@ def sample_elements(mesh: Mesh, local: Float[np.ndarray, "Q 2"]) -> Samples:
     return Samples(values, slopes, np.abs(np.linalg.det(jacobian)), r)
 
 
-def edge_shapes(s: Float[np.ndarray, "S"]) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
+def edge_shapes(
+    s: Float[np.ndarray, "S"],
+) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
     """Shape functions of an edge (end, middle, end) at s in [-1, 1], and their slopes."""
-    return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack([s - 0.5, -2 * s, s + 0.5], -1)
+    return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack(
+        [s - 0.5, -2 * s, s + 0.5], -1
+    )
 
 
 def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
@@ -85,7 +93,12 @@ def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     layers = max(round(0.5 * inner / h), 2)
     skin_layers = max(round(skin / h), 1)
     points, elements, block = _quarter_disk(
-        0.5 * inner, core, np.linspace(0.5 * inner, inner, layers + 1)[1:], skin_layers, skin, crowding=0.9
+        0.5 * inner,
+        core,
+        np.linspace(0.5 * inner, inner, layers + 1)[1:],
+        skin_layers,
+        skin,
+        crowding=0.9,
     )
     nodes = np.stack([points[:, 0], radius - points[:, 1]], -1)
     skin_elements = block >= layers
@@ -109,7 +122,12 @@ def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float
 
 
 def _quarter_disk(
-    core_mm: float, core: int, radii: np.ndarray, skin_layers: int, skin: float, crowding: float = 0.0
+    core_mm: float,
+    core: int,
+    radii: np.ndarray,
+    skin_layers: int,
+    skin: float,
+    crowding: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (V, 2), elements (E, 8), and for each element the layer it lies in (-1: the core).
 
@@ -120,7 +138,9 @@ def _quarter_disk(
     roundness = 0.6  # of the core: 0 a square, 1 a quarter disk with a flat (degenerate) corner
     outer = radii[-1]
     skin_radii = outer + skin * (np.arange(skin_layers) + 1) / max(skin_layers, 1)
-    shares = np.concatenate([[0.0], (radii - core_mm) / (outer - core_mm), skin_radii / outer])  # above 1: true circles
+    shares = np.concatenate(
+        [[0.0], (radii - core_mm) / (outer - core_mm), skin_radii / outer]
+    )  # above 1: true circles
 
     def core_point(i: float, j: float) -> np.ndarray:
         square = np.array([i / core, j / core])
@@ -129,7 +149,10 @@ def _quarter_disk(
         return core_mm * ((1 - roundness) * square + roundness * circle)
 
     def layer_point(t: float, share: float) -> np.ndarray:
-        plain, crowded = t / (2 * core), np.interp(t, np.arange(2 * core + 1), shifted)  # mid-sides stay in the middle
+        plain, crowded = (
+            t / (2 * core),
+            np.interp(t, np.arange(2 * core + 1), shifted),
+        )  # mid-sides stay in the middle
         angle = (plain + min(share, 1.0) * (crowded - plain)) * np.pi / 2
         circle = outer * np.array([np.cos(angle), np.sin(angle)])
         if share >= 1:
@@ -154,7 +177,11 @@ def _quarter_disk(
             elements.append([add(core_point(i + a, j + b)) for a, b in offsets])
             block.append(-1)
     for layer in range(len(shares) - 1):
-        share = {0: shares[layer], 0.5: 0.5 * (shares[layer] + shares[layer + 1]), 1: shares[layer + 1]}
+        share = {
+            0: shares[layer],
+            0.5: 0.5 * (shares[layer] + shares[layer + 1]),
+            1: shares[layer + 1],
+        }
         for t in range(2 * core):
             elements.append([add(layer_point(t + b, share[a])) for a, b in offsets])
             block.append(layer)
@@ -168,7 +195,9 @@ def _surface_edges(points: np.ndarray, elements: np.ndarray, on_surface: np.ndar
 
 def inner_face(mesh: Mesh) -> Int[np.ndarray, "S 3"]:
     """Edges between skin and gel, from the axis outwards."""
-    of_skin, of_gel = (mesh.elements[part][:, _EDGES].reshape(-1, 3) for part in (mesh.skin, ~mesh.skin))
+    of_skin, of_gel = (
+        mesh.elements[part][:, _EDGES].reshape(-1, 3) for part in (mesh.skin, ~mesh.skin)
+    )
     return _from_the_axis(mesh.nodes, of_skin[np.isin(of_skin[:, 1], of_gel[:, 1])])
 
 

@@ -15,9 +15,7 @@ from jaxtyping import Float, Int
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, signed_distance
 
-EDGE_RADIUS_MM = (
-    1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
-)
+EDGE_RADIUS_MM = 1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
 REACH_MM = 125.0  # beyond every shape, seen from its target
 SPACING_MM = 0.25
 
@@ -32,17 +30,23 @@ def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     """The stimuli as obstacles, (S, H, H). Raises UserError where a distance or a target is not finite."""
     for stimulus in stimuli:
         if not np.isfinite(stimulus.target).all():
-            raise UserError(f"stimulus '{stimulus.name}': its target {stimulus.target} is not finite")
+            raise UserError(
+                f"stimulus '{stimulus.name}': its target {stimulus.target} is not finite"
+            )
     line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
 
     def grid(stimulus: Stimulus) -> jax.Array:
         row = lambda y: signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))  # noqa: E731
-        return jax.jit(partial(jax.lax.map, row))(line)  # row by row: a shape of many segments needs memory
+        return jax.jit(partial(jax.lax.map, row))(
+            line
+        )  # row by row: a shape of many segments needs memory
 
     grids = [grid(stimulus) for stimulus in stimuli]
     for stimulus, values in zip(stimuli, grids, strict=True):
         if not bool(jnp.isfinite(values).all()):
-            raise UserError(f"stimulus '{stimulus.name}': its signed distance is not a finite number everywhere")
+            raise UserError(
+                f"stimulus '{stimulus.name}': its signed distance is not a finite number everywhere"
+            )
     return Obstacles(jnp.stack(grids))
 
 
@@ -64,10 +68,14 @@ def distance_at(
     corner = [flat[base + step].astype(xy.dtype) for step in (0, 1, size, size + 1)]
     lower = corner[0] * (1 - share[..., 0]) + corner[1] * share[..., 0]
     upper = corner[2] * (1 - share[..., 0]) + corner[3] * share[..., 0]
-    return lower * (1 - share[..., 1]) + upper * share[..., 1] + jnp.max(jnp.abs(xy - inside), axis=-1)
+    return (
+        lower * (1 - share[..., 1]) + upper * share[..., 1] + jnp.max(jnp.abs(xy - inside), axis=-1)
+    )
 
 
-def drop(obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N"]:
+def drop(
+    obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+) -> Float[jax.Array, "B N"]:
     """How far (mm) the stimulus' surface lies below its flat top: a parabola that osculates the edge's rounding."""
     outside = jnp.maximum(distance_at(obstacles, which, xy), 0)
     return outside**2 / (2 * EDGE_RADIUS_MM)

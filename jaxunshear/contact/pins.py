@@ -51,13 +51,19 @@ class Pins:
         With length L, normal n and linearised rotation a tip moves by u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being
         the tangent in the half-plane. On the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.
         """
-        value, in_r, in_z = np.einsum("xqv,vuk->xuqk", self.at, field.reshape(-1, 3, field.shape[1]), optimize=True)
+        value, in_r, in_z = np.einsum(
+            "xqv,vuk->xuqk", self.at, field.reshape(-1, 3, field.shape[1]), optimize=True
+        )
         r, length = self.places[:, :1], np.linalg.norm(self.levers, axis=1)[:, None]
-        n_r, n_z = np.divide(self.levers, length, out=np.zeros_like(self.levers), where=length > 0).T[..., None]
+        n_r, n_z = np.divide(
+            self.levers, length, out=np.zeros_like(self.levers), where=length > 0
+        ).T[..., None]
         on_axis = r < _ON_AXIS_MM
         over_r = np.where(on_axis, in_r, value / np.where(on_axis, 1.0, r))
         turned = length * (~on_axis | (m == 1))
-        along = turned * (n_r * (n_z * in_r[0] - n_r * in_z[0]) + n_z * (n_z * in_r[2] - n_r * in_z[2]))
+        along = turned * (
+            n_r * (n_z * in_r[0] - n_r * in_z[0]) + n_z * (n_z * in_r[2] - n_r * in_z[2])
+        )
         around = turned * (n_r * (m * over_r[0] + over_r[1]) + n_z * m * over_r[2])
         tips = value + np.stack([-along * n_z, around, along * n_r])
         return tips.swapaxes(0, 1).reshape(-1, field.shape[1])

@@ -26,7 +26,9 @@ WIDE = (1.1, 3.0)  # both, where that was not enough
 # A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
-LEAST_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
+LEAST_LEG_MM = (
+    1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
+)
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
@@ -34,7 +36,9 @@ LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
 WORTH = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
-STRONG_PRESS_MM = 1.0  # an increment at strong friction: a node that touches sticks where the increment began
+STRONG_PRESS_MM = (
+    1.0  # an increment at strong friction: a node that touches sticks where the increment began
+)
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
@@ -49,7 +53,9 @@ class Batch(NamedTuple):
     tilted: bool
 
 
-def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
+def increments(
+    paths: Paths, level: Level, radius_mm: float
+) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
     """Poses along the paths, angles in rad, each padded by staying at its end; numbers of increments.
 
     Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
@@ -64,12 +70,17 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.n
     press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
     press, slide = np.ceil(pressed / press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
     if "steps" not in level.omit:
-        press, slide = np.maximum(press, level.press * (pressed > 0)), np.maximum(slide, level.slide * (along > 0))
+        press, slide = (
+            np.maximum(press, level.press * (pressed > 0)),
+            np.maximum(slide, level.slide * (along > 0)),
+        )
     count = np.maximum(press, slide).astype(int)  # (B, K - 1)
     ends = np.cumsum(count, axis=1)
     total = ends[:, -1]
     number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
-    leg = np.sum(number[None, :, None] > ends[:, None, :], axis=-1)  # of every increment; past the end: K - 1
+    leg = np.sum(
+        number[None, :, None] > ends[:, None, :], axis=-1
+    )  # of every increment; past the end: K - 1
     rows = np.arange(len(points))[:, None]
     inside = np.minimum(leg, count.shape[1] - 1)
     before = ends[rows, inside] - count[rows, inside]
@@ -109,7 +120,9 @@ def _can_touch(
     def at(pose: jax.Array) -> jax.Array:
         still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
         here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
-        return (height < reached * pose[:, DEPTH, None]) & (distance_at(obstacles, which, here) < margin)
+        return (height < reached * pose[:, DEPTH, None]) & (
+            distance_at(obstacles, which, here) < margin
+        )
 
     return jnp.any(jax.lax.map(at, poses), axis=0)
 
@@ -153,12 +166,18 @@ def gaps(
 
 
 def reachable(
-    obstacles: Obstacles, nodes: Float[np.ndarray, "N 3"], centre_mm: float, paths: Paths, wide: bool
+    obstacles: Obstacles,
+    nodes: Float[np.ndarray, "N 3"],
+    centre_mm: float,
+    paths: Paths,
+    wide: bool,
 ) -> Bool[np.ndarray, "B N"]:
     """The contact nodes that each path can bring into contact; `wide` searches further."""
     points = paths.radians
     change = np.diff(points, axis=1)
-    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(change[..., TURNS], axis=-1)
+    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
+        change[..., TURNS], axis=-1
+    )
     pieces = 1 << int(np.ceil(np.log2(max(swept.max(initial=0) / BETWEEN_POSES_MM, 1))))
     share = (np.arange(pieces) + 1) / pieces
     poses = points[:, :-1, None] + share[:, None] * change[:, :, None]
@@ -200,13 +219,23 @@ def make_plan(
     that touch with half of the dome then need the same half.
     """
     everything = np.ones((len(paths), len(nodes)), bool)
-    mask = reachable(obstacles, nodes, centre_mm, paths, wide or level.wide) if "nodes" in level.omit else everything
+    mask = (
+        reachable(obstacles, nodes, centre_mm, paths, wide or level.wide)
+        if "nodes" in level.omit
+        else everything
+    )
     if "untouched" not in level.omit:
         mask[~mask.any(axis=1)] = True
-    turn = _turns(mask, nodes) if "grouping" in level.omit and len(paths) > 1 else np.zeros(len(paths), int)
+    turn = (
+        _turns(mask, nodes)
+        if "grouping" in level.omit and len(paths) > 1
+        else np.zeros(len(paths), int)
+    )
     mask = np.take_along_axis(mask, sixfold(len(nodes))[turn], axis=1)
     tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
-    friction = _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
+    friction = (
+        _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
+    )
     _, steps = increments(paths, level, centre_mm)
     kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
@@ -216,7 +245,11 @@ def make_plan(
         in_turn = np.array_split(rows, range(batch, len(rows), batch))
         for index in _split(group, rows) if "grouping" in level.omit else in_turn:
             used = np.flatnonzero(mask[index].any(axis=0))
-            batches.append(Batch(index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])))
+            batches.append(
+                Batch(
+                    index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])
+                )
+            )
     return batches
 
 
@@ -253,7 +286,9 @@ def _cost(group: _Group, rows: np.ndarray) -> float:
     unknowns = group.unknowns * padded(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
     products = PRODUCTS * max(int(group.steps[rows].max()), 1)
     batches = -(-len(rows) // group.batch)
-    return batches * (products * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + 2 * unknowns**3)
+    return batches * (
+        products * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + 2 * unknowns**3
+    )
 
 
 def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:

@@ -44,10 +44,14 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
     bad = np.flatnonzero(~(paths.friction >= 0))
     if len(bad):
         value = paths.friction[bad[0]]
-        raise UserError(f"scene {bad[0]}: friction {value:g} is not a number from 0 (none) to infinity (stick)")
+        raise UserError(
+            f"scene {bad[0]}: friction {value:g} is not a number from 0 (none) to infinity (stick)"
+        )
     bad = np.flatnonzero((paths.stimulus < 0) | (paths.stimulus >= stimuli))
     if len(bad):
-        raise UserError(f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named")
+        raise UserError(
+            f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named"
+        )
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
     deepest = np.vectorize(lambda degrees: deepest_touch_mm(sensor, degrees), otypes=[float])(tilt)
     deep = np.argwhere(paths.points[..., DEPTH] > deepest)

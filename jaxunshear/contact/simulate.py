@@ -8,9 +8,22 @@
 
 import numpy as np
 
-from jaxunshear.contact.batches import Stimuli, nothing_solved, obstacles_of, plan_paths, solve_batches
+from jaxunshear.contact.batches import (
+    Stimuli,
+    nothing_solved,
+    obstacles_of,
+    plan_paths,
+    solve_batches,
+)
 from jaxunshear.contact.level import STRONGER, Level
-from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, check_start, check_started, level_named
+from jaxunshear.contact.scope import (
+    check_batch,
+    check_paths,
+    check_scenes,
+    check_start,
+    check_started,
+    level_named,
+)
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.contact.systems import dome
 from jaxunshear.progress import Progress
@@ -37,7 +50,9 @@ def simulate(
     rms of a 256-px image; the same call gives the same pins. Raises `UserError` by name of the field.
     """
     check_scenes(scenes)
-    return follow(sensor, names, path_of(scenes), level, batch=batch, retry=retry, progress=progress)[0]
+    return follow(
+        sensor, names, path_of(scenes), level, batch=batch, retry=retry, progress=progress
+    )[0]
 
 
 def follow(
@@ -65,7 +80,9 @@ def follow(
     if not len(paths):
         return nothing_solved(sensor, paths, chosen)
     obstacles = obstacles_of(names)
-    contacts, skins, incomplete = solve_batches(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
+    contacts, skins, incomplete = solve_batches(
+        sensor, obstacles, paths, chosen, start, batch, progress, wide=False
+    )
 
     def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
         for field, value in zip((*contacts, *skins), (*new, *new_skins), strict=True):
@@ -94,4 +111,7 @@ def plan(
     check_scenes(scenes)
     paths = path_of(scenes)
     check_paths(sensor, len(names), paths)
-    return [part.rows for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)]
+    return [
+        part.rows
+        for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)
+    ]

@@ -10,14 +10,18 @@ class Contacts(NamedTuple):
 
     pins: np.ndarray  # (B, P, 3) mm, displaced pin tips in the sensor frame
     residual_mm: np.ndarray  # (B,) of the worst increment
-    converged: np.ndarray  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
+    converged: (
+        np.ndarray
+    )  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
     iterations: np.ndarray  # (B,)
     stuck: np.ndarray  # (B,) contact nodes at the end
     slipping: np.ndarray
     free: np.ndarray
     force_n: np.ndarray  # (B, 3) on the sensor, in the sensor frame
     nodes: np.ndarray  # (B,) contact nodes that were solved for
-    retried: np.ndarray  # (B,) bool: did not converge at the level that was asked for, so solved at a stronger one
+    retried: (
+        np.ndarray
+    )  # (B,) bool: did not converge at the level that was asked for, so solved at a stronger one
 
 
 class Skins(NamedTuple):

@@ -30,13 +30,18 @@ def matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @lru_cache(maxsize=16)
-def system_of(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
+def system_of(
+    sensor: Sensor, chosen: bytes, friction: bool, precision: str
+) -> tuple[System, float]:
     """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
     full = dome(sensor)
     index = np.frombuffer(chosen, np.int64)
     size = padded(len(index), NODE_COUNTS)
     parts = np.arange(3) if friction else np.array([2])
-    rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
+    rows, all_rows = (
+        (3 * index[:, None] + parts).ravel(),
+        (3 * index[:, None] + np.arange(3)).ravel(),
+    )
     found, count = len(rows), len(parts) * size
     matrix, _ = matrices(sensor, precision)
     scale = np.trace(full.w) / len(full.w)

@@ -34,7 +34,9 @@ class Engine(NamedTuple):
 
     plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
     simulate: Callable[..., Any]  # (sensor, names, scenes) -> Contacts
-    render: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
+    render: Callable[
+        ..., tuple[np.ndarray, np.ndarray]
+    ]  # (settings, sensor, tips, number, age) -> images, pins in px
     spread: Spread = here  # who makes the chunks
 
 
@@ -61,17 +63,27 @@ def simulate_chunks(
     """
     batches = engine.plan(sensor, settings.stimuli, shots.scenes)
     paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
-    left = {path: batch for path, batch in zip(paths, batches, strict=True) if not _holds(path, batch)}
+    left = {
+        path: batch for path, batch in zip(paths, batches, strict=True) if not _holds(path, batch)
+    }
     total, scenes = len(shots.scenes), shots.scenes
     calls = (
-        Call(path, _chunk, (settings, sensor, scenes.take(batch), np.asarray(batch), shots.age[batch], engine))
+        Call(
+            path,
+            _chunk,
+            (settings, sensor, scenes.take(batch), np.asarray(batch), shots.age[batch], engine),
+        )
         for path, batch in left.items()
     )
     label = f"simulate {set_name(settings)}/{config_name(settings, sensor)}"
-    with Progress(label, total, unit="contacts", done=total - sum(map(len, left.values()))) as progress:
+    with Progress(
+        label, total, unit="contacts", done=total - sum(map(len, left.values()))
+    ) as progress:
         for path, chunk in engine.spread(calls):
             if isinstance(chunk, Died):
-                hint = "fewer at once (--ray-cores) have more memory each; then run the same command"
+                hint = (
+                    "fewer at once (--ray-cores) have more memory each; then run the same command"
+                )
                 raise UserError(f"chunk {path.name}: {chunk.reason}; {hint}")
             write_npz(path, chunk)
             progress.advance(len(left[path]))
@@ -105,17 +117,28 @@ def _chunk(
         images[usable] = pack(seen)
         pins[usable] = places
         usable &= images.any(axis=-1)  # a frame that is not finite comes out black
-    return {"number": number, "usable": usable, "retried": retried, "images": images, "pins": pins, **fields}
+    return {
+        "number": number,
+        "usable": usable,
+        "retried": retried,
+        "images": images,
+        "pins": pins,
+        **fields,
+    }
 
 
 def load_chunk(path: Path) -> dict[str, np.ndarray]:
     try:
         return read_npz(path)
     except BROKEN_NPZ as error:
-        raise UserError(f"chunk {path} cannot be read ({error}): delete it and run the same command again") from error
+        raise UserError(
+            f"chunk {path} cannot be read ({error}): delete it and run the same command again"
+        ) from error
 
 
-def usable_rows(paths: Iterable[Path], wanted: np.ndarray) -> Iterator[tuple[dict[str, np.ndarray], int, int]]:
+def usable_rows(
+    paths: Iterable[Path], wanted: np.ndarray
+) -> Iterator[tuple[dict[str, np.ndarray], int, int]]:
     """(chunk, place in it, row) of every usable contact that is `wanted` (N,), by row. Raises UserError for a damaged chunk."""
     for path in paths:
         chunk = load_chunk(path)
@@ -193,4 +216,6 @@ def stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
 
 def unpack(bits: np.ndarray, size: int) -> np.ndarray:
     """(..., bytes) -> (..., S, S) uint8 in {0, 255}."""
-    return np.unpackbits(bits, axis=-1, count=size * size).reshape(*bits.shape[:-1], size, size) * np.uint8(255)
+    return np.unpackbits(bits, axis=-1, count=size * size).reshape(
+        *bits.shape[:-1], size, size
+    ) * np.uint8(255)

@@ -44,7 +44,9 @@ def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) ->
             "slowest_number": int(iterations.argmax()),
         },
         "slides_without_tap": unpaired,
-        "written": {name: int((written & (shots.split == index)).sum()) for index, name in enumerate(SPLITS)},
+        "written": {
+            name: int((written & (shots.split == index)).sum()) for index, name in enumerate(SPLITS)
+        },
         "dropped_scenes": [
             {
                 "number": int(row),
@@ -79,7 +81,9 @@ def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> Json:
     }
 
 
-def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+def paired_examples(
+    settings: PairedData, shots: Shots, paths: list[Path], split: str
+) -> Iterator[tuple[str, dict]]:
     """(key, example) of every usable slide of a split with a tap of its pose: slide j takes tap j modulo their number."""
     inside = shots.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
@@ -108,12 +112,17 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
                 "tap_id": int(shots.instance[tap]),
                 "tap_depth_mm": np.float32(shots.scenes.pose[tap, 3]),
                 "residual_mm": np.float32(chunk["residual_mm"][place]),
-                **{name: int(chunk[name][place]) for name in ("stuck", "slipping", "free", "iterations")},
+                **{
+                    name: int(chunk[name][place])
+                    for name in ("stuck", "slipping", "free", "iterations")
+                },
             },
         )
 
 
-def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+def pose_examples(
+    settings: PoseData, shots: Shots, paths: list[Path], split: str
+) -> Iterator[tuple[str, dict]]:
     """(key, example) of every usable tap of a split."""
     inside = shots.split == SPLITS.index(split)
     for chunk, place, row in usable_rows(paths, inside):

@@ -35,7 +35,9 @@ class Shared(NamedTuple):
     row: np.ndarray  # (groups, places, slides), -1 where there is none
     places: np.ndarray  # (groups,) how many poses each has
 
-    def partners(self, rows: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def partners(
+        self, rows: np.ndarray, generator: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
         """For rows (B,) those, drawn, of another pose after another slide, and of the same pose after that slide: (B,) each."""
         group, place, slide = self.group[rows], self.place[rows], self.slide[rows]
         elsewhere = onward(place, self.places[group], generator)
@@ -49,7 +51,9 @@ def shared_of(rows: Batch, settings: PairedData) -> Shared:
     """Of a split's rows: `stimulus`, `pose_id`, `slide_id` (N,)."""
     leaders = np.stack([slide_leaders(settings, name) for name in settings.names])
     leader = leaders[rows["stimulus"], rows["pose_id"]]
-    group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)[
+        1
+    ].reshape(-1)
     pose, first = np.unique(np.stack([group, rows["pose_id"]], axis=1), axis=0, return_inverse=True)
     starts = np.searchsorted(pose[:, 0], np.arange(group.max(initial=-1) + 1))
     place = first.reshape(-1) - starts[group]
@@ -73,17 +77,26 @@ class FactorialReader(SetReader):
         """The rows (B,) that others and swapped ones are of: in evaluation, or for a training's seed and step."""
         return self.shared(split).partners(rows, np.random.default_rng(step or 0))
 
-    def _drawn(self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]) -> Batch:
-        return super()._drawn(here, taps, _stored(fields), seed) | self._partners_of("train", here, fields, *seed)
+    def _drawn(
+        self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
+    ) -> Batch:
+        return super()._drawn(here, taps, _stored(fields), seed) | self._partners_of(
+            "train", here, fields, *seed
+        )
 
-    def _partners_of(self, split: str, rows: np.ndarray, fields: Sequence[str], *step: int) -> Batch:
+    def _partners_of(
+        self, split: str, rows: np.ndarray, fields: Sequence[str], *step: int
+    ) -> Batch:
         wanted = [name for name in fields if name in PARTNERS]
         if not wanted:
             return {}
         other, swapped = self.partners(split, rows, *step)
         stored = self.rows(split)
         return self._images(
-            {name: stored[PARTNERS[name]][other if name in (OTHER, OTHER_IMAGE) else swapped] for name in wanted}
+            {
+                name: stored[PARTNERS[name]][other if name in (OTHER, OTHER_IMAGE) else swapped]
+                for name in wanted
+            }
         )
 
 

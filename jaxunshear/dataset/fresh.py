@@ -34,7 +34,9 @@ class FreshContacts(NamedTuple):
     dropped: int
 
 
-def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None) -> FreshContacts:
+def fresh_contacts(
+    experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None
+) -> FreshContacts:
     """Simulate slides at new poses, as many of each stimulus, and the tap at each pose.
 
     There are `count` of them, rounded up to the same number for each stimulus, and at least 5 per
@@ -46,7 +48,9 @@ def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: 
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
     if depth_mm is not None:
-        settings = replace(settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm))
+        settings = replace(
+            settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
+        )
     shots = draw_paired(settings)
     contacts, skins = follow(experiment.sensor, paired.stimuli, path_of(shots.scenes))
     slid = np.flatnonzero(shots.slid)
@@ -72,4 +76,6 @@ def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
     paired, _ = simulated_of(experiment, "this")
     tips = np.repeat(pin_tips(experiment.sensor)[None], count, axis=0)
-    return render(paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count))[0]
+    return render(
+        paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)
+    )[0]

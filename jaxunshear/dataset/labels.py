@@ -64,7 +64,9 @@ class Problem(str):
     @classmethod
     def of(cls, place: Path, line: str, row: int | None = None) -> Problem:
         """That names the place in its own words."""
-        printable = line.encode("utf-8", "backslashreplace").decode()  # a file's name may be of bytes that are no text
+        printable = line.encode(
+            "utf-8", "backslashreplace"
+        ).decode()  # a file's name may be of bytes that are no text
         problem = cls(" ".join(printable.split()))
         problem.place, problem.row = place, row
         return problem
@@ -92,7 +94,9 @@ def read_table(file: Path) -> Table:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = data.count(b"\n", 0, error.start) + 1
-        raise _refusal(file, "this is not UTF-8 text: save the table as CSV in UTF-8", row) from None
+        raise _refusal(
+            file, "this is not UTF-8 text: save the table as CSV in UTF-8", row
+        ) from None
     reader = csv.reader(io.StringIO(text, newline=""))
     lines: list[tuple[int, list[str]]] = []
     while True:
@@ -115,7 +119,11 @@ def read_table(file: Path) -> Table:
     return Table(
         file,
         columns,
-        tuple(Row(row, dict(zip(columns, cells, strict=True))) for row, cells in lines[1:] if len(cells) == width),
+        tuple(
+            Row(row, dict(zip(columns, cells, strict=True)))
+            for row, cells in lines[1:]
+            if len(cells) == width
+        ),
         tuple(Uneven(row, len(cells)) for row, cells in lines[1:] if len(cells) != width),
     )
 
@@ -124,7 +132,9 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
     """The labels of images of these names. Raises UserError where the table names no images."""
     column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
     if column is None:
-        raise _refusal(table.file, f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used", 1)
+        raise _refusal(
+            table.file, f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used", 1
+        )
     by_name, problems = _by_name(table, column, set(names))
     missing = [name for name in names if name not in by_name]
     if missing:
@@ -153,13 +163,19 @@ def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row]
         if name not in names:
             absent.append((row.number, f"there is no image {_shown(name)} in this folder"))
         elif row.cells != first.cells:
-            again.append((row.number, f"{name} has another row, {first.number}, that differs: neither is used"))
+            again.append(
+                (
+                    row.number,
+                    f"{name} has another row, {first.number}, that differs: neither is used",
+                )
+            )
             differ.add(name)
         elif row is not first:
             again.append((row.number, f"{name} has the same row already, {first.number}"))
     width = len(table.columns)
     uneven = [
-        (row, f"{cells} cells where the heading has {width}: this row is not used") for row, cells in table.uneven
+        (row, f"{cells} cells where the heading has {width}: this row is not used")
+        for row, cells in table.uneven
     ]
     problems = [problem for wrong in (uneven, absent, again) for problem in _reported(table, wrong)]
     return {name: row for name, row in by_name.items() if name not in differ}, problems
@@ -170,7 +186,9 @@ def _reported(table: Table, wrong: list[Wrong]) -> list[Problem]:
     if not wrong:
         return []
     row, text = min(wrong)
-    return [Problem.at(table.file, text + (f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""), row)]
+    return [
+        Problem.at(table.file, text + (f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""), row)
+    ]
 
 
 def _six(
@@ -181,7 +199,9 @@ def _six(
     names = max(choices, key=lambda choice: len(set(table.columns).intersection(choice)))
     lacking = [name for name in names if name not in table.columns]
     if lacking:
-        return values, [Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")]
+        return values, [
+            Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")
+        ]
     bad: list[Wrong] = []
     for i, row in enumerate(rows):
         if row is None:
@@ -190,7 +210,12 @@ def _six(
         if wrong is None:
             values[i] = [float(row.cells[name]) for name in names]
         else:
-            bad.append((row.number, f"{wrong} is {_shown(row.cells[wrong])}, no usable number: this {what} is unknown"))
+            bad.append(
+                (
+                    row.number,
+                    f"{wrong} is {_shown(row.cells[wrong])}, no usable number: this {what} is unknown",
+                )
+            )
     return values, _reported(table, bad)
 
 
@@ -229,18 +254,26 @@ def read_pair_table(file: str | Path) -> list[tuple[str, str]]:
     table = read_table(Path(file))
     for name in ("slide", "tap"):
         if name not in table.columns:
-            raise _refusal(table.file, f"there is no column '{name}': pairs need the columns slide and tap", 1)
+            raise _refusal(
+                table.file, f"there is no column '{name}': pairs need the columns slide and tap", 1
+            )
     if table.uneven:
         number, cells = table.uneven[0]
-        raise _refusal(table.file, f"{cells} cells where the heading has {len(table.columns)}", number)
+        raise _refusal(
+            table.file, f"{cells} cells where the heading has {len(table.columns)}", number
+        )
     if not table.rows:
         raise _refusal(table.file, "names no pairs: give a row for each slide, with its tap")
     first: dict[str, int] = {}
     for row in table.rows:
         slide = row.cells["slide"]
         if not slide or not row.cells["tap"]:
-            raise _refusal(table.file, f"the {'tap' if slide else 'slide'} is not named", row.number)
+            raise _refusal(
+                table.file, f"the {'tap' if slide else 'slide'} is not named", row.number
+            )
         if slide in first:
-            raise _refusal(table.file, f"{slide} has a tap already, in row {first[slide]}", row.number)
+            raise _refusal(
+                table.file, f"{slide} has a tap already, in row {first[slide]}", row.number
+            )
         first[slide] = row.number
     return [(row.cells["slide"], row.cells["tap"]) for row in table.rows]

@@ -30,11 +30,16 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
     if not folder.exists():
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
     try:
-        metadata, sums = read_object(folder / configs.METADATA), read_object(folder / configs.MANIFEST)
+        metadata, sums = (
+            read_object(folder / configs.METADATA),
+            read_object(folder / configs.MANIFEST),
+        )
     except UserError as error:
         blame_the_machine(folder, error)
         raise damaged(folder, first_line(error)) from error
-    intact = sums.get(configs.METADATA) in (None, checksum(metadata)) and isinstance(metadata.get("counts"), dict)
+    intact = sums.get(configs.METADATA) in (None, checksum(metadata)) and isinstance(
+        metadata.get("counts"), dict
+    )
     if not intact:
         raise damaged(folder, configs.METADATA)
     wanted = configs.describe(settings, sensor)
@@ -67,11 +72,15 @@ def make_set(
         except OSError as error:
             raise os_error(folder, error) from error
     metadata = read_metadata(settings, sensor, data_dir)
-    shutil.rmtree(configs.unfinished_folder(settings, sensor, data_dir), ignore_errors=True)  # no longer needed
+    shutil.rmtree(
+        configs.unfinished_folder(settings, sensor, data_dir), ignore_errors=True
+    )  # no longer needed
     return metadata
 
 
-def _make(settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: Engine | None) -> None:
+def _make(
+    settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: Engine | None
+) -> None:
     import absl.logging
     import tensorflow_datasets as tfds
 
@@ -85,7 +94,9 @@ def _make(settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: En
     }
     standard = name in configs.CONFIGS.get(configs.set_name(settings), {})
     config = name if standard else stored.SetConfig(name=name, settings=settings, sensor=sensor)
-    absl.logging.set_verbosity(absl.logging.ERROR)  # TFDS warns of each configuration that it does not know
+    absl.logging.set_verbosity(
+        absl.logging.ERROR
+    )  # TFDS warns of each configuration that it does not know
     tfds.disable_progress_bar()
     builder = builders[configs.set_name(settings)](config=config, data_dir=data_dir)
     if engine is not None:
@@ -102,8 +113,11 @@ def sets_of(experiment: Experiment) -> dict[str, configs.Settings]:
     return sets | further_tests(experiment)
 
 
-def make_sets(experiment: Experiment, data_dir: Path, engine: Engine | None = None) -> dict[str, dict]:
+def make_sets(
+    experiment: Experiment, data_dir: Path, engine: Engine | None = None
+) -> dict[str, dict]:
     """Makes those sets; their metadata by the same names."""
     return {
-        name: make_set(settings, experiment.sensor, data_dir, engine) for name, settings in sets_of(experiment).items()
+        name: make_set(settings, experiment.sensor, data_dir, engine)
+        for name, settings in sets_of(experiment).items()
     }

@@ -24,7 +24,9 @@ def gaps(slides: np.ndarray, taps: np.ndarray) -> np.ndarray:
     return np.abs(np.where(angle, wrap_degrees(apart), apart))
 
 
-def nearest(targets: Targets, slides: np.ndarray, taps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest(
+    targets: Targets, slides: np.ndarray, taps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """For every slide's pose (N, 6) the row of the nearest tap's (M, 6), in units of the targets' ranges, and that distance (N,)."""
     distance, rows = cKDTree(_scaled(targets, taps)).query(_scaled(targets, slides))
     return rows, distance
@@ -48,7 +50,11 @@ def weights_of(distance: np.ndarray) -> np.ndarray:
 
 
 def same_pose(
-    slides: np.ndarray, slide_ids: np.ndarray, taps: np.ndarray, tap_ids: np.ndarray, checked: bool = True
+    slides: np.ndarray,
+    slide_ids: np.ndarray,
+    taps: np.ndarray,
+    tap_ids: np.ndarray,
+    checked: bool = True,
 ) -> np.ndarray:
     """(N,) row of a tap of the same `pose_id` and, where that is `checked`, the same pose; -1 where there is none.
 
@@ -80,7 +86,11 @@ class Spread(NamedTuple):
 
 def spread_over(place: np.ndarray, spacing_px: float, size: int) -> Spread:
     """Of pins that stand untouched at `place` (P, 2) px as (column, row), in images of `size` px."""
-    pixels = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2).astype(float)
+    pixels = (
+        np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1)
+        .reshape(-1, 2)
+        .astype(float)
+    )
     mesh = Delaunay(place)
     corner = mesh.find_simplex(pixels)
     pins = mesh.simplices[corner]

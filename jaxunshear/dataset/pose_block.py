@@ -19,7 +19,9 @@ TRAIN, VALIDATION, TEST = range(len(SPLITS))
 RANDOM = "use --paired.split random"
 
 
-def cut_block(pose: np.ndarray, test: float, validation: float, seed: int) -> tuple[np.ndarray, str]:
+def cut_block(
+    pose: np.ndarray, test: float, validation: float, seed: int
+) -> tuple[np.ndarray, str]:
     """Split poses (N, 6), mm and deg without NaN, into test, validation and training poses.
 
     Returns (N,) indices into SPLITS, and a sentence that says where the block lies. `test` and

@@ -43,7 +43,9 @@ class Frame(NamedTuple):
     """What the frames of a sensor have in common: how they are cropped, and where its pins stand untouched."""
 
     view: "View"
-    place: np.ndarray  # (P, 2) px of the prepared image, as (column, row): the mean place over training taps
+    place: (
+        np.ndarray
+    )  # (P, 2) px of the prepared image, as (column, row): the mean place over training taps
     shell: np.ndarray  # (P,) 0 in the middle
     spacing_px: float
     radius_px: float  # of a pin
@@ -70,7 +72,9 @@ def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: 
         )
     view = recordings.common_view()
     if view.box is None:
-        raise UserError(f"{recordings.path}: its images have no crop in common: name one folder of one camera")
+        raise UserError(
+            f"{recordings.path}: its images have no crop in common: name one folder of one camera"
+        )
     size = min(LARGEST_PX, *_first(files).shape[:2])
     try:
         return frame_of_files(files, view, size, preprocess, sensor)
@@ -89,7 +93,12 @@ def _first(files: Sequence[Path]) -> np.ndarray:
 
 
 def frame_of_files(
-    files: Sequence[Path], view: "View", size: int, preprocess: Preprocess, sensor: Sensor, turned: bool = False
+    files: Sequence[Path],
+    view: "View",
+    size: int,
+    preprocess: Preprocess,
+    sensor: Sensor,
+    turned: bool = False,
 ) -> Frame:
     """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
     from jaxunshear.image.fitting import fit_lattice, layout_of
@@ -113,7 +122,11 @@ def frame_of_files(
 
 
 def prepare(
-    contacts: Contacts, settings: Recorded, frame: Frame, folder: Path, label: str = "read recordings"
+    contacts: Contacts,
+    settings: Recorded,
+    frame: Frame,
+    folder: Path,
+    label: str = "read recordings",
 ) -> list[Path]:
     """Files in `folder`, each of CHUNK contacts: `number` (n,), `images` (n, bytes) at one bit a pixel, `pins` (n, P, 2) px of the
     image, NaN where one is not seen, `sure` and `usable` (n,), and `problem` (n,) of those that cannot be read."""
@@ -123,13 +136,18 @@ def prepare(
     left = [i for i, path in enumerate(paths) if not path.exists()]
     done = sum(len(numbers[i]) for i in range(len(paths)) if i not in left)
     with Progress(label, count, "frames", done=done) as progress:
-        jobs = [(tuple(contacts.files[n] for n in numbers[i]), numbers[i], settings.preprocess, frame) for i in left]
+        jobs = [
+            (tuple(contacts.files[n] for n in numbers[i]), numbers[i], settings.preprocess, frame)
+            for i in left
+        ]
         for i, chunk in zip(left, _each(_first_pass, jobs), strict=True):
             write_npz(paths[i], chunk)
             progress.advance(len(numbers[i]))
     usual = _usual(contacts, paths, frame)
     hard = [path for path in paths if usual is not None and _hard(path)]
-    for path, chunk in zip(hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True):
+    for path, chunk in zip(
+        hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True
+    ):
         write_npz(path, chunk)
     return paths
 
@@ -147,7 +165,9 @@ def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
         yield from pool.map(work, *zip(*jobs, strict=True))
 
 
-def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame) -> dict:
+def _first_pass(
+    files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame
+) -> dict:
     from jaxunshear.image.pins import detect
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.tracking import follow_pins
@@ -163,7 +183,9 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
         try:
             raw = read_image(file)
             seen[i] = prepare_frame(large, raw, frame.view)
-            images[i] = seen[i] if size == frame.pins_px else prepare_frame(preprocess, raw, frame.view)
+            images[i] = (
+                seen[i] if size == frame.pins_px else prepare_frame(preprocess, raw, frame.view)
+            )
         except UserError as error:
             problem[i] = str(error)
             continue
@@ -173,7 +195,9 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     return {
         "number": number,
         "images": pack(images),
-        "seen": pack(seen[usable & ~sure]) if (usable & ~sure).any() else NOTHING,  # to be tried once more
+        "seen": pack(seen[usable & ~sure])
+        if (usable & ~sure).any()
+        else NOTHING,  # to be tried once more
         "pins": np.where(sure[:, None, None], pins, np.nan),
         "sure": sure,
         "usable": usable,

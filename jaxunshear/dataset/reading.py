@@ -82,12 +82,21 @@ class Reader:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
             return np.array([row, generator.choice(siblings.of(row)), *offset])
 
-        drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
+        drawn = (
+            grain.MapDataset.range(self.length("train"))
+            .seed(seed)
+            .shuffle()
+            .repeat()
+            .random_map(draw)
+            .batch(batch)
+        )
         order = _shuffled(self.length("train"), batch, seed)
 
         def at_once(step: int) -> np.ndarray:
             here = order(step)
-            taps = siblings.drawn(here, np.random.default_rng((seed, step, 1)))  # others draw by (seed, step)
+            taps = siblings.drawn(
+                here, np.random.default_rng((seed, step, 1))
+            )  # others draw by (seed, step)
             return np.stack([here, taps, *np.zeros((2, batch), int)], axis=-1)
 
         def at(step: int) -> Batch:
@@ -100,13 +109,17 @@ class Reader:
 
         return from_step
 
-    def _drawn(self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]) -> Batch:
+    def _drawn(
+        self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
+    ) -> Batch:
         """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""
         rows = self.rows("train")
         return self._images({name: rows[name][taps if name in OF_TAP else here] for name in fields})
 
     def _images(self, rows: Batch) -> Batch:
-        return {name: self._image(value) if name in IMAGES else value for name, value in rows.items()}
+        return {
+            name: self._image(value) if name in IMAGES else value for name, value in rows.items()
+        }
 
     def _image(self, stored: np.ndarray) -> np.ndarray:
         """One bit a pixel, or grey as it is."""
@@ -130,7 +143,11 @@ class SetReader(Reader):
         count = self.length(split)
         try:
             rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
-            return rows | {"felt": felt(rows["move"], rows["pose"])} if isinstance(self.settings, PairedData) else rows
+            return (
+                rows | {"felt": felt(rows["move"], rows["pose"])}
+                if isinstance(self.settings, PairedData)
+                else rows
+            )
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
@@ -139,15 +156,22 @@ class SetReader(Reader):
 
 
 def open_set(
-    settings: Settings, data_dir: Path, sensor: Sensor = TACTIP_331, kind: type[SetReader] = SetReader
+    settings: Settings,
+    data_dir: Path,
+    sensor: Sensor = TACTIP_331,
+    kind: type[SetReader] = SetReader,
 ) -> SetReader:
     """The set made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
-    return kind(settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir))
+    return kind(
+        settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir)
+    )
 
 
 def felt(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Slides (N, 2) mm, or (N, 3) with their turn, deg, as the sensor at `pose` (N, 4) or (N, 6) feels them: in its own frame."""
-    return np.concatenate([rotate_2d(move[:, :2], np.radians(-pose[:, 2])), move[:, 2:]], axis=1).astype(np.float32)
+    return np.concatenate(
+        [rotate_2d(move[:, :2], np.radians(-pose[:, 2])), move[:, 2:]], axis=1
+    ).astype(np.float32)
 
 
 def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
@@ -156,7 +180,9 @@ def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
     for name in examples.keys() & set(IMAGES):
         size = examples[name].shape[1]
         moved[name] = np.zeros_like(examples[name])
-        for to, image, (columns, rows) in zip(moved[name], examples[name], offsets.tolist(), strict=True):
+        for to, image, (columns, rows) in zip(
+            moved[name], examples[name], offsets.tolist(), strict=True
+        ):
             down, right = _overlap(rows, size), _overlap(columns, size)
             to[down[0], right[0]] = image[down[1], right[1]]
     for name in examples.keys() & set(PINS):
@@ -166,7 +192,9 @@ def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
 
 def _overlap(offset: int, size: int) -> tuple[slice, slice]:
     """Where a shifted axis lands, and what of it stays in view."""
-    return slice(max(offset, 0), size + min(offset, 0)), slice(max(-offset, 0), size - max(offset, 0))
+    return slice(max(offset, 0), size + min(offset, 0)), slice(
+        max(-offset, 0), size - max(offset, 0)
+    )
 
 
 def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
@@ -179,7 +207,9 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
 
     def rows(step: int) -> np.ndarray:
         numbers, places = np.divmod(np.arange(step * batch, (step + 1) * batch), count)
-        return np.concatenate([epoch(at)[places[numbers == at]] for at in range(numbers[0], numbers[-1] + 1)])
+        return np.concatenate(
+            [epoch(at)[places[numbers == at]] for at in range(numbers[0], numbers[-1] + 1)]
+        )
 
     return rows
 
@@ -213,7 +243,9 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
     builder = tfds.builder_from_directory(folder)
     features = builder.info.features
     images = [name for name in IMAGES if name in features]
-    source = builder.as_data_source(split, decoders={name: tfds.decode.SkipDecoding() for name in images})
+    source = builder.as_data_source(
+        split, decoders={name: tfds.decode.SkipDecoding() for name in images}
+    )
     if len(source) != count:
         raise UserError(
             f"{folder} holds {len(source)} examples of split '{split}', its metadata says {count}: delete it"
@@ -228,7 +260,11 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
             rows[name] = np.zeros((count, *feature.shape), dtype)
     for index in range(count):
         for name, value in source[index].items():
-            rows[name][index] = pack(np.asarray(Image.open(io.BytesIO(value)))[None])[0] if name in images else value
+            rows[name][index] = (
+                pack(np.asarray(Image.open(io.BytesIO(value)))[None])[0]
+                if name in images
+                else value
+            )
     for value in rows.values():
         value.flags.writeable = False
     return rows
@@ -238,5 +274,7 @@ def _room(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
     """Bytes in memory, or in an unlinked file if all of a split's `images` fields together are too large."""
     if images * shape[0] * shape[1] <= MEMORY_BYTES:
         return np.zeros(shape, np.uint8)
-    beside = folder.parent if os.access(folder.parent, os.W_OK) else None  # data that are shared may be read-only
+    beside = (
+        folder.parent if os.access(folder.parent, os.W_OK) else None
+    )  # data that are shared may be read-only
     return np.memmap(tempfile.TemporaryFile(dir=beside), np.uint8, "w+", shape=shape)

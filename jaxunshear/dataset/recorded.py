@@ -28,7 +28,13 @@ if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
 
 MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
-SPLIT_NAMES = {"train": "train", "val": "validation", "valid": "validation", "validation": "validation", "test": "test"}
+SPLIT_NAMES = {
+    "train": "train",
+    "val": "validation",
+    "valid": "validation",
+    "validation": "validation",
+    "test": "test",
+}
 LARGEST_PX = 256  # pins are found at the frames' own size, at most this
 PROBES = 20  # training frames that crop, sensor and lattice are found from
 COUNTED = 5  # of them, whose pins are counted
@@ -49,7 +55,9 @@ class Contacts(NamedTuple):
     paired: bool = False  # by a table: `pose_id` then numbers its taps
 
     def take(self, rows: np.ndarray) -> "Contacts":
-        arrays = {name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")}
+        arrays = {
+            name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")
+        }
         files, names = tuple(self.files[i] for i in rows), tuple(self.names[i] for i in rows)
         return self._replace(files=files, names=names, **arrays)
 
@@ -59,7 +67,9 @@ def survey(settings: Recorded) -> Contacts:
     contacts = _split(everything(settings), settings)
     for slid, kind in ((False, "taps"), (True, "slides")):
         mine = contacts.split[contacts.slid == slid]
-        lacking = [name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()]
+        lacking = [
+            name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()
+        ]
         if lacking:
             raise UserError(
                 f"of {len(mine)} {kind} none is in the split '{lacking[0]}': record more, or raise its share"
@@ -73,7 +83,11 @@ def everything(settings: Recorded) -> Contacts:
         parts = [_of_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
     else:
         folders = ((settings.tap_folder, False), (settings.slide_folder, True))
-        parts = [_of_kind(read_folder(folder, settings.preprocess), slid) for folder, slid in folders if folder]
+        parts = [
+            _of_kind(read_folder(folder, settings.preprocess), slid)
+            for folder, slid in folders
+            if folder
+        ]
     contacts = _joined(parts)
     return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts
 
@@ -157,7 +171,10 @@ def _of_one_folder(recordings: Recordings) -> Contacts:
         )
     notes = contacts.notes
     if (moved < 0).any():
-        notes = (*notes, f"{int((moved < 0).sum())} contacts without a label of their move are left out")
+        notes = (
+            *notes,
+            f"{int((moved < 0).sum())} contacts without a label of their move are left out",
+        )
     return contacts._replace(slid=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
 
 
@@ -165,7 +182,9 @@ def _of_kind(recordings: Recordings, slid: bool) -> Contacts:
     contacts = _contacts(recordings, np.full(len(recordings), slid))
     wrong = np.zeros(len(contacts.slid), bool) if slid else _moved(contacts.move) == 1
     if wrong.all():
-        raise UserError(f"{recordings.path} holds no taps: each of its contacts has a move in its labels")
+        raise UserError(
+            f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
+        )
     if wrong.any():
         note = f"{recordings.path}: {int(wrong.sum())} contacts have a move in their labels: no taps, left out"
         contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~wrong))
@@ -192,7 +211,12 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
     Taps and slides are split alike. Names count only where some contacts are left to learn from: a
     folder that happens to be called `test` is no split.
     """
-    named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
+    named = np.array(
+        [
+            _named_split(file, name)
+            for file, name in zip(contacts.files, contacts.names, strict=True)
+        ]
+    )
     if settings.split == "block":
         return _split_by_block(contacts, named, settings)
     split = np.zeros(len(named), int)
@@ -215,7 +239,9 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
                 )
             chosen = opened & (drawn >= start) & (drawn < start + share)
             left = opened & (split == 0)
-            if not chosen.any() and left.sum() > len(SPLITS):  # of few contacts chance may take none
+            if not chosen.any() and left.sum() > len(
+                SPLITS
+            ):  # of few contacts chance may take none
                 chosen = left & (drawn == drawn[left].min())
             split[chosen] = SPLITS.index(name)
             start += share
@@ -256,7 +282,9 @@ def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
         else ",".join(f"{value:.4f}" for value in pose + 0.0)
         if np.isfinite(pose).all()
         else name
-        for pose, name, number in zip(np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True)
+        for pose, name, number in zip(
+            np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True
+        )
     ]
     return np.array([hashed(f"{seed} {key}") / 2**64 for key in keys])
 
@@ -264,7 +292,8 @@ def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
 def _joined(parts: list[Contacts]) -> Contacts:
     known = np.unique(np.concatenate([part.pose_id for part in parts]))
     parts = [
-        part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id))) for part in parts
+        part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id)))
+        for part in parts
     ]
     return Contacts(
         tuple(file for part in parts for file in part.files),
@@ -289,7 +318,9 @@ def _paired(contacts: Contacts, table: Path) -> Contacts:
         for slid, name in ((True, slide), (False, tap)):
             if name not in rows[slid]:
                 kind = "slide" if slid else "tap"
-                raise UserError(f"{table}, row {number}: there is no {kind} {name} in these recordings")
+                raise UserError(
+                    f"{table}, row {number}: there is no {kind} {name} in these recordings"
+                )
         here, there = rows[True][slide], rows[False][tap]
         pose_id[here] = pose_id[there] = there
         if not np.isfinite(pose[here]).all():

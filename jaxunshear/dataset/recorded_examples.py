@@ -34,11 +34,15 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, 
     usable, sure, problem = (
         np.concatenate([chunk[name] for chunk in chunks]) for name in ("usable", "sure", "problem")
     )
-    white = np.concatenate([np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks])
+    white = np.concatenate(
+        [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
+    )
     counts = counts_of(contacts, usable, sure, problem)
     for split, count in counts["written"].items():
         if not count:
-            raise UserError(f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}")
+            raise UserError(
+                f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}"
+            )
     full = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
     more = {
         "frame": {
@@ -61,7 +65,9 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, 
     return counts, more
 
 
-def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> Json:
+def counts_of(
+    contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray
+) -> Json:
     """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
     kinds = {"written": np.ones(len(usable), bool), "taps": ~contacts.slid, "slides": contacts.slid}
     return {
@@ -69,7 +75,10 @@ def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem:
         "dropped": int((~usable).sum()),
         "unsure": int((usable & ~sure).sum()),
         **{
-            kind: {name: int((usable & here & (contacts.split == i)).sum()) for i, name in enumerate(SPLITS)}
+            kind: {
+                name: int((usable & here & (contacts.split == i)).sum())
+                for i, name in enumerate(SPLITS)
+            }
             for kind, here in kinds.items()
         },
         "dropped_frames": _left_out(contacts, problem)[:NAMED],
@@ -80,7 +89,9 @@ def _left_out(contacts: Contacts, problem: np.ndarray) -> list[str]:
     return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
 
 
-def examples(settings: Recorded, contacts: Contacts, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+def examples(
+    settings: Recorded, contacts: Contacts, paths: list[Path], split: str
+) -> Iterator[tuple[str, dict]]:
     """(key, example) of every readable frame of a split."""
     inside = contacts.split == SPLITS.index(split)
     for chunk, place, row in usable_rows(paths, inside):

@@ -54,7 +54,10 @@ def prepared_size(path: Path) -> int:
 
 
 def find_pins(
-    path: Path, lattice: Lattice | Layout, preprocess: Preprocess | None = None, rest: Path | None = None
+    path: Path,
+    lattice: Lattice | Layout,
+    preprocess: Preprocess | None = None,
+    rest: Path | None = None,
 ) -> Pins:
     """Of an image or a folder of recordings, prepared as `preprocess` says, or else in their own size.
 
@@ -89,7 +92,9 @@ def find_pins(
     return Pins(np.array(names), sure, place, place - lattice.place, lattice, table, shown)
 
 
-def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
+def _found(
+    recordings: Recordings, view: View
+) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
     """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
     found: list[Found] = []
     names: list[str] = []
@@ -118,7 +123,9 @@ def _row(name: str, track: Track) -> PinRow:
         doubt=round(track.doubt, 4) if np.isfinite(track.doubt) else None,
         missed=track.missed,
         extra=track.extra,
-        largest_motion_px=round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3) if track.sure else None,
+        largest_motion_px=round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3)
+        if track.sure
+        else None,
     )
 
 

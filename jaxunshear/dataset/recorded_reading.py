@@ -32,7 +32,9 @@ Read = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
 Drag = Callable[[str], Batch]
 
 
-def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
+def open_recorded(
+    settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0
+) -> "RecordedSet":
     """`seed` draws which slides are labelled, where not all are. Raises UserError where the set is missing or damaged."""
     return RecordedSet(settings, open_set(settings, data_dir, sensor), seed)
 
@@ -42,7 +44,12 @@ def frame_from(stored: Json) -> Frame:
     box = tuple(stored["box"]) if stored["box"] else None
     view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
     place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
-    return Frame(view, place, shell, *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")))
+    return Frame(
+        view,
+        place,
+        shell,
+        *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")),
+    )
 
 
 class UnstoredSet:
@@ -73,7 +80,11 @@ class UnstoredSet:
         }
 
     def rows(self, split: str) -> Batch:
-        return self._test if split == "test" else {name: value[:0] for name, value in self._test.items()}
+        return (
+            self._test
+            if split == "test"
+            else {name: value[:0] for name, value in self._test.items()}
+        )
 
 
 class RecordedSet:
@@ -172,10 +183,14 @@ class RecordedSet:
             rows = rows | {"pose": pose}
         else:
             rows = _taken(rows, known)
-        batch = {name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")}
+        batch = {
+            name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")
+        }
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 
-    def _paired(self, split: str, batch: Batch, targets: Targets, render: Render | None, images: bool) -> Batch:
+    def _paired(
+        self, split: str, batch: Batch, targets: Targets, render: Render | None, images: bool
+    ) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
         if way in RENDERED:
             if render is None:
@@ -214,14 +229,23 @@ class RecordedSet:
         slides, taps = drag(split), self.labelled_taps(split)
         row, sheared = slides["row"], slides["sheared_pins"]
         batch = {name: taps[name][row] for name in ("pose", "sure", "stimulus")}
-        batch |= {"sheared_pins": sheared, "canonical_pins": taps["pins"][row], "move": slides["move"]}
-        batch |= {"weight": np.ones(len(row), np.float32), "gap": np.zeros((len(row), 6), np.float32)}
+        batch |= {
+            "sheared_pins": sheared,
+            "canonical_pins": taps["pins"][row],
+            "move": slides["move"],
+        }
+        batch |= {
+            "weight": np.ones(len(row), np.float32),
+            "gap": np.zeros((len(row), 6), np.float32),
+        }
         if images:
             motion, taken = np.nan_to_num(sheared - batch["canonical_pins"]), taps["image"][row]
             batch |= {"canonical": taken, "sheared": self._warped(taken, motion)}
         return _numbered(batch | {"number": np.arange(len(row), dtype=np.int32)})
 
-    def _redrawn(self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render) -> np.ndarray:
+    def _redrawn(
+        self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render
+    ) -> np.ndarray:
         """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
 
         Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
@@ -232,12 +256,16 @@ class RecordedSet:
 
     def _warped(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """(N, S, S) uint8: images at one bit a pixel whose pins have moved by `motion` (N, P, 2) px."""
-        spread = pairing.spread_over(np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size)
+        spread = pairing.spread_over(
+            np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size
+        )
         return pairing.warped(unpack(images, self.size), motion, spread)
 
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)
-        return _taken(rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid))
+        return _taken(
+            rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid)
+        )
 
 
 def _taken(rows: Batch, kept: np.ndarray | np.bool) -> Batch:

@@ -25,7 +25,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageOps
 
-from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
+from jaxunshear.dataset.labels import (
+    TABLES,
+    UNKNOWN_ID,
+    Problem,
+    Targets,
+    no_targets,
+    read_table,
+    read_targets,
+)
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings.image import Preprocess
 
@@ -36,7 +44,10 @@ SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: only the first that has any is read.
 IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files start
-PHOTOMETRIC, SAMPLE_FORMAT = 262, 339  # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
+PHOTOMETRIC, SAMPLE_FORMAT = (
+    262,
+    339,
+)  # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
 PROBES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
 
@@ -85,7 +96,10 @@ class Recordings:
             name, folder = self._name(file), file.parent
             if folder not in views:
                 own = self.common_view(folder) if view is None or view.box is None else view
-                views[folder], sizes[folder] = View(own.box, own.whites if view is None else view.whites), {}
+                views[folder], sizes[folder] = (
+                    View(own.box, own.whites if view is None else view.whites),
+                    {},
+                )
             try:
                 raw = read_image(file)
                 image = prepare_frame(self.preprocess, raw, views[folder])
@@ -96,7 +110,9 @@ class Recordings:
             sizes[folder].setdefault(raw.shape[:2], []).append(file.name)
             yield index, name, image
         if not any(sizes.values()):
-            raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
+            raise UserError(
+                f"none of {len(self)} images in {self.path} can be read; the last: {problem}"
+            )
         for folder, seen in sizes.items():
             if len(seen) > 1:
                 self._note(Problem.at(folder, f"images of {len(seen)} sizes: {_sizes(seen)}"))
@@ -126,7 +142,9 @@ def read_image(file: Path | bytes) -> np.ndarray:
     what Pillow cannot read, and for several frames in one file."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
+            warnings.simplefilter(
+                "ignore"
+            )  # of tags that are broken: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             data = file if isinstance(file, bytes) else file.read_bytes()
             # Pillow passes over the checksums of a PNG's pixels: a damaged one may come out as another image
@@ -134,13 +152,23 @@ def read_image(file: Path | bytes) -> np.ndarray:
                 Image.open(io.BytesIO(data)).verify()
             with Image.open(io.BytesIO(data)) as opened:
                 frames = getattr(opened, "n_frames", 1)
-                if frames > 1 and opened.format != "MPO":  # a JPEG with a small copy of itself behind it
+                if (
+                    frames > 1 and opened.format != "MPO"
+                ):  # a JPEG with a small copy of itself behind it
                     raise UserError(
                         f"it holds {frames} frames, of which one would be read: save each as a file of its own"
                     )
                 tags = getattr(opened, "tag_v2", {})
                 ImageOps.exif_transpose(opened, in_place=True)
-                plain = opened.mode in ("1", "L", "LA", "RGB", "RGBA", "I", "F") or opened.mode.startswith("I;16")
+                plain = opened.mode in (
+                    "1",
+                    "L",
+                    "LA",
+                    "RGB",
+                    "RGBA",
+                    "I",
+                    "F",
+                ) or opened.mode.startswith("I;16")
                 raw = np.array(opened if plain else opened.convert("RGB"))
     except UserError:
         raise
@@ -153,7 +181,11 @@ def _unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:
     """What Pillow leaves to do for a TIFF with these tags: 32 bits without a sign, and 16 bits of which 0 is white."""
     if tags and raw.dtype == np.int32 and tags.get(SAMPLE_FORMAT, 1) in (1, (1,)):
         return raw.view(np.uint32)
-    return np.iinfo(np.uint16).max - raw if raw.dtype == np.uint16 and tags.get(PHOTOMETRIC) == 0 else raw
+    return (
+        np.iinfo(np.uint16).max - raw
+        if raw.dtype == np.uint16 and tags.get(PHOTOMETRIC) == 0
+        else raw
+    )
 
 
 def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
@@ -161,7 +193,9 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
     path = Path(path)
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
-            raise UserError(f"{path} is no image: give a folder, or one of {', '.join(sorted(SUFFIXES))}")
+            raise UserError(
+                f"{path} is no image: give a folder, or one of {', '.join(sorted(SUFFIXES))}"
+            )
         return Recordings(path, preprocess, (path,), None, None)
     if not path.is_dir():
         raise UserError(f"{path} does not exist: give a folder of recordings or an image")
@@ -174,11 +208,15 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
             _check_json(folder, notes)
             targets.append(_targets(folder, images, notes))
             if images[0].parent == folder and (hidden := _below(folder)) is not None:
-                notes.append(f"{folder} has images of its own, so those below it, such as in {hidden}, are not read")
+                notes.append(
+                    f"{folder} has images of its own, so those below it, such as in {hidden}, are not read"
+                )
     except OSError as error:
         raise UserError(f"{path} cannot be searched: {first_line(error)}") from None
     if not files:
-        raise UserError(f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings")
+        raise UserError(
+            f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings"
+        )
     poses, moves, ids = (np.concatenate(part) for part in zip(*targets, strict=True))
     return Recordings(
         path,
@@ -212,7 +250,9 @@ def _recording_folders(
 
 def _below(folder: Path) -> Path | None:
     """A folder in `folder` where images would be found if it had none of its own."""
-    found = (place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1, []))
+    found = (
+        place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1, [])
+    )
     with contextlib.suppress(OSError):  # nobody asked for what lies there
         return next(found, None)
     return None
@@ -226,10 +266,15 @@ def _images(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     images = (
-        p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
     )
     return sorted(
-        images, key=lambda p: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", p.name)]
+        images,
+        key=lambda p: [
+            int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", p.name)
+        ],
     )
 
 
@@ -264,5 +309,7 @@ def _known(values: np.ndarray) -> np.ndarray | None:
 def _sizes(names: dict[tuple[int, ...], list[str]]) -> str:
     """The usual size of images, and the first that has another."""
     usual, *others = sorted(names, key=lambda size: -len(names[size]))
-    parts = [f"{len(names[size])} of {size[1]} x {size[0]} ({names[size][0]})" for size in others[:3]]
+    parts = [
+        f"{len(names[size])} of {size[1]} x {size[0]} ({names[size][0]})" for size in others[:3]
+    ]
     return ", ".join([f"{len(names[usual])} of {usual[1]} x {usual[0]}", *parts])

@@ -10,13 +10,22 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes
+from jaxunshear.scene.scene import (
+    Scenes,
+    draw_moves,
+    draw_poses,
+    draw_tilts,
+    edge_labels,
+    make_scenes,
+)
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS, splits_of
 from jaxunshear.settings.types import check_rules
 
-LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
+LEAST_DEPTH_MM = (
+    0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
+)
 
 
 class Shots(NamedTuple):
@@ -28,7 +37,9 @@ class Shots(NamedTuple):
     slid: np.ndarray  # (B,) bool: a slide, not a tap
     age: np.ndarray  # (B,) in [0, 1]: when in the session it was recorded
     split: np.ndarray  # (B,) index into `splits.SPLITS`
-    edge: np.ndarray  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.edge_labels`
+    edge: (
+        np.ndarray
+    )  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.edge_labels`
 
 
 def check(settings: PairedData | PoseData) -> None:
@@ -38,7 +49,9 @@ def check(settings: PairedData | PoseData) -> None:
 
 
 def _generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
-    return np.random.default_rng([seed, zlib.crc32(stimulus.encode()), zlib.crc32(purpose.encode())])
+    return np.random.default_rng(
+        [seed, zlib.crc32(stimulus.encode()), zlib.crc32(purpose.encode())]
+    )
 
 
 def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
@@ -55,11 +68,17 @@ def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
 def _slides(settings: PairedData, stimulus: str) -> np.ndarray:
     """(poses, slides, 2), or 3 with their twists."""
     ranges, shape = settings.ranges, (settings.poses, settings.slides)
-    moves = draw_moves(_generator(settings.seed, stimulus, "move"), settings.poses * settings.slides, ranges.move_mm)
+    moves = draw_moves(
+        _generator(settings.seed, stimulus, "move"),
+        settings.poses * settings.slides,
+        ranges.move_mm,
+    )
     moves = moves.reshape(*shape, 2)
     if not ranges.twist_deg:
         return moves
-    twists = _generator(settings.seed, stimulus, "twist").uniform(-ranges.twist_deg, ranges.twist_deg, shape)
+    twists = _generator(settings.seed, stimulus, "twist").uniform(
+        -ranges.twist_deg, ranges.twist_deg, shape
+    )
     return np.concatenate([moves, twists[..., None]], axis=-1)
 
 
@@ -80,7 +99,9 @@ def draw_paired(settings: PairedData) -> Shots:
         jitter = settings.tap_depth_jitter_mm
         depth = poses[:, ~slid, 3]
         deeper = _generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
-        poses[:, ~slid, 3] = np.maximum(depth + deeper, min(LEAST_DEPTH_MM, settings.ranges.depth_min_mm))
+        poses[:, ~slid, 3] = np.maximum(
+            depth + deeper, min(LEAST_DEPTH_MM, settings.ranges.depth_min_mm)
+        )
         leader = slide_leaders(settings, name)
         drawn = _slides(settings, name)[leader]
         moves = np.zeros((settings.poses, shots, drawn.shape[-1]))
@@ -91,7 +112,13 @@ def draw_paired(settings: PairedData) -> Shots:
         move.append(moves.reshape(-1, moves.shape[-1]))
     each = settings.poses * len(settings.stimuli)
     instance = np.where(slid, np.arange(shots) - settings.taps, np.arange(shots))
-    return _shots(settings, np.concatenate(pose), np.concatenate(move), np.tile(instance, each), np.tile(slid, each))
+    return _shots(
+        settings,
+        np.concatenate(pose),
+        np.concatenate(move),
+        np.tile(instance, each),
+        np.tile(slid, each),
+    )
 
 
 def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
@@ -100,7 +127,9 @@ def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
     leader = np.arange(settings.poses)
     for index in range(len(SPLITS)):
         inside = np.flatnonzero(split == index)
-        leader[inside] = inside[np.arange(len(inside)) // settings.poses_a_slide * settings.poses_a_slide]
+        leader[inside] = inside[
+            np.arange(len(inside)) // settings.poses_a_slide * settings.poses_a_slide
+        ]
     return leader
 
 
@@ -113,14 +142,20 @@ def draw_pose(settings: PoseData) -> Shots:
 
 
 def _shots(
-    settings: PairedData | PoseData, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, slid: np.ndarray
+    settings: PairedData | PoseData,
+    pose: np.ndarray,
+    move: np.ndarray,
+    instance: np.ndarray,
+    slid: np.ndarray,
 ) -> Shots:
     names = settings.names
     each = len(pose) // (len(names) * settings.poses)
     stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
     pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
     age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
-    split = np.concatenate([np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names])
+    split = np.concatenate(
+        [np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names]
+    )
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
     return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(settings.stimuli, scenes))
 

@@ -29,7 +29,9 @@ class Siblings(NamedTuple):
     def others(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """One of each row's group (B,), another one where there is one."""
         group = self.group[rows]
-        return self.members[self.start[group] + onward(self.rank[rows], self.size[group], generator)]
+        return self.members[
+            self.start[group] + onward(self.rank[rows], self.size[group], generator)
+        ]
 
 
 def onward(place: np.ndarray, size: np.ndarray, generator: np.random.Generator) -> np.ndarray:

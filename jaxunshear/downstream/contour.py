@@ -28,7 +28,9 @@ class Contour(NamedTuple):
 
     def at(self, arc_mm: np.ndarray) -> np.ndarray:
         """Indices of the points at these lengths along the curve, which goes round and round."""
-        return np.round(np.asarray(arc_mm) / self.length * len(self.points)).astype(int) % len(self.points)
+        return np.round(np.asarray(arc_mm) / self.length * len(self.points)).astype(int) % len(
+            self.points
+        )
 
 
 def outline(stimulus: Stimulus) -> Contour:
@@ -60,7 +62,9 @@ def _on_edge(stimulus: Stimulus, points: np.ndarray) -> tuple[np.ndarray, np.nda
     def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
         return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
 
-    distance, normal = (np.asarray(value, float) for value in jax.jit(both)(jnp.asarray(points, jnp.float32)))
+    distance, normal = (
+        np.asarray(value, float) for value in jax.jit(both)(jnp.asarray(points, jnp.float32))
+    )
     return normal, points - distance[:, None] * normal
 
 
@@ -74,7 +78,9 @@ def advance(line: Contour, arc_mm: np.ndarray, xy: np.ndarray, window_mm: float)
 
     Lengths grow beyond `length` when a point goes round again.
     """
-    steps = np.arange(-round(window_mm / SPACING_MM), round(window_mm / SPACING_MM) + 1) * SPACING_MM
+    steps = (
+        np.arange(-round(window_mm / SPACING_MM), round(window_mm / SPACING_MM) + 1) * SPACING_MM
+    )
     near = np.asarray(arc_mm)[:, None] + steps
     apart = np.linalg.norm(line.points[line.at(near)] - xy[:, None], axis=-1)
     return near[np.arange(len(near)), np.argmin(apart, axis=1)]

@@ -30,18 +30,30 @@ class Memory(NamedTuple):
     turn_deg: Array  # (B,)
 
 
-def control(gains: Gains, memory: Memory, edge_mm: Array, edge_deg: Array) -> tuple[Array, Array, Memory]:
+def control(
+    gains: Gains, memory: Memory, edge_mm: Array, edge_deg: Array
+) -> tuple[Array, Array, Memory]:
     """What to do about an edge seen at `edge_mm` (B,), negative inside, whose outward normal points to `edge_deg` (B,).
 
     Returns the move (B, 2) in mm and the turn (B,) in deg, both in the sensor frame: x across the edge, outwards, y along it,
     counter-clockwise around the object. Where a limit is met its sum does not grow further (anti-windup).
     """
-    across, normal_mm = _corrected(-edge_mm, memory.normal_mm, gains.proportional, gains.integral_mm, gains.limit_mm)
-    turn, turn_deg = _corrected(edge_deg, memory.turn_deg, gains.proportional, gains.integral_deg, gains.limit_deg)
-    return jnp.stack([across, jnp.full_like(across, gains.step_mm)], -1), turn, Memory(normal_mm, turn_deg)
+    across, normal_mm = _corrected(
+        -edge_mm, memory.normal_mm, gains.proportional, gains.integral_mm, gains.limit_mm
+    )
+    turn, turn_deg = _corrected(
+        edge_deg, memory.turn_deg, gains.proportional, gains.integral_deg, gains.limit_deg
+    )
+    return (
+        jnp.stack([across, jnp.full_like(across, gains.step_mm)], -1),
+        turn,
+        Memory(normal_mm, turn_deg),
+    )
 
 
-def _corrected(error: Array, total: Array, proportional: float, integral: float, limit: float) -> tuple[Array, Array]:
+def _corrected(
+    error: Array, total: Array, proportional: float, integral: float, limit: float
+) -> tuple[Array, Array]:
     grown = total + error
     wanted = proportional * error + integral * grown
     held = jnp.clip(wanted, -limit, limit)

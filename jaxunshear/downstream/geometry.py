@@ -96,7 +96,9 @@ def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(..., P) area of each pin's cell over that of the undeformed sensor, less one; motion (..., P, 2) px, NaN for pins not seen."""
     rest = cell_areas(lattice, np.zeros_like(lattice.place))
     each = motion.reshape(-1, *motion.shape[-2:])
-    return np.reshape([cell_areas(lattice, filled(lattice, one)) / rest - 1 for one in each], motion.shape[:-1])
+    return np.reshape(
+        [cell_areas(lattice, filled(lattice, one)) / rest - 1 for one in each], motion.shape[:-1]
+    )
 
 
 def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:

@@ -55,11 +55,15 @@ def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
     paired, _ = simulated_of(experiment, "geometry")
     networks = unshearers(folder, experiment, unshearing_of(folder))
     if not networks:
-        raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
+        raise UserError(
+            f"{folder} holds no trained network that unshears: train one first, or name another --model"
+        )
     lattice = lattice_of(experiment)
     ways = ways_of(lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
     contacts = fresh_contacts(experiment, count)
-    found = geometry_of(lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks)
+    found = geometry_of(
+        lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks
+    )
     scales = {name: way.mm for name, way in ways.items()}
     table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
     return Felt(lattice, contacts, found, ways, networks, table)
@@ -75,7 +79,11 @@ def geometry_of(
     """Heights of taps, sheared images, what each network makes of these, and images (N, S, S) of the sensor that touches nothing."""
     height: dict[tuple[str, str], np.ndarray] = {}
     ms: dict[tuple[str, str], float] = {}
-    images = {"tap": contacts.tap, "sheared": contacts.sheared, **dict.fromkeys(networks, contacts.sheared)}
+    images = {
+        "tap": contacts.tap,
+        "sheared": contacts.sheared,
+        **dict.fromkeys(networks, contacts.sheared),
+    }
     for kind, given in (images | {UNTOUCHED: untouched}).items():
         if kind in networks:
             networks[kind](given[:1])  # compiles
@@ -90,12 +98,16 @@ def geometry_of(
                 felt[row, sure] = way(motion[sure])
             ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
         for one in sure:
-            felt[:, one] = read_at(lattice.place + motion[one], felt[:, one].T, contacts.tap_pins[one]).T
+            felt[:, one] = read_at(
+                lattice.place + motion[one], felt[:, one].T, contacts.tap_pins[one]
+            ).T
         height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
     return Geometry(height, ms)
 
 
-def _scores(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[GeometryScore]:
+def _scores(
+    names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry
+) -> list[GeometryScore]:
     """For each stimulus, kind and way, and for all stimuli."""
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
@@ -113,7 +125,10 @@ def _scores(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry)
                 ms_per_image=geometry.ms[kind, way],
             )
             if matched.any():
-                row = replace(row, **_agreement(kind, height[matched], contacts.indentation_mm[matched], matched))
+                row = replace(
+                    row,
+                    **_agreement(kind, height[matched], contacts.indentation_mm[matched], matched),
+                )
             rows.append(row)
     return rows
 

@@ -20,7 +20,9 @@ from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
 
 VORONOI, SKIN = "voronoi", "skin"
-NEAR_MM = 6.0  # pins from the sensor's axis: farther out the dome curves away from what lies under it
+NEAR_MM = (
+    6.0  # pins from the sensor's axis: farther out the dome curves away from what lies under it
+)
 
 
 class Maker(NamedTuple):
@@ -32,7 +34,11 @@ class Maker(NamedTuple):
 
 
 def makers_of(
-    sensor: Sensor, lattice: Lattice, motion: np.ndarray, indentation_mm: np.ndarray, distance: np.ndarray
+    sensor: Sensor,
+    lattice: Lattice,
+    motion: np.ndarray,
+    indentation_mm: np.ndarray,
+    distance: np.ndarray,
 ) -> dict[str, Maker]:
     """By name; from motions (N, P, 2) px, NaN where unknown, of taps at the depth of the walk, how far the skin above each pin is pressed
     in (N, P), and how far outside the object it lies (N, P) mm."""

@@ -14,7 +14,15 @@ from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts
 from jaxunshear.downstream.contour import Contour, outline
 from jaxunshear.downstream.geometry import known_motions
 from jaxunshear.downstream.makers import Maker, makers_of
-from jaxunshear.downstream.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
+from jaxunshear.downstream.reconstruct import (
+    CELL_MM,
+    Fused,
+    Likeness,
+    fuse,
+    likeness,
+    skin_places,
+    to_target,
+)
 from jaxunshear.downstream.servo import CLOSED, WALKING, Course, Walks, made_with
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice
@@ -37,7 +45,9 @@ class Solid(NamedTuple):
     true: np.ndarray  # (K, K) bool
     likeness: Likeness
     unmatched: int  # steps whose pins were not identified for sure
-    level: float | None  # of the fused values, over which the object lies; none where it is what their ridge surrounds
+    level: (
+        float | None
+    )  # of the fused values, over which the object lies; none where it is what their ridge surrounds
     height_rms_mm: float | None  # of the felt top from the object's, where values are heights
 
 
@@ -50,7 +60,9 @@ def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]
     for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
         distance[rows] = distances(stimulus_of(touched), xy[rows])
-    return makers_of(experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance)
+    return makers_of(
+        experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance
+    )
 
 
 def solids(
@@ -67,7 +79,9 @@ def solids(
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
     motion = motions_of(lattice, images) if unshear is None else unshear(images)
-    full = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
+    full = (
+        float(np.abs(line.points).max()) + CELL_MM
+    )  # also what a walk that ended early has not felt
     found = {}
     for name, maker in makers.items():
         fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
@@ -76,7 +90,9 @@ def solids(
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
-        found[name] = Solid(fused, shape, true, likeness(fused, shape, true, line), unmatched, maker.level, rms)
+        found[name] = Solid(
+            fused, shape, true, likeness(fused, shape, true, line), unmatched, maker.level, rms
+        )
     return found
 
 
@@ -89,7 +105,9 @@ class Objects:
     scores: tuple[ObjectScore, ...]
 
 
-def reconstruct(folder: Path, experiment: Experiment, walked: Sequence[tuple[Course, Walks]]) -> Iterator[Objects]:
+def reconstruct(
+    folder: Path, experiment: Experiment, walked: Sequence[tuple[Course, Walks]]
+) -> Iterator[Objects]:
     """Objects from finished walks by networks of the run in `folder`, each when it is done.
 
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
@@ -102,7 +120,9 @@ def reconstruct(folder: Path, experiment: Experiment, walked: Sequence[tuple[Cou
             raise UserError(
                 f"walks around {course.stimulus} are not finished: run the same `jaxunshear servo` command again"
             )
-        if str(walks.made) != made_with(experiment.sensor, paired, perception.digests(folder, ways)):
+        if str(walks.made) != made_with(
+            experiment.sensor, paired, perception.digests(folder, ways)
+        ):
             raise UserError(
                 f"walks around {course.stimulus} are of another model or sensor, or of an earlier simulator: name theirs with "
                 "--model, or walk again"
@@ -117,7 +137,10 @@ def reconstruct(folder: Path, experiment: Experiment, walked: Sequence[tuple[Cou
 
 
 def _objects(
-    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], makers: Mapping[str, Maker]
+    experiment: Experiment,
+    walked: tuple[Course, Walks],
+    networks: Mapping[str, Unshear],
+    makers: Mapping[str, Maker],
 ) -> Objects:
     course, walks = walked
     line = outline(stimulus_of(course.stimulus))
@@ -139,7 +162,9 @@ def _objects(
     return Objects(course, typical, tuple(scores))
 
 
-def _score(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> ObjectScore:
+def _score(
+    stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]
+) -> ObjectScore:
     iou, mean_mm, hausdorff_mm, iou_felt = np.array([each.likeness for each in solids]).T
     heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
     return ObjectScore(

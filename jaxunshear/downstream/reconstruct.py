@@ -61,7 +61,10 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
     followed = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
     put = place[followed]
     x, y = np.moveaxis(to_target(point[followed], put), -1, 0)
-    reach = max(cover_mm, np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
+    reach = max(
+        cover_mm,
+        np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM,
+    )
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:
@@ -70,7 +73,9 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
 
     total = gathered(np.ones_like(x))
     touched = total > LEAST
-    mean = np.divide(gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched)
+    mean = np.divide(
+        gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched
+    )
     return Fused((edges[1:] + edges[:-1]) / 2, mean)
 
 
@@ -119,7 +124,9 @@ def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Contour) -
         return Likeness(iou, float("inf"), float("inf"), iou_felt)
     outline = fused.line[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
     there, back = off(line, outline), cKDTree(outline).query(line.points)[0]
-    return Likeness(iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt)
+    return Likeness(
+        iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt
+    )
 
 
 def _iou(shape: np.ndarray, true: np.ndarray) -> float:

@@ -21,10 +21,16 @@ def heights_of_recordings(
     path: Path, experiment: Experiment, lattice: Lattice, way: Way, networks: Mapping[str, Unshear]
 ) -> tuple[list[str], dict[str, np.ndarray]]:
     """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows of images that are not understood."""
-    _, names, images = zip(*islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN), strict=True)
+    _, names, images = zip(
+        *islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN), strict=True
+    )
     stack = np.stack(images)
-    motions = {"as recorded": motions_of(lattice, stack)} | {name: unshear(stack) for name, unshear in networks.items()}
+    motions = {"as recorded": motions_of(lattice, stack)} | {
+        name: unshear(stack) for name, unshear in networks.items()
+    }
     # networks over images draw pins whatever they are given
     expected = expected_of(lattice.place, stack.shape[-1])
     known = np.array([not state_doubt(True, plausibility(image, expected)) for image in stack])
-    return list(names), {kind: np.where(known[:, None], way(motion), np.nan) for kind, motion in motions.items()}
+    return list(names), {
+        kind: np.where(known[:, None], way(motion), np.nan) for kind, motion in motions.items()
+    }

@@ -42,7 +42,14 @@ WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a 
 UNSOLVED = 5  # contacts in a row that may fail to converge
 SAVE_EVERY = 50  # steps
 
-ENDS = ("walking", "closed", "lost the edge", "lost contact", "contacts did not converge", "took too long")
+ENDS = (
+    "walking",
+    "closed",
+    "lost the edge",
+    "lost contact",
+    "contacts did not converge",
+    "took too long",
+)
 WALKING, CLOSED, LOST, UNTOUCHED, UNSTABLE, LATE = range(6)
 
 
@@ -67,7 +74,9 @@ class Walks:
     way: np.ndarray  # (W,) names
     start: np.ndarray  # (W,) which of the starts
     point: np.ndarray  # (W, T, 3) x, y mm and yaw deg of the sensor, target frame
-    seen: np.ndarray  # (W, T, 2) the edge's distance mm and direction deg in the sensor frame, as perceived
+    seen: (
+        np.ndarray
+    )  # (W, T, 2) the edge's distance mm and direction deg in the sensor frame, as perceived
     true: np.ndarray  # (W, T, 2) the same as it is
     images: np.ndarray  # (W, T, bytes) what the camera saw, one bit a pixel
     arc_mm: np.ndarray  # (W,) where along the outline
@@ -100,7 +109,9 @@ def follow_contour(
     stimulus = stimulus_of(course.stimulus)
     line = outline(stimulus)
     made = made_with(sensor, settings, digests)
-    walks = _stored(file, course, tuple(ways), made) or _at_starts(course, line, tuple(ways), settings, made)
+    walks = _stored(file, course, tuple(ways), made) or _at_starts(
+        course, line, tuple(ways), settings, made
+    )
     total = walks.point.shape[1]
     steer, report = jax.jit(control, static_argnums=0), edge_teller(stimulus)
     with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
@@ -117,8 +128,15 @@ def follow_contour(
 
 def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
     """A digest of all but the course that decides walks: simulator, sensor, how images are made of it, the networks of each way."""
-    seen = {name: dataclasses.asdict(getattr(settings, name)) for name in ("camera", "nuisance", "preprocess")}
-    contact = {"version": VERSION, "sensor": dataclasses.asdict(sensor), "friction": settings.friction}
+    seen = {
+        name: dataclasses.asdict(getattr(settings, name))
+        for name in ("camera", "nuisance", "preprocess")
+    }
+    contact = {
+        "version": VERSION,
+        "sensor": dataclasses.asdict(sensor),
+        "friction": settings.friction,
+    }
     full = {**contact, **seen, "seed": settings.seed, "networks": dict(digests)}
     return hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -134,7 +152,9 @@ def first_points(course: Course, line: Contour) -> np.ndarray:
     return np.column_stack([line.points[place] + aside[:, None] * normal, yaw + turned])
 
 
-def _at_starts(course: Course, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str) -> Walks:
+def _at_starts(
+    course: Course, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str
+) -> Walks:
     count = len(ways) * course.starts
     total = int(np.ceil(course.patience * line.length / course.gains.step_mm))
     size = settings.preprocess.size
@@ -181,19 +201,26 @@ def _take_step(
     walks.true[:, step] = report(here)
     _perceive(walks, ways, images, step, rows)
 
-    walks.arc_mm[rows], before = advance(line, walks.arc_mm[rows], here[rows, :2], WINDOW_MM), walks.arc_mm[rows]
+    walks.arc_mm[rows], before = (
+        advance(line, walks.arc_mm[rows], here[rows, :2], WINDOW_MM),
+        walks.arc_mm[rows],
+    )
     walks.way_mm[rows] += walks.arc_mm[rows] - before
     ended[np.abs(walks.true[:, step, 0]) > LOST_MM] = LOST
     ended[(walks.way_mm >= line.length) & (ended == WALKING)] = CLOSED
     walks.end[rows] = ended[rows]
 
     seen = jnp.asarray(np.nan_to_num(walks.seen[:, step]), jnp.float32)
-    move, turn, memory = steer(course.gains, Memory(*jnp.asarray(walks.sums, jnp.float32)), seen[:, 0], seen[:, 1])
+    move, turn, memory = steer(
+        course.gains, Memory(*jnp.asarray(walks.sums, jnp.float32)), seen[:, 0], seen[:, 1]
+    )
     walks.sums[:] = np.asarray(memory)
     walks.steps += 1
     going = rows[ended[rows] == WALKING]
     if walks.steps < walks.point.shape[1]:
-        walks.point[going, step + 1] = _moved(here[going], np.asarray(move)[going], np.asarray(turn)[going])
+        walks.point[going, step + 1] = _moved(
+            here[going], np.asarray(move)[going], np.asarray(turn)[going]
+        )
 
 
 def _touch(
@@ -231,13 +258,19 @@ def _touch(
     seen = rows[finite]
     if len(seen):
         fresh, few = np.zeros(len(seen)), min(RENDER, count)
-        images[seen] = render(settings, sensor, contacts.pins[finite], number[finite], fresh, few)[0]
+        images[seen] = render(settings, sensor, contacts.pins[finite], number[finite], fresh, few)[
+            0
+        ]
     walks.simulate_s += time.perf_counter() - began
     return images, ended
 
 
 def _perceive(
-    walks: Walks, ways: Mapping[str, Perceive | None], images: np.ndarray, step: int, rows: np.ndarray
+    walks: Walks,
+    ways: Mapping[str, Perceive | None],
+    images: np.ndarray,
+    step: int,
+    rows: np.ndarray,
 ) -> None:
     walking = np.zeros(len(walks.way), bool)
     walking[rows] = True
@@ -268,7 +301,9 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
         }
         return Course(**asked | own), Walks(**kept)
     except (*BROKEN_NPZ, TypeError) as error:
-        raise UserError(f"{file} cannot be read ({error}): delete it and run the same command again") from error
+        raise UserError(
+            f"{file} cannot be read ({error}): delete it and run the same command again"
+        ) from error
 
 
 def _store(file: Path | None, course: Course, walks: Walks) -> None:

@@ -54,7 +54,9 @@ def servo(
                 f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
             )
         ways = (perception.TRUE, *known)
-    found = perception.perceptions(folder, experiment, tuple(way for way in ways if way != perception.TRUE))
+    found = perception.perceptions(
+        folder, experiment, tuple(way for way in ways if way != perception.TRUE)
+    )
     perceive, digests = {way: found.get(way) for way in ways}, perception.digests(folder, ways)
 
     def walked(course: Course) -> Followed:

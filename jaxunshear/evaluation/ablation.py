@@ -34,7 +34,9 @@ FIELDS = ("canonical", "sheared")
 SEED = 0
 
 
-def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
+def cell_scores(
+    drawn: dict[str, Array], tap: Array, sheared: Array, other: Array
+) -> dict[str, Array]:
     """Score images against each cell's target, and those with a code of `other` against that image, too.
 
     All images (B, S, S, 1); scores (B,) are named `<cell>/<metric>` and `<cell>/<metric> to the other`.
@@ -65,7 +67,9 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         raise UserError(f"{folder} holds no disentangled network: there are no codes to swap")
     variables = load_best(folder)
     if net.shear_channels and "DS" not in variables["params"]:
-        raise UserError(f"{folder} holds released weights, which leave out DS: name the folder of a finished run")
+        raise UserError(
+            f"{folder} holds released weights, which leave out DS: name the folder of a finished run"
+        )
     check_origin(experiment, DISENTANGLED, run_dir)
     pairs = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     total = pairs.length("test")
@@ -83,7 +87,9 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
             rows = np.arange(start, start + BATCH)  # all batches are of one size
             batch = pairs.take("test", rows % total, FIELDS)
             other = pairs.take("test", (rows + total // 2) % total, FIELDS)
-            found.append(jax.device_get(run(batch["canonical"], batch["sheared"], other["sheared"])))
+            found.append(
+                jax.device_get(run(batch["canonical"], batch["sheared"], other["sheared"]))
+            )
             progress.advance(min(BATCH, total - start))
     scores = {name: np.concatenate([part[name] for part in found])[:total] for name in found[0]}
     results = {
@@ -123,7 +129,9 @@ def table(rows: list[Json]) -> str:
     The paper's figures are multi-scale, so ours are, too; as many scales as the images carry.
     """
     width = max(len(row["name"]) for row in rows)
-    lines = [f"{'':{width}}  should draw  MSE     MS-SSIM [95 %]         to the other  paper: MSE, MS-SSIM"]
+    lines = [
+        f"{'':{width}}  should draw  MSE     MS-SSIM [95 %]         to the other  paper: MSE, MS-SSIM"
+    ]
     for row in rows:
         low, high = row["ms_ssim interval"]
         other = f"{row['ms_ssim to the other']:.3f}" if "ms_ssim to the other" in row else ""

@@ -20,7 +20,9 @@ def training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
     """One tap of every pose, at most MOST_TAPS of them: (M, S, S, 1) uint8. Batches hold canonical, stimulus and pose_id."""
     taps: dict[tuple[int, int], np.ndarray] = {}
     for batch in batches:
-        for stimulus, pose, tap in zip(batch["stimulus"], batch["pose_id"], batch["canonical"], strict=True):
+        for stimulus, pose, tap in zip(
+            batch["stimulus"], batch["pose_id"], batch["canonical"], strict=True
+        ):
             taps.setdefault((int(stimulus), int(pose)), tap)
     every = list(taps.values())
     return np.stack([every[index] for index in evenly(len(every), MOST_TAPS)])
@@ -39,7 +41,9 @@ def baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]
 def nearest(known: Array, images: Array) -> Array:
     """For every image that of `known` (M, S, S, 1) which differs least from it, by mean squared difference."""
     flat, rows = (x.reshape(len(x), -1) for x in (known, images))
-    away = jnp.sum(flat**2, 1) - 2 * jnp.matmul(rows, flat.T, precision="highest")  # up to the image's own square
+    away = jnp.sum(flat**2, 1) - 2 * jnp.matmul(
+        rows, flat.T, precision="highest"
+    )  # up to the image's own square
     return known[jnp.argmin(away, 1)]
 
 
@@ -61,4 +65,6 @@ def translated(image: Array, target: Array) -> Array:
     rows, columns = jnp.divmod(best, 2 * most + 1)
     # moved by (rows - most, columns - most)
     framed = jnp.pad(plain, most)
-    return jax.lax.dynamic_slice(framed, (2 * most - rows, 2 * most - columns), (size, size))[..., None]
+    return jax.lax.dynamic_slice(framed, (2 * most - rows, 2 * most - columns), (size, size))[
+        ..., None
+    ]

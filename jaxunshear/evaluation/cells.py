@@ -24,7 +24,11 @@ SPOILT: dict[str, tuple[str, ...]] = {
 
 
 def draw_cells(
-    net: UnshearNet, variables: Variables, sheared: Array, names: Iterable[str] = CELLS, other: Array | None = None
+    net: UnshearNet,
+    variables: Variables,
+    sheared: Array,
+    names: Iterable[str] = CELLS,
+    other: Array | None = None,
 ) -> dict[str, Array]:
     """Draw images (B, S, S, 1) in [0, 1] of the named cells from the codes of `sheared`, and of `other`, (B, S, S, 1).
 

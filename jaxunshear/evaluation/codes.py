@@ -21,7 +21,11 @@ def encoder_of(net: Net, variables: Variables) -> Encode | None:
     if isinstance(net, PinUnshear) and net.shear_code:
         run = jax.jit(partial(pinnets.encode, net))
     elif isinstance(net, UnshearNet) and net.disentangled and net.shear_channels:
-        run = jax.jit(lambda weights, images: unshearnet.encode(net, weights, images.astype(jnp.float32) / 255))
+        run = jax.jit(
+            lambda weights, images: unshearnet.encode(
+                net, weights, images.astype(jnp.float32) / 255
+            )
+        )
     else:
         return None
 
@@ -31,7 +35,10 @@ def encoder_of(net: Net, variables: Variables) -> Encode | None:
             rows = np.arange(start, start + AT_ONCE) % len(seen)
             parts.append(jax.device_get(run(variables, seen[rows])))
         joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
-        return {name: code.reshape(len(seen), -1) for name, code in zip(("z_p", "z_s"), joined, strict=True)}
+        return {
+            name: code.reshape(len(seen), -1)
+            for name, code in zip(("z_p", "z_s"), joined, strict=True)
+        }
 
     return encode
 

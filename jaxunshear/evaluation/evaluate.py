@@ -30,7 +30,14 @@ from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.smooth import SMOOTH, WHAT, edge_angles, marked
 from jaxunshear.evaluation.speed import ms_per_image
 from jaxunshear.evaluation.spread import numbered_poses
-from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
+from jaxunshear.evaluation.summary import (
+    CONTACT_FIELDS,
+    contact_quality,
+    pose_by_size,
+    tables,
+    typical,
+    with_readers,
+)
 from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
@@ -40,7 +47,13 @@ from jaxunshear.results.stored import write
 from jaxunshear.results.times import read_times
 from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
+from jaxunshear.settings.experiment import (
+    Experiment,
+    further_tests,
+    over_pins,
+    recorded_of,
+    simulated_of,
+)
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
@@ -51,7 +64,9 @@ from jaxunshear.training.origin import check_origin
 
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
-Scored = tuple[Results, Gathered | None, dict[str, Gathered], tuple[str, ...]]  # results, scores, further ones, stimuli
+Scored = tuple[
+    Results, Gathered | None, dict[str, Gathered], tuple[str, ...]
+]  # results, scores, further ones, stimuli
 
 
 def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Results:
@@ -97,19 +112,32 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     pairs, targets = examples.reader, examples.targets
     total = pairs.length("test")
     if not total:
-        raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
+        raise UserError(
+            f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses"
+        )
     over = over_pins(experiment)
-    taps = None if over else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
+    taps = (
+        None
+        if over
+        else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
+    )
     run = load(run_dir, experiment.networks, taps, examples.pins if over else None)
     inputs = PINS if over else IMAGES
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     readers = readers_of(experiment, data_dir, run_dir)
     reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
-    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads)
+    gathered = gather(
+        run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads
+    )
     gathered = marked(gathered, paired)
     if PIN_PLACES in readers and not over:
-        true = {name: value[gathered.kept] for name, value in true_values(targets, gathered.labels).items()}
-        gathered = gathered._replace(read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true))
+        true = {
+            name: value[gathered.kept]
+            for name, value in true_values(targets, gathered.labels).items()
+        }
+        gathered = gathered._replace(
+            read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true)
+        )
     further = {}
     for name, settings in further_tests(experiment).items():
         reader = open_set(settings, data_dir, experiment.sensor)
@@ -120,7 +148,9 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     found = found_pairs(pairs, lattice, FIELDS) if over else None
     if found:
         count, title = len(found.pairs["pose"]), "evaluate found pins"
-        tested = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
+        tested = gather(
+            run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads
+        )
         further[FOUND] = marked(tested, paired)
     results = results_of(experiment, gathered, further)
     if found:
@@ -155,7 +185,9 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         results,
         half_width=widths,
         coverage=coverage(widths, recorded.errors_of(slides, taps)),
-        counts=replace(results.counts, reader_taps={name: reader.taps for name, reader in readers.items()}),
+        counts=replace(
+            results.counts, reader_taps={name: reader.taps for name, reader in readers.items()}
+        ),
     )
     if slides is None:
         return results, taps, {}, ()
@@ -166,13 +198,19 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
 def every_score(gathered: Gathered) -> bytes:
     """An npz of all scores by name, `stimulus`, `pose_id`, and SMOOTH if it is known, (N,) each."""
     buffer = io.BytesIO()
-    labels = {name: gathered.labels[name] for name in ("stimulus", "pose_id", SMOOTH) if name in gathered.labels}
+    labels = {
+        name: gathered.labels[name]
+        for name in ("stimulus", "pose_id", SMOOTH)
+        if name in gathered.labels
+    }
     np.savez_compressed(buffer, **gathered.scores, **labels)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
 def results_of(
-    experiment: Experiment, gathered: Gathered, further: Mapping[str, Gathered] = MappingProxyType({})
+    experiment: Experiment,
+    gathered: Gathered,
+    further: Mapping[str, Gathered] = MappingProxyType({}),
 ) -> Results:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
@@ -212,7 +250,9 @@ def results_of(
         contact=contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         counts=Counts(
             test_poses=len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
-            test_by_stimulus={name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
+            test_by_stimulus={
+                name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)
+            },
             test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
             pin_images=len(gathered.kept),
         ),
@@ -244,13 +284,25 @@ def _tables(settings: PairedData, gathered: Gathered) -> Tables:
     labels, ranges = gathered.labels, settings.ranges
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
-    of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
+    of_pins = {
+        name.removeprefix("pins/"): s
+        for name, s in gathered.scores.items()
+        if name.startswith("pins/")
+    }
     found = tables(gathered.scores, settings.names, labels["stimulus"], poses, BOOTSTRAP_SEED)
     return replace(
         with_readers(found, read, BOOTSTRAP_SEED),
-        pins={kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
+        pins={
+            kind: {"rms_px": float(np.mean(score, dtype=np.float64))}
+            for kind, score in of_pins.items()
+        },
         pose_by_depth=pose_by_size(
-            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, poses, BOOTSTRAP_SEED
+            gathered.scores,
+            labels["pose"][:, 3],
+            ranges.depth_min_mm,
+            ranges.depth_max_mm,
+            poses,
+            BOOTSTRAP_SEED,
         ),
         pose_smooth=edge_angles(gathered, poses, BOOTSTRAP_SEED),
     )
@@ -273,7 +325,9 @@ def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
         move=gathered.labels["move"][contacts],
         **{kind: images[shown] for kind, images in gathered.images.items()},
         **{
-            f"ms_ssim_{kind}": gathered.scores[f"ms_ssim/{kind}"][contacts] for kind in gathered.images if kind != "tap"
+            f"ms_ssim_{kind}": gathered.scores[f"ms_ssim/{kind}"][contacts]
+            for kind in gathered.images
+            if kind != "tap"
         },
     )
     return buffer.getvalue()

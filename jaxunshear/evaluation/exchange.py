@@ -66,7 +66,12 @@ class _Road(NamedTuple):
 
 def _road(net: Net) -> _Road:
     if isinstance(net, PinUnshear):
-        return _Road(FEEDS, "px", jax.jit(partial(pinnets.encode, net)), jax.jit(partial(pinnets.decode_sheared, net)))
+        return _Road(
+            FEEDS,
+            "px",
+            jax.jit(partial(pinnets.encode, net)),
+            jax.jit(partial(pinnets.decode_sheared, net)),
+        )
 
     @jax.jit
     def draw(variables: Variables, z_p: Array, z_s: Array) -> Array:
@@ -111,9 +116,14 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
     compared = partial(_compared, road, variables, reader, (rows, others, swapped))
-    every = [compared(np.arange(start, start + AT_ONCE) % len(rows)) for start in range(0, len(rows), AT_ONCE)]
+    every = [
+        compared(np.arange(start, start + AT_ONCE) % len(rows))
+        for start in range(0, len(rows), AT_ONCE)
+    ]
     squares = {
-        name: np.concatenate([road.squares(drawn[name], wanted) for drawn, wanted in every])[: len(rows)]
+        name: np.concatenate([road.squares(drawn[name], wanted) for drawn, wanted in every])[
+            : len(rows)
+        ]
         for name in every[0][0]
     }
     poses = numbered_poses(batch["stimulus"], batch["pose_id"])
@@ -121,7 +131,11 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     slipped = slipping(source["stuck"], source["slipping"])
     changed = swapped != rows
     inside = {"sticking": changed & ~slipped, "slipped": changed & slipped}
-    by_slip = [{"part": n, **_errors(squares, poses, those, road.unit)} for n, those in inside.items() if those.any()]
+    by_slip = [
+        {"part": n, **_errors(squares, poses, those, road.unit)}
+        for n, those in inside.items()
+        if those.any()
+    ]
     found = _errors(squares, poses, changed, road.unit)
     if road.unit == GREY:
         some = np.resize(np.flatnonzero(changed)[:: max(1, int(changed.sum()) // AT_ONCE)], AT_ONCE)
@@ -132,7 +146,11 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
 
 
 def _compared(
-    road: _Road, variables: Variables, reader: Reader, partners: Sequence[np.ndarray], some: np.ndarray
+    road: _Road,
+    variables: Variables,
+    reader: Reader,
+    partners: Sequence[np.ndarray],
+    some: np.ndarray,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What DS draws of `some` contacts, from which codes, and what it should draw. `partners`: rows of these contacts, of others after
     other slides, and of the own poses after those slides."""
@@ -149,12 +167,16 @@ def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
     return {name: error[name] for name in ("rms_px", "missed_per_image")}
 
 
-def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str) -> Json:
+def _errors(
+    squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str
+) -> Json:
     """Of squared errors (N,) those `inside` (N,)."""
     squares = {name: values[inside] for name, values in squares.items()}
     means = redrawn_means(squares, poses[inside], SEED)
     rms = {name: float(np.sqrt(values.mean())) for name, values in squares.items()}
-    drawn = {name: {f"rms_{unit}": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
+    drawn = {
+        name: {f"rms_{unit}": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms
+    }
     ratios = np.sqrt(means[EXCHANGED] / means[OWN])
     ratio = {"ratio": rms[EXCHANGED] / rms[OWN], "ratio interval": interval(ratios)}
     return {"slides": int(inside.sum()), "drawn": drawn, **ratio}

@@ -13,7 +13,18 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.targets import Targets, true_values
 
 BATCH = 32  # contacts that are scored at once
-LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
+LABELS = (
+    "stimulus",
+    "pose_id",
+    "pose",
+    "edge",
+    "move",
+    "residual_mm",
+    "iterations",
+    "stuck",
+    "slipping",
+    "free",
+)
 PINS = ("canonical_pins", "sheared_pins")
 IMAGES = ("canonical", "sheared")
 FIELDS = (*IMAGES, *PINS, *LABELS)  # what a batch must hold
@@ -59,23 +70,38 @@ def gather(
         for batch in batches:
             size = len(batch[inputs[1]])
             outputs, similar = run(*(_filled(batch[name], max(BATCH, size)) for name in inputs))
-            poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
+            poses = {
+                k: {q: np.asarray(v)[:size] for q, v in pose.items()}
+                for k, pose in outputs.poses.items()
+            }
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
             true = true_values(targets, batch)
             scores[-1] |= pose_scores(poses, true)
             for name, read in readers.items():
-                reported = {k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()}
+                reported = {
+                    k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()
+                }
                 scores[-1] |= pose_scores(reported, true, f"read/{name}")
             labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
-                {k: eight_bit(np.asarray(x)[inside, ..., 0]) for k, x in outputs.images.items() if k not in BASELINES}
+                {
+                    k: eight_bit(np.asarray(x)[inside, ..., 0])
+                    for k, x in outputs.images.items()
+                    if k not in BASELINES
+                }
             )
             pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
             start += size
             progress.advance(size)
     every = _joined(scores)
-    return Gathered(every | differences(every), _joined(labels), kept[kept < start], _joined(images), _joined(pins))
+    return Gathered(
+        every | differences(every),
+        _joined(labels),
+        kept[kept < start],
+        _joined(images),
+        _joined(pins),
+    )
 
 
 def _filled(images: np.ndarray, size: int) -> np.ndarray:

@@ -16,7 +16,16 @@ BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "pose_ratio.disentangled.edge_mm": ("<=", 0.6),
     "pose_ratio.disentangled.edge_deg": ("<=", 0.6),
 }
-TABLES = ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "difference", "swap", "pins", "followed")
+TABLES = (
+    "ms_ssim",
+    "pose_mae",
+    "pose_ratio",
+    "pose_recovery",
+    "difference",
+    "swap",
+    "pins",
+    "followed",
+)
 UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 
@@ -30,12 +39,19 @@ def measurements(results: Results) -> Measured:
         for name in names:
             rows += _rows(getattr(found, name, None), name, results.metric.get(name, name), prefix)
         if found.pose_smooth:
-            rows += _rows(found.pose_smooth.pose_mae, "pose_smooth", results.metric["pose_smooth"], prefix)
+            rows += _rows(
+                found.pose_smooth.pose_mae, "pose_smooth", results.metric["pose_smooth"], prefix
+            )
         for reader, kinds in found.readers.items():
             rows += _rows(kinds, reader, results.metric["readers"], f"{prefix}readers.")
     for network, times in results.ms_per_image.items():
-        rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
-    rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results.time_s.items()]
+        rows.append(
+            _row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time")
+        )
+    rows += [
+        _row(f"time_s.{stage}", seconds, "s", "wall clock")
+        for stage, seconds in results.time_s.items()
+    ]
     return Measured(
         rows,
         results.machine,
@@ -48,7 +64,9 @@ def measurements(results: Results) -> Measured:
     )
 
 
-def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str) -> list[Measurement]:
+def _rows(
+    kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str
+) -> list[Measurement]:
     return [
         _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), str(metric))
         for kind, columns in (kinds or {}).items()

@@ -54,7 +54,9 @@ def run_of(
     Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
     """
 
-    def run(variables: Variables, taps: Array | None, tap: Array, sheared: Array) -> tuple[Outputs, dict[str, Array]]:
+    def run(
+        variables: Variables, taps: Array | None, tap: Array, sheared: Array
+    ) -> tuple[Outputs, dict[str, Array]]:
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
         if taps is not None:
@@ -66,8 +68,14 @@ def run_of(
             elif kind in nets:
                 images[kind] = unshear(nets[kind], variables[kind], sheared)
         if POSENET in nets:
-            answers = {kind: posenet.predict(nets[POSENET], variables[POSENET], x) for kind, x in images.items()}
-            poses = {kind: posenet.pose_from_outputs(answer, targets[POSENET]) for kind, answer in answers.items()}
+            answers = {
+                kind: posenet.predict(nets[POSENET], variables[POSENET], x)
+                for kind, x in images.items()
+            }
+            poses = {
+                kind: posenet.pose_from_outputs(answer, targets[POSENET])
+                for kind, answer in answers.items()
+            }
         if POSENET_SHEARED in nets:
             answer = posenet.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets[POSENET_SHEARED])
@@ -88,7 +96,11 @@ def pin_run_of(
     def run(
         variables: Variables, tap: Array, sheared: Array, seen_tap: Array | None = None
     ) -> tuple[Outputs, dict[str, Array]]:
-        places, cells, poses = {"tap": tap if seen_tap is None else seen_tap, "sheared": sheared}, {}, {}
+        places, cells, poses = (
+            {"tap": tap if seen_tap is None else seen_tap, "sheared": sheared},
+            {},
+            {},
+        )
         for kind in (name for name in UNSHEARING if name in nets):
             z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)
             places[kind] = pinnets.decode_canonical(nets[kind], variables[kind], z_p)
@@ -103,8 +115,13 @@ def pin_run_of(
             outputs = pinnets.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets[POSENET_SHEARED])
         shown = places | {"tap": tap}
-        images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (shown, cells))
-        apart = {f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"}
+        images, drawn = (
+            {k: dots(p, pins.radius_px, pins.size) for k, p in each.items()}
+            for each in (shown, cells)
+        )
+        apart = {
+            f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"
+        }
         return Outputs(images, drawn, poses, places), image_scores(images, drawn) | apart
 
     return run

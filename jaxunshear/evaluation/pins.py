@@ -13,7 +13,10 @@ from jaxunshear.metrics.pins import pin_error
 
 
 def pin_errors(
-    images: Mapping[str, np.ndarray], tap_pins: np.ndarray, sheared_pins: np.ndarray, mm_per_px: float | None
+    images: Mapping[str, np.ndarray],
+    tap_pins: np.ndarray,
+    sheared_pins: np.ndarray,
+    mm_per_px: float | None,
 ) -> dict[str, dict[str, float | None]]:
     """Root-mean-square distance of matched pins in px and mm, missed and extra pins an image, by kind of image. A mm is one at the
     height of the apex' pin: pins of the rim, nearer to the camera, move by less than it says (`tactip331-fitted`: a tenth). None of these
@@ -27,7 +30,11 @@ def pin_errors(
     squares = np.sum(np.square(sheared_pins.astype(np.float64) - tap_pins), axis=-1)
     found["true_slide"] = {"rms_px": float(np.sqrt(squares.mean()))}
     return {
-        kind: {"rms_px": row["rms_px"], "rms_mm": None if mm_per_px is None else row["rms_px"] * mm_per_px, **row}
+        kind: {
+            "rms_px": row["rms_px"],
+            "rms_mm": None if mm_per_px is None else row["rms_px"] * mm_per_px,
+            **row,
+        }
         for kind, row in found.items()
     }
 

@@ -90,7 +90,9 @@ def fit_linear(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarr
     return data.unscale(found.reshape(len(found), -1))
 
 
-def fit_kernel_ridge(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+def fit_kernel_ridge(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> np.ndarray:
     """Predict by kernel ridge regression on codes as they are or whitened, whichever held-out groups prefer."""
     data = _prepare(codes, wanted, others, groups)
     choices = ((data.x, data.others), (np.asarray(codes, np.float64), others))
@@ -120,7 +122,9 @@ def fit_trees(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarra
     return data.unscale(np.stack(columns, axis=-1))
 
 
-def fit_neighbours(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+def fit_neighbours(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> np.ndarray:
     """Predict by the mean of the nearest codes; held-out groups choose how many."""
     data = _prepare(codes, wanted, others, groups)
 
@@ -142,7 +146,9 @@ FAMILIES: dict[str, Probe] = {
 }
 
 
-def gaussian(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gaussian(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Predict mean and standard deviation of a normal distribution by the MLP's likelihood.
 
     The deviation is not calibrated.
@@ -182,7 +188,9 @@ class _Data(NamedTuple):
         return self.centre + self.reach * y
 
 
-def _prepare(codes: Codes, wanted: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]) -> _Data:
+def _prepare(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]
+) -> _Data:
     whitening = fit_whitening(codes)
     centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
     reach = np.where(reach > LEAST, reach, 1)

@@ -68,10 +68,14 @@ def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> 
     rows = evenly(taps.length("train"), most)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
-    return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)
+    return reader_of(
+        FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets
+    )
 
 
-def reader_of(features: np.ndarray, labels: Mapping[str, np.ndarray], targets: Targets) -> PoseReader | None:
+def reader_of(
+    features: np.ndarray, labels: Mapping[str, np.ndarray], targets: Targets
+) -> PoseReader | None:
     """From features (N, F), NaN where nothing is seen, and the labels by field, (N, columns) each; None where there are too few. What
     shows nothing at all is not learnt from."""
     some = np.isfinite(features).any(axis=1)
@@ -87,7 +91,10 @@ def reader_of(features: np.ndarray, labels: Mapping[str, np.ndarray], targets: T
 def read(reader: PoseReader, features: np.ndarray) -> Poses:
     """Poses by features (B, F); what is not seen counts as it is on average."""
     found = answers(reader.ridge, np.where(np.isfinite(features), features, reader.ridge.middle))
-    return {name: np.asarray(value) for name, value in pose_from_outputs(jnp.asarray(found), reader.targets).items()}
+    return {
+        name: np.asarray(value)
+        for name, value in pose_from_outputs(jnp.asarray(found), reader.targets).items()
+    }
 
 
 def readers_of(experiment: Experiment, data_dir: Path, run_dir: Path) -> dict[str, PoseReader]:
@@ -109,11 +116,16 @@ def of_batches(readers: Mapping[str, PoseReader]) -> dict[str, Reads]:
 
 def _read_batch(name: str, reader: PoseReader, outputs: Outputs) -> dict[str, Poses]:
     seen = outputs.images if name == PIXELS else outputs.pins
-    return {kind: read(reader, FEATURES[name](np.asarray(seen[kind]))) for kind in READ if kind in seen}
+    return {
+        kind: read(reader, FEATURES[name](np.asarray(seen[kind]))) for kind in READ if kind in seen
+    }
 
 
 def read_pins(
-    reader: PoseReader, lattice: Lattice, images: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+    reader: PoseReader,
+    lattice: Lattice,
+    images: Mapping[str, np.ndarray],
+    true: Mapping[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
     """Errors (N,) by `read/pins/<kind>/<quantity>` of the poses that pins found in images (N, S, S) uint8 give; NaN of images whose pins
     are not identified for sure."""
@@ -121,5 +133,8 @@ def read_pins(
     for kind in (kind for kind in READ if kind in images):
         found = places(lattice.place + motions_of(lattice, images[kind]))
         scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
-        errors |= {name: np.where(np.isfinite(found[:, 0]), score, np.nan) for name, score in scores.items()}
+        errors |= {
+            name: np.where(np.isfinite(found[:, 0]), score, np.nan)
+            for name, score in scores.items()
+        }
     return errors

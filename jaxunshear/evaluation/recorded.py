@@ -48,7 +48,11 @@ class Test(NamedTuple):
 
 
 def what_to_test(
-    experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path | None = None
+    experiment: Experiment,
+    stored: RecordedSet,
+    targets: Targets,
+    run_dir: Path,
+    data_dir: Path | None = None,
 ) -> Test:
     """Choose the contacts to score: the test split of the recordings that the run learnt from.
 
@@ -57,8 +61,14 @@ def what_to_test(
     paired = data_dir is not None and any(name not in POSENETS for name in experiment.networks)
     slides = None
     if stored.count("slides", "test"):
-        slides = pairs_of(experiment, stored, targets, run_dir, data_dir) if paired and data_dir else stored.slides()
-    taps = stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
+        slides = (
+            pairs_of(experiment, stored, targets, run_dir, data_dir)
+            if paired and data_dir
+            else stored.slides()
+        )
+    taps = (
+        stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
+    )
     data: TestData = "same session" if data_dir else "other recordings"
     return Test(slides, taps, paired and slides is not None, data)
 
@@ -85,14 +95,20 @@ def gathered_of(
     inputs = PINS if pins else IMAGES
     slides = taps = None
     seen = PINS if test.paired else PINS[1:]
-    if test.slides is not None and len(rows := select_identified(test.slides, split, seen if pins else ())):
+    if test.slides is not None and len(
+        rows := select_identified(test.slides, split, seen if pins else ())
+    ):
         if test.paired:
             batches = _take_batches(test.slides, split, rows, (*inputs, *PINS, *LABELS))
         else:
             batches = _alone(_take_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS)))
-        slides = gather(run, batches, len(rows), KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
+        slides = gather(
+            run, batches, len(rows), KEPT, targets, inputs=inputs, named=LABELS, readers=readers
+        )
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
-    if test.taps is not None and len(rows := select_identified(test.taps, split, ("pins",) if pins else ())):
+    if test.taps is not None and len(
+        rows := select_identified(test.taps, split, ("pins",) if pins else ())
+    ):
         named = tuple(name for name in LABELS if name != "move")
         batches = _as_pairs(_take_batches(test.taps, split, rows, ("image", "pins", *named)))
         title = f"evaluate taps ({'pins' if pins else 'image'})"
@@ -109,10 +125,16 @@ def select_identified(reader: Reader, split: str, fields: Sequence[str]) -> np.n
     """Rows of a split whose pins were identified for sure, in all of the `fields` that hold pins; all rows without any."""
     rows = np.arange(reader.length(split))
     pins = reader.take(split, rows, fields)
-    return rows[np.all([np.isfinite(pins[name]).any(axis=(1, 2)) for name in fields], axis=0)] if fields else rows
+    return (
+        rows[np.all([np.isfinite(pins[name]).any(axis=(1, 2)) for name in fields], axis=0)]
+        if fields
+        else rows
+    )
 
 
-def _take_batches(reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]) -> Iterator[Batch]:
+def _take_batches(
+    reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]
+) -> Iterator[Batch]:
     """The given rows of a split, in order."""
     for start in range(0, len(rows), BATCH):
         yield reader.take(split, rows[start : start + BATCH], fields)
@@ -191,7 +213,11 @@ def as_montage(slides: Gathered) -> Gathered:
 def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) -> Tables:
     """Tables and their intervals: taps and slides are drawn apart, as they are no pairs."""
     of_taps = {} if taps is None else taps.scores
-    tap_means = {} if taps is None or not of_taps else redrawn_means(of_taps, taps.labels["number"], SEED + 1)
+    tap_means = (
+        {}
+        if taps is None or not of_taps
+        else redrawn_means(of_taps, taps.labels["number"], SEED + 1)
+    )
     one = slides if slides is not None else taps
     assert one is not None
     scores = {} if slides is None else slides.scores
@@ -219,9 +245,14 @@ def _with_unsheared(found: Tables) -> Tables:
         return {**table, UNSHEARED: table[kind]} if kind in table else table
 
     spread = found.spread
-    spread = dataclasses.replace(spread, pose_mae=named(spread.pose_mae), pose_recovery=named(spread.pose_recovery))
+    spread = dataclasses.replace(
+        spread, pose_mae=named(spread.pose_mae), pose_recovery=named(spread.pose_recovery)
+    )
     return dataclasses.replace(
-        found, pose_mae=named(found.pose_mae), pose_recovery=named(found.pose_recovery), spread=spread
+        found,
+        pose_mae=named(found.pose_mae),
+        pose_recovery=named(found.pose_recovery),
+        spread=spread,
     )
 
 
@@ -254,7 +285,9 @@ def _as_pairs(batches: Iterator[Batch]) -> Iterator[Batch]:
         yield batch | dict.fromkeys(IMAGES, batch["image"]) | dict.fromkeys(PINS, batch["pins"])
 
 
-def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dict[str, float | None]]:
+def _pin_error(
+    slides: Gathered | None, test: Test, over: bool
+) -> dict[str, dict[str, float | None]]:
     """In px; how many mm these are no recording says."""
     if slides is None or not test.paired:
         return {}

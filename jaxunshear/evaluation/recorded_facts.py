@@ -22,7 +22,10 @@ def recordings_of(experiment: Experiment, stored: RecordedSet) -> Recordings:
         sensor=experiment.sensor.name,
         pins=experiment.sensor.pins,
         pins_sure=stored.metadata["pins"]["sure"],
-        **{name: counts[name] for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")},
+        **{
+            name: counts[name]
+            for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")
+        },
         labelled=settings.labelled,
         notes=stored.metadata["notes"][:20],
     )
@@ -62,8 +65,12 @@ def describe_test(results: Results) -> str:
 def counts_of(stored: RecordedSet, slides: Tested, taps: Tested) -> Counts:
     """How many contacts there are by split, and how many of the test were scored, or left out."""
     written = stored.metadata["counts"]["written"]
-    all_slides, all_taps = (0 if reader is None else reader.length("test") for reader, _ in (slides, taps))
-    test_poses, test_taps = (0 if found is None else len(found.labels["number"]) for _, found in (slides, taps))
+    all_slides, all_taps = (
+        0 if reader is None else reader.length("test") for reader, _ in (slides, taps)
+    )
+    test_poses, test_taps = (
+        0 if found is None else len(found.labels["number"]) for _, found in (slides, taps)
+    )
     return Counts(
         **{split: written[split] for split in SPLITS},
         test_poses=test_poses,

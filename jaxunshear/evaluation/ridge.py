@@ -60,7 +60,9 @@ def _chosen(known: np.ndarray, outputs: np.ndarray) -> KernelRidge:
         {"kernel": ["rbf"], "gamma": [1 / (share * usual) for share in WIDTHS], "alpha": RIDGES},
     ]
     split = PredefinedSplit(np.where(judged, 0, -1))
-    search = GridSearchCV(KernelRidge(), grid, cv=split, scoring="neg_mean_squared_error", refit=False)
+    search = GridSearchCV(
+        KernelRidge(), grid, cv=split, scoring="neg_mean_squared_error", refit=False
+    )
     with warnings.catch_warnings():  # equal examples and next to no ridge
         warnings.simplefilter("ignore")
         search.fit(known, outputs - outputs[~judged].mean(axis=0))

@@ -18,7 +18,12 @@ LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared ima
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
 PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
 POSE_KINDS = ("tap", PARTNER, "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARING)
-CELLS = ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")  # appendix D: which decoder is fed which codes
+CELLS = (
+    "DC(z_p)",
+    "DC(z_s)",
+    "DS(z_p,z_s)",
+    "DS(z_p,z_p)",
+)  # appendix D: which decoder is fed which codes
 CELL_METRICS = ("mse", "ssim", "ms_ssim")
 
 
@@ -26,8 +31,12 @@ class Outputs(NamedTuple):
     """What the networks make of a batch: images (B, S, S, 1) float in [0, 1], and poses by quantity, each (B,)."""
 
     images: dict[str, Array]  # by kind, those of KINDS that the run has
-    cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
-    poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
+    cells: dict[
+        str, Array
+    ]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
+    poses: Mapping[
+        str, Mapping[str, np.ndarray | Array]
+    ]  # by kind, those of POSE_KINDS that the run has
     pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
 
 
@@ -57,7 +66,9 @@ def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str,
 
 
 def pose_scores(
-    poses: Mapping[str, Mapping[str, np.ndarray]], true: Mapping[str, np.ndarray], table: str = "pose"
+    poses: Mapping[str, Mapping[str, np.ndarray]],
+    true: Mapping[str, np.ndarray],
+    table: str = "pose",
 ) -> dict[str, np.ndarray]:
     """Absolute pose errors, each (B,), named `<table>/<kind>/<quantity>`."""
     scores = {}
@@ -92,5 +103,7 @@ def chance(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
     for target in targets:
         if target.circle:
             angle = np.radians(true[target.name].astype(np.float64))
-            middle[target.name][:] = np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
+            middle[target.name][:] = np.degrees(
+                np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
+            )
     return {name: float(error.mean()) for name, error in pose_errors(middle, true).items()}

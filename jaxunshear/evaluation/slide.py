@@ -44,7 +44,9 @@ def slides_read(
         for part, inside in parts.items():
             if inside.any():
                 scores = _scores(error[inside, column], width[inside, column], poses[inside])
-                rows.append({"name": name, "part": part or "all", "slides": int(inside.sum()), **scores})
+                rows.append(
+                    {"name": name, "part": part or "all", "slides": int(inside.sum()), **scores}
+                )
     return rows
 
 
@@ -55,7 +57,9 @@ def slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
 
 def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> Json:
     covered = (np.abs(error) <= width).astype(np.float64)
-    means = redrawn_means({"mae": np.abs(error), "square": error**2, "coverage": covered}, poses, SEED)
+    means = redrawn_means(
+        {"mae": np.abs(error), "square": error**2, "coverage": covered}, poses, SEED
+    )
     return {
         "mae": float(np.abs(error).mean()),
         "mae interval": interval(means["mae"]),

@@ -33,7 +33,9 @@ def edge_angles(gathered: Gathered, poses: np.ndarray, seed: int) -> PartPoses |
     angle is predicted.
     """
     angles = {
-        name: score for name, score in gathered.scores.items() if name.startswith("pose/") and name.endswith(f"/{EDGE}")
+        name: score
+        for name, score in gathered.scores.items()
+        if name.startswith("pose/") and name.endswith(f"/{EDGE}")
     }
     inside = gathered.labels.get(SMOOTH)
     return part_poses(angles, inside, poses, seed) if angles and inside is not None else None

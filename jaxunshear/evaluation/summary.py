@@ -10,7 +10,16 @@ import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, target_of
 from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, redrawn_means
-from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Spread, Swapped, Tables
+from jaxunshear.results.run import (
+    PartPoses,
+    Parts,
+    Poses,
+    PoseSpread,
+    Span,
+    Spread,
+    Swapped,
+    Tables,
+)
 
 Figure = TypeVar("Figure")
 PARTS = 3  # equal parts of the range of a size
@@ -35,28 +44,40 @@ def tables(
     Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
     with their redrawn means.
     """
-    groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
+    groups = {name: stimulus == index for index, name in enumerate(names)} | {
+        "overall": np.ones(len(stimulus), bool)
+    }
     redrawn = {
-        group: redrawn_means({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
+        group: redrawn_means(
+            {name: score[inside] for name, score in scores.items()}, poses[inside], seed
+        )
         for group, inside in groups.items()
         if inside.any()
     }
     overall = redrawn["overall"]
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
     pose, pose_spread = _poses(scores | apart[0], overall | apart[1])
-    differences = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
+    differences = {
+        name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")
+    }
     return Tables(
         ms_ssim={
-            kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
+            kind: {
+                group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()
+            }
             for kind in similar
         },
         **vars(pose),
         pose_by_stimulus={
-            name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None for name in names
+            name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None
+            for name in names
         },
         difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         swap={
-            cell: Swapped(target=target_of(cell), **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
+            cell: Swapped(
+                target=target_of(cell),
+                **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS},
+            )
             for cell in CELLS
             if f"swap/{cell}/mse" in scores
         },
@@ -67,18 +88,26 @@ def tables(
             seed=seed,
             ms_ssim={
                 kind: {
-                    group: interval(redrawn[group][f"ms_ssim/{kind}"]) if group in redrawn else None for group in groups
+                    group: interval(redrawn[group][f"ms_ssim/{kind}"]) if group in redrawn else None
+                    for group in groups
                 }
                 for kind in similar
             },
             **vars(pose_spread),
-            difference=_by_kind({place: interval(overall[name]) for place, name in differences.items()}),
+            difference=_by_kind(
+                {place: interval(overall[name]) for place, name in differences.items()}
+            ),
         ),
     )
 
 
 def pose_by_size(
-    scores: dict[str, np.ndarray], size: np.ndarray, least: float, most: float, poses: np.ndarray, seed: int
+    scores: dict[str, np.ndarray],
+    size: np.ndarray,
+    least: float,
+    most: float,
+    poses: np.ndarray,
+    seed: int,
 ) -> Parts:
     """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
     shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
@@ -88,22 +117,32 @@ def pose_by_size(
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
     part = np.digitize(size, bounds[1:-1])
-    digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
+    digits = max(
+        1, 1 - math.floor(math.log10(bounds[1] - bounds[0]))
+    )  # as many as distinguish the parts
     found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
-        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = part_poses(felt, part == index, poses, seed)
+        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = part_poses(
+            felt, part == index, poses, seed
+        )
     return found
 
 
-def part_poses(felt: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int) -> PartPoses | None:
+def part_poses(
+    felt: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
+) -> PartPoses | None:
     """Give what `tables` says of poses, of the contacts `inside` (N,) alone; None if there is none."""
     if not inside.any():
         return None
-    again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)
+    again = redrawn_means(
+        {name: score[inside] for name, score in felt.items()}, poses[inside], seed
+    )
     return _poses_of(felt, inside, again)
 
 
-def with_readers(found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int) -> Tables:
+def with_readers(
+    found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
+) -> Tables:
     """`tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
     of how many images they are, `reader_images`.
 
@@ -122,29 +161,44 @@ def with_readers(found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], n
             spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
             counted = {"read": int(finite.sum()), "left_out": int((~finite).sum())}
             counts.setdefault(reader, {})[kind] = counted
-    return replace(found, readers=means, reader_images=counts, spread=replace(found.spread, readers=spans))
+    return replace(
+        found, readers=means, reader_images=counts, spread=replace(found.spread, readers=spans)
+    )
 
 
-def _poses_of(scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]) -> PartPoses:
+def _poses_of(
+    scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]
+) -> PartPoses:
     """What `tables` says of poses, of the contacts `inside` (N,) alone."""
     found, spread = _poses({name: score[inside] for name, score in scores.items()}, redrawn)
     return PartPoses(**vars(found), spread=spread)
 
 
-def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[Poses, PoseSpread]:
+def _poses(
+    scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]
+) -> tuple[Poses, PoseSpread]:
     """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
-    names = {kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")] for kind in POSE_KINDS}
+    names = {
+        kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")]
+        for kind in POSE_KINDS
+    }
     felt = [kind for kind in POSE_KINDS if names[kind]]
-    kinds_unsheared = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+    kinds_unsheared = (
+        [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+    )
     error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
     redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
     found = Poses(
         pose_mae=error,
         pose_ratio={
-            kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in kinds_unsheared
+            kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]}
+            for kind in kinds_unsheared
         },
         pose_recovery={
-            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in names[kind]}
+            kind: {
+                q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q])
+                for q in names[kind]
+            }
             for kind in kinds_unsheared
             if "tap" in felt
         },
@@ -152,7 +206,10 @@ def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tup
     return found, PoseSpread(
         pose_mae={kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
         pose_recovery={
-            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in names[kind]}
+            kind: {
+                q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q])
+                for q in names[kind]
+            }
             for kind in kinds_unsheared
             if "tap" in felt
         },

@@ -41,7 +41,12 @@ from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_la
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together
 RAW_ZERO = "unsheared_raw_zero"  # unsheared slides, read with the zero of taps as recorded
-READS = {"x_mm": "edge_mm", "y_mm": "edge_mm", "z_mm": "depth_mm", "Rz_deg": "edge_deg"}  # what goes with a label
+READS = {
+    "x_mm": "edge_mm",
+    "y_mm": "edge_mm",
+    "z_mm": "depth_mm",
+    "Rz_deg": "edge_deg",
+}  # what goes with a label
 
 
 class Aligned(NamedTuple):
@@ -56,13 +61,22 @@ class Aligned(NamedTuple):
 
 
 def score_transfer(
-    experiment: Experiment, model: Path, recordings: Path, command: str, network: Perceiver | None = None
+    experiment: Experiment,
+    model: Path,
+    recordings: Path,
+    command: str,
+    network: Perceiver | None = None,
 ) -> Results:
     """Results in the names of results.json, of the networks at `model` or of `network`. Raises UserError where the recordings hold no
     labelled taps and slides of one edge."""
     started = time.perf_counter()
     paired, _ = simulated_of(experiment, "this")
-    settings = Recorded(str(recordings), str(recordings), digest_of((str(recordings),)), preprocess=paired.preprocess)
+    settings = Recorded(
+        str(recordings),
+        str(recordings),
+        digest_of((str(recordings),)),
+        preprocess=paired.preprocess,
+    )
     contacts = everything(settings)
     contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
     taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
@@ -73,13 +87,16 @@ def score_transfer(
             )
     known_half = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
     (of_taps, tap_pins), (of_slides, slide_pins) = (
-        _read(experiment, model, network, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
+        _read(experiment, model, network, settings, *kind)
+        for kind in ((taps, "taps"), (slides, "slides"))
     )
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
     names = scored(_of(of_taps[AS_RECORDED], known_half), taps.pose[known_half])
     mae = _score_ways(names, known_half, (of_taps, taps.pose), (of_slides, slides.pose))
-    tap_read, slide_read = (np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides))
+    tap_read, slide_read = (
+        np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides)
+    )
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
@@ -116,7 +133,10 @@ def _score_ways(
     """
     (of_taps, tap_labels), (of_slides, slide_labels) = taps, slides
     raw, after = (
-        {name: aligned_with(name, _of(of_taps[way], known_half), tap_labels[known_half]) for name in names}
+        {
+            name: aligned_with(name, _of(of_taps[way], known_half), tap_labels[known_half])
+            for name in names
+        }
         for way in (AS_RECORDED, UNSHEARED)
     )
     return {
@@ -158,15 +178,21 @@ def _score_reader(
     }
     if not reader:
         return {}
-    return {PIN_PLACES: {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}}
+    return {
+        PIN_PLACES: {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}
+    }
 
 
 def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
     """The labels (N, 6) that vary and that something was read for. Raises UserError where both x and y vary: an edge leaves one open."""
     columns = {name: labels[:, column] for name, (_, column) in RECORDED.items()}
-    names = tuple(n for n, reads in READS.items() if reads in readings and np.ptp(columns[n]) > STILL)
+    names = tuple(
+        n for n, reads in READS.items() if reads in readings and np.ptp(columns[n]) > STILL
+    )
     if not names or {"x_mm", "y_mm"} <= set(names):
-        raise UserError("these labels are not of a straight edge, across which x or y varies: only such can be scored")
+        raise UserError(
+            "these labels are not of a straight edge, across which x or y varies: only such can be scored"
+        )
     return names
 
 
@@ -189,7 +215,12 @@ def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray)
 
 
 def _read(
-    experiment: Experiment, model: Path, network: Perceiver | None, settings: Recorded, contacts: Contacts, kind: str
+    experiment: Experiment,
+    model: Path,
+    network: Perceiver | None,
+    settings: Recorded,
+    contacts: Contacts,
+    kind: str,
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray]]:
     """Poses by way and quantity, (N,) each, and pins by way, (N, P, 2) px, of networks over pins; NaN where a contact could not be
     read."""
@@ -215,14 +246,20 @@ def _read(
             answers = network.answer(images)
             for way, poses in answers.poses.items():
                 for name, values in poses.items():
-                    full = found.setdefault(way, {}).setdefault(name, np.full(len(contacts.files), np.nan))
+                    full = found.setdefault(way, {}).setdefault(
+                        name, np.full(len(contacts.files), np.nan)
+                    )
                     full[start : start + len(files)] = values[: len(files)]
             for way, there in answers.pins.items():
-                full = pins.setdefault(way, np.full((len(contacts.files), *there.shape[1:]), np.nan))
+                full = pins.setdefault(
+                    way, np.full((len(contacts.files), *there.shape[1:]), np.nan)
+                )
                 full[start : start + len(files)] = there[: len(files)]
             progress.advance(len(files))
     if not found:
-        raise UserError(f"{model} holds no trained PoseNet: what it reads off recordings is what is scored")
+        raise UserError(
+            f"{model} holds no trained PoseNet: what it reads off recordings is what is scored"
+        )
     return found, pins
 
 
@@ -230,11 +267,15 @@ def _of(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]
     return {name: values[rows] for name, values in poses.items()}
 
 
-def _errors(aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
+def _errors(
+    aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: np.ndarray
+) -> dict[str, float]:
     fine = np.isfinite(next(iter(poses.values())))
     if not fine.any():
         return dict.fromkeys(aligned, float("nan"))
-    return _mean_errors({name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine])
+    return _mean_errors(
+        {name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine]
+    )
 
 
 def _errors_of(reader: PoseReader, pins: np.ndarray, labels: np.ndarray) -> dict[str, float]:
@@ -253,4 +294,7 @@ def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, 
 def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:
     """None where a slide spoils nothing."""
     lost = {name: mae["sheared"][name] - mae["tap"][name] for name in mae["tap"]}
-    return {n: (mae["sheared"][n] - mae["unsheared"][n]) / by if by > 0 else None for n, by in lost.items()}
+    return {
+        n: (mae["sheared"][n] - mae["unsheared"][n]) / by if by > 0 else None
+        for n, by in lost.items()
+    }

@@ -32,11 +32,15 @@ from jaxunshear.training.examples import FRAME
 from jaxunshear.training.start import check_unseen
 
 
-def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str) -> Results:
+def score_recordings(
+    experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str
+) -> Results:
     """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
     settings = recorded_of(experiment)
     if settings is None:
-        raise UserError(f"{run_dir} learnt from simulated touches: score it with `jaxunshear evaluate`")
+        raise UserError(
+            f"{run_dir} learnt from simulated touches: score it with `jaxunshear evaluate`"
+        )
     started = time.perf_counter()
     for network in experiment.networks:
         check_finished(run_dir / network)
@@ -49,7 +53,9 @@ def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, da
         raise UserError(
             f"{recordings} shares its files with what {run_dir} learnt from: name recordings that it has not seen"
         )
-    settings = replace(settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs="")
+    settings = replace(
+        settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs=""
+    )
     for network in experiment.networks:
         check_unseen(run_dir / network, [digest])
     contacts = everything(settings)
@@ -105,14 +111,18 @@ def table(results: Results) -> str:
     for reader, errors in results.readers.items():
         lines += _errors(f"reader {reader}", errors, names)
     if results.coverage:
-        lines.append(f"95 % half-widths of the run's own session, tried on {describe_test(results)}:")
+        lines.append(
+            f"95 % half-widths of the run's own session, tried on {describe_test(results)}:"
+        )
     for way, shares in (results.coverage or {}).items():
         widths = (results.half_width or {})[way]
         lines.append(
             f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"
         )
     counts = results.counts
-    left_out = f"{counts.unread_taps or 0} taps and {counts.test_unsure or 0} slides were not understood"
+    left_out = (
+        f"{counts.unread_taps or 0} taps and {counts.test_unsure or 0} slides were not understood"
+    )
     tested = f"{counts.test_taps} taps, {counts.test_poses} slides"
     lines.append(f"test, {describe_test(results)}: {tested}; left out: {left_out}")
     return "\n".join(lines)

@@ -15,8 +15,12 @@ from jaxunshear.evaluation.spread import LEVEL
 FEWEST = 20  # contacts: of fewer no width holds 95 %
 # coverage of unsheared slides in docs/results/locked/recorded_pins_seed0.json
 HELD_ELSEWHERE = {"y_mm": 0.9405, "z_mm": 0.8195, "Rz_deg": 0.9455}
-_SHARES = (f"{100 * share:.0f} % of {name.partition('_')[0]}" for name, share in HELD_ELSEWHERE.items())
-ELSEWHERE = f"On other recordings of a public edge, unsheared over pins, they held {', '.join(_SHARES)}"
+_SHARES = (
+    f"{100 * share:.0f} % of {name.partition('_')[0]}" for name, share in HELD_ELSEWHERE.items()
+)
+ELSEWHERE = (
+    f"On other recordings of a public edge, unsheared over pins, they held {', '.join(_SHARES)}"
+)
 ByWay = dict[str, dict[str, float]]  # way of perceiving: target: mm or deg, or a share
 
 

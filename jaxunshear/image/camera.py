@@ -44,10 +44,16 @@ def project(camera: Camera, tips: Float[Place, "*B 3"], sensor: Sensor) -> Float
 
 def drift(nuisance: Nuisance, age: Float[Array, "*B"] | float) -> Float[Array, "*B 2"]:
     """How far the entire view has moved at `age` in [0, 1]: px of the frame as (column, row)."""
-    return nuisance.drift_px * jnp.asarray(age, jnp.float32)[..., None] * np.asarray(DRIFT_DIRECTION, np.float32)
+    return (
+        nuisance.drift_px
+        * jnp.asarray(age, jnp.float32)[..., None]
+        * np.asarray(DRIFT_DIRECTION, np.float32)
+    )
 
 
-def to_image_px(camera: Camera, preprocess: Preprocess, px_frame: Float[Place, "*B 2"]) -> Float[Place, "*B 2"]:
+def to_image_px(
+    camera: Camera, preprocess: Preprocess, px_frame: Float[Place, "*B 2"]
+) -> Float[Place, "*B 2"]:
     """Positions in px of the frame -> px of the preprocessed image (pixel centres lie at integers in both)."""
     return (px_frame + 0.5) * (preprocess.size / camera.frame_px) - 0.5
 
@@ -111,10 +117,14 @@ def _pins(camera: Camera, sensor: Sensor, nuisance: Nuisance, tips: Array, shift
     long = _focal_px(camera, sensor) * sensor.pin_radius_mm / (camera.distance_mm - tips[:, 2])
     short = long * jnp.clip(cosine, 0.7, 1.0)  # beyond it two dots would show as two
     steep = _steepness(nuisance, short)
-    across = jnp.stack([-tips[:, 1], tips[:, 0]], -1) / (jnp.linalg.norm(tips[:, :2], axis=-1, keepdims=True) + 1e-6)
+    across = jnp.stack([-tips[:, 1], tips[:, 0]], -1) / (
+        jnp.linalg.norm(tips[:, :2], axis=-1, keepdims=True) + 1e-6
+    )
     apart = across * jnp.sqrt(jnp.maximum(long**2 - short**2, 0.0) / (2 * steep))[:, None]
     weight = 0.5 * long / short  # two share a pin; the factor keeps the height of the wider sum
-    return _Dots(jnp.concatenate([centre - apart, centre + apart]), jnp.tile(short, 2), jnp.tile(weight, 2))
+    return _Dots(
+        jnp.concatenate([centre - apart, centre + apart]), jnp.tile(short, 2), jnp.tile(weight, 2)
+    )
 
 
 def _specks(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array, key: Array) -> _Dots:
@@ -126,13 +136,29 @@ def _specks(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array, ke
     places = 2 * nuisance.specks
     lamps = LAMPS if nuisance.housing_ring else 0
     outer = outer_fraction(camera, sensor) * camera.frame_px
-    dust = np.where(rng.random(places) < 0.7, rng.uniform(1.06, 1.15, places), np.sqrt(rng.random(places)))
+    dust = np.where(
+        rng.random(places) < 0.7, rng.uniform(1.06, 1.15, places), np.sqrt(rng.random(places))
+    )
     radius = np.concatenate([np.full(lamps, 1.165), dust])
-    angle = 2 * np.pi * np.concatenate([(np.arange(lamps) + 0.4 + 0.2 * rng.random(lamps)) / LAMPS, rng.random(places)])
-    centre = (camera.frame_px - 1) / 2 + outer * np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
-    size = camera.frame_px * np.concatenate([rng.uniform(0.006, 0.011, lamps), rng.uniform(0.0025, 0.005, places)])
-    glint = jnp.concatenate([jnp.ones(lamps, jnp.float32), jax.random.uniform(key, (places,), jnp.float32)])
-    return _Dots(jnp.asarray(centre, jnp.float32) + shift[None, :], jnp.asarray(size, jnp.float32), glint)
+    angle = (
+        2
+        * np.pi
+        * np.concatenate(
+            [(np.arange(lamps) + 0.4 + 0.2 * rng.random(lamps)) / LAMPS, rng.random(places)]
+        )
+    )
+    centre = (camera.frame_px - 1) / 2 + outer * np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle)], -1
+    )
+    size = camera.frame_px * np.concatenate(
+        [rng.uniform(0.006, 0.011, lamps), rng.uniform(0.0025, 0.005, places)]
+    )
+    glint = jnp.concatenate(
+        [jnp.ones(lamps, jnp.float32), jax.random.uniform(key, (places,), jnp.float32)]
+    )
+    return _Dots(
+        jnp.asarray(centre, jnp.float32) + shift[None, :], jnp.asarray(size, jnp.float32), glint
+    )
 
 
 def _steepness(nuisance: Nuisance, radius: Array) -> Array:
@@ -145,14 +171,19 @@ def _draw(camera: Camera, nuisance: Nuisance, dots: _Dots) -> Array:
     k = _steepness(nuisance, dots.radius)
     pixel = jnp.arange(camera.frame_px, dtype=jnp.float32)
     narrow = jnp.sqrt(k) / dots.radius
-    column, row = (jnp.exp(-(((pixel[:, None] - dots.centre[None, :, i]) * narrow[None, :]) ** 2)) for i in (0, 1))
+    column, row = (
+        jnp.exp(-(((pixel[:, None] - dots.centre[None, :, i]) * narrow[None, :]) ** 2))
+        for i in (0, 1)
+    )
     row = row * (0.5 * dots.weight * jnp.exp(k))[None, :]
     return jnp.minimum(jnp.matmul(row, column.T, precision=jax.lax.Precision.HIGHEST), 1.0)
 
 
 def _light(camera: Camera, nuisance: Nuisance, key: Array) -> Array:
     """A gain and a tilt of the light over the frame, (F, F): at most 1 +- nuisance.brightness."""
-    gain, tilt_x, tilt_y = jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) * (nuisance.brightness / 3)
+    gain, tilt_x, tilt_y = jax.random.uniform(key, (3,), minval=-1.0, maxval=1.0) * (
+        nuisance.brightness / 3
+    )
     across = jnp.linspace(-1.0, 1.0, camera.frame_px)
     return 1.0 + gain + tilt_x * across[None, :] + tilt_y * across[:, None]
 
@@ -170,7 +201,9 @@ def _housing(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array) -
     for wave, phase in enumerate(rng.uniform(0, 2 * np.pi, 12), start=1):
         edge += 0.0015 * camera.frame_px * np.cos(wave * angle + phase) / np.sqrt(wave)
     inside = jnp.asarray(edge - np.hypot(x, y), jnp.float32)
-    outward = jnp.asarray(np.stack([x, y], -1) / np.maximum(np.hypot(x, y), 1.0)[..., None], jnp.float32)
+    outward = jnp.asarray(
+        np.stack([x, y], -1) / np.maximum(np.hypot(x, y), 1.0)[..., None], jnp.float32
+    )
     # A drift of a pixel or so moves a nearly straight edge by its component along the normal.
     distance = inside + outward[..., 0] * shift[0] + outward[..., 1] * shift[1]
     return jax.nn.sigmoid(-distance * (1.6 / _softness(nuisance)))

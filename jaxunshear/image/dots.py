@@ -8,7 +8,9 @@ from jax import Array
 from jaxtyping import Float, Float32
 
 
-def dots(pins: Float[Array, "B P 2"], radius_px: float, size: int) -> Float32[Array, "B {size} {size} 1"]:
+def dots(
+    pins: Float[Array, "B P 2"], radius_px: float, size: int
+) -> Float32[Array, "B {size} {size} 1"]:
     """Binary images of pins px as (column, row); a pin that is NaN is not drawn.
 
     A Gaussian is separable, so all dots of an image are one product of matrices; its level at the radius is the threshold.
@@ -16,6 +18,9 @@ def dots(pins: Float[Array, "B P 2"], radius_px: float, size: int) -> Float32[Ar
     pixel = jnp.arange(size, dtype=pins.dtype)
     seen = jnp.isfinite(pins).all(-1, keepdims=True)
     place = jnp.where(seen, pins, -1e3)
-    column, row = (jnp.exp2(-jnp.square((pixel[None, :, None] - place[:, None, :, k]) / radius_px)) for k in (0, 1))
+    column, row = (
+        jnp.exp2(-jnp.square((pixel[None, :, None] - place[:, None, :, k]) / radius_px))
+        for k in (0, 1)
+    )
     level = jnp.matmul(row, column.swapaxes(-1, -2))
     return (level >= 0.5).astype(jnp.float32)[..., None]

@@ -17,7 +17,9 @@ from jaxunshear.settings.sensor import Sensor
 
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
-ALIKE = 1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
+ALIKE = (
+    1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
+)
 ENOUGH = 0.7  # of a layout's pins: images that show fewer say nothing of it
 MOST = 60  # images, evenly spaced: more do not change the mean
 
@@ -33,7 +35,9 @@ class Layout(NamedTuple):
 
 def layout_of(sensor: Sensor) -> Layout:
     """The pins of a sensor, in its order."""
-    return Layout(f"sensor '{sensor.name}' ({sensor.layout})", pin_lattice(sensor), shells(sensor), 60.0)
+    return Layout(
+        f"sensor '{sensor.name}' ({sensor.layout})", pin_lattice(sensor), shells(sensor), 60.0
+    )
 
 
 def read_layout(file: Path) -> Layout:
@@ -49,7 +53,9 @@ def read_layout(file: Path) -> Layout:
         if heading or not line.strip():
             continue
         if len(words) != 2 or not all(map(_is_number, words)):
-            raise UserError(f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y")
+            raise UserError(
+                f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
+            )
         rows.append([float(word) for word in words])
     flat = np.array(rows).reshape(-1, 2)
     if len(flat) < 20 or not np.isfinite(flat).all():
@@ -78,15 +84,21 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: Layout) -> Latti
     full = [found for found in frames if len(found) >= ENOUGH * len(layout.flat)]
     if not full:
         most = max((len(found) for found in frames), default=0)
-        raise UserError(f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}")
+        raise UserError(
+            f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
+        )
     frames = full[:: -(-len(full) // MOST)]
     place = _first_guess(frames, layout)
     for _ in range(2):
         lattice = make_lattice(place, layout.shell)
         tracks = follow_all(lattice, [Found(pins) for pins in frames])
-        motion = np.array([track.motion for track in tracks if track.sure] or [track.motion for track in tracks])
+        motion = np.array(
+            [track.motion for track in tracks if track.sure] or [track.motion for track in tracks]
+        )
         count = np.isfinite(motion[..., 0]).sum(axis=0)
-        if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(place):
+        if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(
+            place
+        ):
             break
         mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
         place = place + np.where(count[:, None] > 0, mean, lattice.around @ mean)
@@ -117,7 +129,10 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
     turns = np.radians(np.arange(-layout.symmetry_deg / 2, layout.symmetry_deg / 2, TURN_DEG))
     off = np.array(
         [
-            [np.mean([np.median(tree.query(guess(turn, bend)[outer])[0]) for tree in trees]) for bend in BENDS]
+            [
+                np.mean([np.median(tree.query(guess(turn, bend)[outer])[0]) for tree in trees])
+                for bend in BENDS
+            ]
             for turn in turns
         ]
     )

@@ -5,7 +5,9 @@ from jaxtyping import Bool, Float, Float32, Shaped
 
 from jaxunshear.errors import UserError
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601, as cameras and image libraries make grey
+LUMA = np.array(
+    [0.299, 0.587, 0.114], np.float32
+)  # ITU-R BT.601, as cameras and image libraries make grey
 SMALLEST_PX = 16
 NEXT = np.uint8(1)  # after it, as bytes wrap round, 255 and 0 are the only two below 2
 
@@ -28,7 +30,9 @@ def white_of(raw: np.ndarray) -> float:
     keep in wider words. One pixel in a thousand may be brighter than 255, or than 1 in floats: some pixels of a camera are."""
     colours = raw[..., : 1 if raw.shape[-1] < 3 else 3] if raw.ndim == 3 else raw
     most = float(colours.max())
-    unit, usual = (1.5, 1.5) if np.issubdtype(raw.dtype, np.floating) else (1.0, 255.0)  # floats may overshoot a little
+    unit, usual = (
+        (1.5, 1.5) if np.issubdtype(raw.dtype, np.floating) else (1.0, 255.0)
+    )  # floats may overshoot a little
     if most > usual:
         most = max(usual, float(np.quantile(colours, 0.999)))
     if most <= unit:
@@ -50,15 +54,21 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> Float32[np.ndarray, "H W"]:
             f"this is no image: an array of shape {raw.shape}; give (height, width) or (height, width, channels)"
         )
     if min(raw.shape[:2]) < SMALLEST_PX:
-        raise UserError(f"this image has {raw.shape[1]} x {raw.shape[0]} pixels: too small to show pins")
+        raise UserError(
+            f"this image has {raw.shape[1]} x {raw.shape[0]} pixels: too small to show pins"
+        )
     if np.issubdtype(raw.dtype, np.floating):
         if not np.isfinite(raw).all():
             raise UserError("this image holds values that are not finite (NaN or infinity)")
     elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
     own = white_of(raw)
-    if raw.dtype != bool and (least := raw.min()) < (-own / 2 if np.issubdtype(raw.dtype, np.floating) else 0):
-        raise UserError(f"this image holds numbers below zero (down to {least:g}): save it so that black is 0")
+    if raw.dtype != bool and (least := raw.min()) < (
+        -own / 2 if np.issubdtype(raw.dtype, np.floating) else 0
+    ):
+        raise UserError(
+            f"this image holds numbers below zero (down to {least:g}): save it so that black is 0"
+        )
     grey = raw.astype(np.float32) / (own if own == 1 else max(own, white))
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 
@@ -70,7 +80,10 @@ def is_binary(grey: Shaped[np.ndarray, "H W"]) -> bool:
     low, high = np.min(grey), np.max(grey)
     if high - low < 0.25:
         return False
-    return float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low)))) > 0.97
+    return (
+        float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low))))
+        > 0.97
+    )
 
 
 def middle_level(grey: Shaped[np.ndarray, "H W"]) -> float:

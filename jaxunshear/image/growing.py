@@ -14,7 +14,10 @@ from jaxunshear.image.lattice import Lattice, weights
 
 CALM = 0.2  # of the spacing: how far from its neighbours' motion a pin stands at most, most of the time
 ERASED = (2.2, 5.5)  # spacings around a doubtful pin, in turn
-GROWN = (0.3, 0.45)  # of the spacing, from where a found pin is expected: first the sure ones, then the rest
+GROWN = (
+    0.3,
+    0.45,
+)  # of the spacing, from where a found pin is expected: first the sure ones, then the rest
 ENOUGH = 3  # known ones among a pin's eight nearest, to grow from
 
 
@@ -59,7 +62,10 @@ def repaired(
     for reach in ERASED:
         if rating.calm:
             break
-        erased = cKDTree(lattice.place[rating.off > CALM]).query(lattice.place)[0] < reach * lattice.spacing
+        erased = (
+            cKDTree(lattice.place[rating.off > CALM]).query(lattice.place)[0]
+            < reach * lattice.spacing
+        )
         other = _grown(lattice, found, tree, np.where(erased, -1, which))
         if np.array_equal(other, which):
             break  # grown back as it was
@@ -94,7 +100,9 @@ def _grown(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray
     return which
 
 
-def _expected(lattice: Lattice, found: np.ndarray, which: np.ndarray, pins: np.ndarray) -> np.ndarray:
+def _expected(
+    lattice: Lattice, found: np.ndarray, which: np.ndarray, pins: np.ndarray
+) -> np.ndarray:
     """(M, 2) px: where the known ones of the neighbours of pins (M,) put them."""
     near, place = lattice.near[pins], lattice.place
     known = which[near] >= 0

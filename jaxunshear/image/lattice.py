@@ -37,14 +37,18 @@ def shells_of(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
     return np.round(off / spacing_of(place)).astype(int)
 
 
-def make_lattice(place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | None = None) -> Lattice:
+def make_lattice(
+    place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | None = None
+) -> Lattice:
     """A lattice from the places px of its pins."""
     offset = place - place.mean(axis=0)
     powers = {degree: _powers(offset / np.abs(offset).max(), degree) for degree in DEGREES}
     shell = shells_of(place) if shell is None else shell
     near = cKDTree(place).query(place, k=min(NEIGHBOURS + 1, len(place)))[1][:, 1:]
     around = np.zeros((len(place), len(place)))
-    np.put_along_axis(around, near, weights(place[near] - place[:, None], spacing_of(place)), axis=1)
+    np.put_along_axis(
+        around, near, weights(place[near] - place[:, None], spacing_of(place)), axis=1
+    )
     return Lattice(place, shell, spacing_of(place), near, around, powers)
 
 

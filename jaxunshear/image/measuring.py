@@ -12,7 +12,9 @@ from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found
 from jaxunshear.image.track import Track, judged
 
-AGREED = 0.1  # of the spacing off its neighbours: pins nearer than this are taken as they were found
+AGREED = (
+    0.1  # of the spacing off its neighbours: pins nearer than this are taken as they were found
+)
 AWAY = 0.3  # of the spacing: a window may lead this far
 WHITE = (0.2, 1.4)  # of a usual pin's area that its window holds
 STEPS = 3

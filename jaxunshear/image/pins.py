@@ -14,7 +14,10 @@ from skimage.segmentation import watershed
 # A part of more than this times the usual pin's area, or length, may be several pins that touch.
 MERGED_AREA = 1.45
 MERGED_LENGTH = 1.6
-SINGLE = (0.65, 1.35)  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
+SINGLE = (
+    0.65,
+    1.35,
+)  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
 
 
 class Found(NamedTuple):
@@ -22,7 +25,9 @@ class Found(NamedTuple):
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
     single: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
-    white: np.ndarray | None = None  # (S, S) bool, without parts as long as those of the housing ring
+    white: np.ndarray | None = (
+        None  # (S, S) bool, without parts as long as those of the housing ring
+    )
     radius: float = 0.0  # px, of the usual pin; 0 where there is none
 
 
@@ -64,7 +69,11 @@ def _detected(image: np.ndarray, part: "_Part") -> Found:
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
     usual = _usual(area)
-    single = (np.arange(len(area)) < np.sum(~merged)) & (area > SINGLE[0] * usual) & (area < SINGLE[1] * usual)
+    single = (
+        (np.arange(len(area)) < np.sum(~merged))
+        & (area > SINGLE[0] * usual)
+        & (area < SINGLE[1] * usual)
+    )
     pins = np.flatnonzero((area > 0.4 * usual) & (area < 3 * usual))
     pins = pins[in_company(centre[pins])]
     return Found(centre[pins], single[pins], white, float(np.sqrt(usual / np.pi)))
@@ -87,7 +96,9 @@ _Part = Callable[[_Parts, int, float], tuple[np.ndarray, np.ndarray]]
 def _parts(white: np.ndarray) -> _Parts:
     labels, count = ndimage.label(white)
     boxes = ndimage.find_objects(labels)
-    length = np.array([max(rows.stop - rows.start, columns.stop - columns.start) for rows, columns in boxes])
+    length = np.array(
+        [max(rows.stop - rows.start, columns.stop - columns.start) for rows, columns in boxes]
+    )
     return _Parts(labels, boxes, *_centres(labels, count), length)
 
 
@@ -124,7 +135,9 @@ def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np
     white = np.pad(parts.labels[rows, columns] == number, 2)
     smooth = ndimage.gaussian_filter(ndimage.distance_transform_edt(white), 0.3 + 0.1 * diameter)
     apart = max(1, round(0.8 + 0.3 * diameter))
-    peaks = peak_local_max(smooth, min_distance=apart, labels=white.astype(int), exclude_border=False)
+    peaks = peak_local_max(
+        smooth, min_distance=apart, labels=white.astype(int), exclude_border=False
+    )
     markers = np.zeros(white.shape, int)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     centre, area = _centres(watershed(-smooth, markers, mask=white), len(peaks))
@@ -143,7 +156,9 @@ def _in_a_row(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, 
     x, y = column - centre[0], row - centre[1]
     angle = 0.5 * np.arctan2(2 * np.mean(x * y), np.mean(x**2) - np.mean(y**2))
     axis = np.array([np.cos(angle), np.sin(angle)])
-    apart = np.sqrt(max(np.mean((x * axis[0] + y * axis[1]) ** 2) - diameter**2 / 16, 0.0) * 12 / (count**2 - 1))
+    apart = np.sqrt(
+        max(np.mean((x * axis[0] + y * axis[1]) ** 2) - diameter**2 / 16, 0.0) * 12 / (count**2 - 1)
+    )
     steps = apart * (np.arange(count) - (count - 1) / 2)
     return centre + steps[:, None] * axis, np.full(count, area / count)
 

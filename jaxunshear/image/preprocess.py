@@ -24,11 +24,20 @@ from skimage.measure import label
 from threadpoolctl import ThreadpoolController
 
 from jaxunshear.errors import UserError
-from jaxunshear.image.grey import check_seen, is_binary, middle_level, to_grey, white_of, white_pixels
+from jaxunshear.image.grey import (
+    check_seen,
+    is_binary,
+    middle_level,
+    to_grey,
+    white_of,
+    white_pixels,
+)
 from jaxunshear.image.pins import in_company, outline
 from jaxunshear.settings.image import Preprocess
 
-OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
+OUTER_PINS_OF_DISC = (
+    0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
+)
 
 Grey = TypeVar("Grey", np.ndarray, Array)
 
@@ -40,7 +49,9 @@ def binarise(preprocess: Preprocess, grey: Array) -> UInt8[Array, "... S S"]:
     return _binarise(_jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
 
 
-def _binarise(matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey) -> Grey:
+def _binarise(
+    matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey
+) -> Grey:
     small = _both_sides(matmul, area_matrix(grey.shape[-1], preprocess.size), grey)
     mean = _both_sides(matmul, mean_matrix(preprocess), small)
     mask = mask_of(preprocess)
@@ -52,7 +63,9 @@ def _jax_matmul(a: Array, b: ArrayLike) -> Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
-def _both_sides(matmul: Callable[[Grey, np.ndarray], Grey], matrix: np.ndarray, image: Grey) -> Grey:
+def _both_sides(
+    matmul: Callable[[Grey, np.ndarray], Grey], matrix: np.ndarray, image: Grey
+) -> Grey:
     """M X M^T for every image: both products are tall plain ones, which is faster than a batch of small ones."""
     half = matmul(image, matrix.T)
     return matmul(half.swapaxes(-1, -2), matrix.T).swapaxes(-1, -2)
@@ -85,12 +98,16 @@ def mask_of(preprocess: Preprocess) -> Bool[np.ndarray, "S S"]:
 class View(NamedTuple):
     """What the frames of one camera have in common."""
 
-    box: tuple[int, int, int, int] | None = None  # left, top, right, bottom, px; None: each frame's own
+    box: tuple[int, int, int, int] | None = (
+        None  # left, top, right, bottom, px; None: each frame's own
+    )
     # (type of number, the one that stands for white), unless a frame is brighter
     whites: tuple[tuple[str, float], ...] = ()
 
 
-def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> UInt8[np.ndarray, "S S"]:
+def prepare_frame(
+    preprocess: Preprocess, raw: np.ndarray, view: View = View()
+) -> UInt8[np.ndarray, "S S"]:
     """A recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image of {0, 255}.
 
     Without a box in `view` the dome is found and cropped. A frame that is binary already is
@@ -131,7 +148,13 @@ def common_view(views: list[View]) -> View:
     type of number, since a contrast that changed would too."""
     boxes = [view.box for view in views if view.box]
     pairs = [pair for view in views for pair in view.whites]
-    whites = tuple(sorted({kind: max(white for other, white in pairs if other == kind) for kind, _ in pairs}.items()))
+    whites = tuple(
+        sorted(
+            {
+                kind: max(white for other, white in pairs if other == kind) for kind, _ in pairs
+            }.items()
+        )
+    )
     if not boxes:
         return View(None, whites)
     left, top, right, bottom = np.median(boxes, axis=0)
@@ -164,11 +187,19 @@ def find_dome(grey: Float[np.ndarray, "H W"], outer_pins: float) -> tuple[int, i
     check_seen(grey)
     smallest = min(grey.shape)
     disc = _fit_circle(_disc_rim(grey))
-    if disc is not None and 0.15 * smallest < disc.radius < 0.75 * smallest and disc.off < 0.05 * disc.radius:
+    if (
+        disc is not None
+        and 0.15 * smallest < disc.radius < 0.75 * smallest
+        and disc.off < 0.05 * disc.radius
+    ):
         return _square(disc.row, disc.column, disc.radius * OUTER_PINS_OF_DISC / outer_pins)
     window = 2 * (smallest // 14) + 1
     pins = _pin_circle(grey > ndimage.uniform_filter(grey, window) + 0.1)
-    return _middle(grey.shape) if pins is None else _square(pins.row, pins.column, pins.radius / outer_pins)
+    return (
+        _middle(grey.shape)
+        if pins is None
+        else _square(pins.row, pins.column, pins.radius / outer_pins)
+    )
 
 
 def _disc_rim(grey: np.ndarray) -> np.ndarray:
@@ -177,7 +208,9 @@ def _disc_rim(grey: np.ndarray) -> np.ndarray:
     parts = label(dark, connectivity=1)
     disc = ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts[dark])[1:]))
     steps = max(1, min(grey.shape) // 60)
-    disc = np.pad(disc, steps, mode="edge")  # else the opening rounds the corners of a frame that is dark all over
+    disc = np.pad(
+        disc, steps, mode="edge"
+    )  # else the opening rounds the corners of a frame that is dark all over
     disc = ndimage.binary_opening(disc, iterations=steps)[steps:-steps, steps:-steps]
     rim = disc & ~ndimage.binary_erosion(disc)
     rim[[0, -1], :] = rim[:, [0, -1]] = False  # where the frame cuts the disc, its border is no rim
@@ -187,7 +220,11 @@ def _disc_rim(grey: np.ndarray) -> np.ndarray:
 def _pin_circle(white: np.ndarray) -> "_Circle | None":
     """Through the outermost of the white dots (H, W), where they lie on one of a believable size."""
     pins, smallest = _fit_circle(_pin_outline(white)), min(white.shape)
-    if pins is None or not 0.1 * smallest < pins.radius < 0.75 * smallest or pins.off > 0.1 * pins.radius:
+    if (
+        pins is None
+        or not 0.1 * smallest < pins.radius < 0.75 * smallest
+        or pins.off > 0.1 * pins.radius
+    ):
         return None
     return pins
 
@@ -236,12 +273,23 @@ def _middle(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     return _square((shape[0] - 1) / 2, (shape[1] - 1) / 2, min(shape))
 
 
-def crop(grey: Shaped[np.ndarray, "H W"], bbox: tuple[int, int, int, int]) -> Shaped[np.ndarray, "S S"]:
+def crop(
+    grey: Shaped[np.ndarray, "H W"], bbox: tuple[int, int, int, int]
+) -> Shaped[np.ndarray, "S S"]:
     """A square crop; what lies outside the frame repeats its border. A bbox that is not square grows about its middle."""
     left, top, right, bottom = (round(edge) for edge in bbox)
     height, width = grey.shape
-    if left >= right or top >= bottom or left >= width or top >= height or right <= 0 or bottom <= 0:
-        raise UserError(f"bbox {left},{top},{right},{bottom} holds no pixels of a frame of {width} x {height}")
+    if (
+        left >= right
+        or top >= bottom
+        or left >= width
+        or top >= height
+        or right <= 0
+        or bottom <= 0
+    ):
+        raise UserError(
+            f"bbox {left},{top},{right},{bottom} holds no pixels of a frame of {width} x {height}"
+        )
     side = max(right - left, bottom - top)
     left, top = (left + right - side) // 2, (top + bottom - side) // 2
     if min(left, top) >= 0 and left + side <= width and top + side <= height:

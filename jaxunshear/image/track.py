@@ -30,7 +30,9 @@ class Track(NamedTuple):
         return ~np.isnan(self.motion[:, 0])
 
 
-def judged(lattice: Lattice, motion: Float[np.ndarray, "P 2"], which: Int[np.ndarray, "P"], found: int) -> Track:
+def judged(
+    lattice: Lattice, motion: Float[np.ndarray, "P 2"], which: Int[np.ndarray, "P"], found: int
+) -> Track:
     """A track of these motions, NaN where a pin is not seen.
 
     It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are

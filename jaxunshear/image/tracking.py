@@ -57,7 +57,9 @@ class Followed(NamedTuple):
     sure: np.ndarray  # (N,) whether the pins were identified for sure
 
 
-def followed(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone: bool = False) -> Followed:
+def followed(
+    lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone: bool = False
+) -> Followed:
     """The pins of binary images (S, S) of one camera. `alone`: each image by itself, as a robot sees it; else the sure ones help with
     the others."""
     found = [detect(image) for image in images]
@@ -67,7 +69,9 @@ def followed(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone:
     return Followed(np.where(sure[:, None, None], motion, np.nan), sure)
 
 
-def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> Float[np.ndarray, "N P 2"]:
+def motions_of(
+    lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray
+) -> Float[np.ndarray, "N P 2"]:
     """In px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
     motion, sure = followed(lattice, images)
     for row in np.flatnonzero(sure):
@@ -82,14 +86,17 @@ def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
     if usual is None:
         return tracks
     return [
-        track if track.sure else follow_pins(lattice, found, usual) for track, found in zip(tracks, frames, strict=True)
+        track if track.sure else follow_pins(lattice, found, usual)
+        for track, found in zip(tracks, frames, strict=True)
     ]
 
 
 def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Track:
     """The same of one frame, with the help of how pins `usual`ly move where that is known."""
     found, pins = seen.pins, len(lattice.place)
-    best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False)
+    best = Track(
+        np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False
+    )
     if len(found) < 0.7 * pins:
         return best
     tree = cKDTree(found)
@@ -126,17 +133,26 @@ def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
     sure = [track for track in tracks if track.sure]
     if len(sure) < LEARNT_FROM:
         return None
-    known = np.array([np.where(np.isnan(track.motion), filled(lattice, track.motion), track.motion) for track in sure])
+    known = np.array(
+        [
+            np.where(np.isnan(track.motion), filled(lattice, track.motion), track.motion)
+            for track in sure
+        ]
+    )
     mean = known.mean(axis=0)
     left, size, right = np.linalg.svd((known - mean).reshape(len(known), -1), full_matrices=False)
     axes = []
-    for amount, mode in zip((left * size).T[:MODES], right[:MODES].reshape(-1, *mean.shape), strict=True):
+    for amount, mode in zip(
+        (left * size).T[:MODES], right[:MODES].reshape(-1, *mean.shape), strict=True
+    ):
         low, high = 1.3 * amount.min(), 1.3 * amount.max()
         reach = (high - low) * np.linalg.norm(mode, axis=-1).max() / lattice.spacing
         axes.append(np.linspace(low, high, int(np.clip(np.ceil(reach / STEP) + 1, 2, GRID))))
     amounts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     grid = mean + np.tensordot(amounts, right[: len(axes)].reshape(-1, *mean.shape), 1)
-    off = np.linalg.norm(lattice.place + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1)
+    off = np.linalg.norm(
+        lattice.place + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1
+    )
     return Usual(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
 
 
@@ -144,7 +160,9 @@ def _centre(lattice: Lattice) -> np.ndarray:
     return (lattice.place.max(axis=0) + lattice.place.min(axis=0)) / 2
 
 
-def _first_motions(lattice: Lattice, found: np.ndarray, usual: Usual | None) -> Iterator[np.ndarray]:
+def _first_motions(
+    lattice: Lattice, found: np.ndarray, usual: Usual | None
+) -> Iterator[np.ndarray]:
     """Motions (P, 2) px to start from: the likeliest affine one, then the best usual ones, or turned ones where none is known."""
     likeliest = _affine(lattice, found)
     yield likeliest - lattice.place
@@ -167,11 +185,15 @@ def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:
     empty = np.ones(np.ceil(2 * (high - low)).astype(int)[::-1] + 1, bool)
     column, row = np.round(2 * (found - low)).astype(int).T
     empty[row, column] = False
-    off = np.minimum(ndimage.distance_transform_edt(empty) / (2 * lattice.spacing), 0.5).astype(np.float32)
+    off = np.minimum(ndimage.distance_transform_edt(empty) / (2 * lattice.spacing), 0.5).astype(
+        np.float32
+    )
     place = lattice.place.astype(np.float32) + usual.motion
     inside = np.linalg.norm(place - _centre(lattice), axis=-1) < usual.view
     cell = np.clip(np.round(2 * (place - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
-    apart = (off[cell[..., 1], cell[..., 0]] * inside).sum(-1) + 0.5 * np.abs(inside.sum(-1) - len(found))
+    apart = (off[cell[..., 1], cell[..., 0]] * inside).sum(-1) + 0.5 * np.abs(
+        inside.sum(-1) - len(found)
+    )
     return usual.motion[np.argsort(apart)[:TRIED]].astype(float)
 
 
@@ -187,7 +209,9 @@ def _affine(lattice: Lattice, found: np.ndarray) -> np.ndarray:
         root = _root(np.cov(here.T))
         back = np.linalg.inv(root)
         moved = (place - here.mean(axis=0)) @ (back @ _root(root @ spread @ root) @ back) + middle
-        inside = np.sort(np.argsort(np.linalg.norm(moved - _centre(lattice), axis=-1))[: len(found)])
+        inside = np.sort(
+            np.argsort(np.linalg.norm(moved - _centre(lattice), axis=-1))[: len(found)]
+        )
         if np.array_equal(inside, kept):
             break
         kept = inside

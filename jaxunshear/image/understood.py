@@ -44,7 +44,9 @@ class Expected:
     """How pins appear in prepared images; lengths are shares of the image's side."""
 
     pins: int
-    spacing: float = 0.0  # from a pin to its three nearest, the median; 0 where there are too few pins
+    spacing: float = (
+        0.0  # from a pin to its three nearest, the median; 0 where there are too few pins
+    )
     rim: float = 0.0  # radius within which RIM_PERCENT of the pins stand
     column: float = 0.0  # of the rim's centre
     row: float = 0.0
@@ -141,7 +143,9 @@ def _turned(image: np.ndarray, expected: Expected) -> float:
     pins of the inverse touch.
     """
     turned = inverse(image)
-    thinner = ndimage.binary_erosion(turned, iterations=max(1, round(len(image) / 128))) * np.uint8(255)
+    thinner = ndimage.binary_erosion(turned, iterations=max(1, round(len(image) / 128))) * np.uint8(
+        255
+    )
     return max(plausibility(turned, expected), plausibility(thinner, expected))
 
 
@@ -153,6 +157,8 @@ def _reason(strange: list[Expected], expected: Expected) -> str:
     if not usual.spacing or usual.regular < EVEN_ENOUGH * expected.regular:
         return "dots are scattered, not a lattice"
     if abs(_differences(usual, expected)["pins"]) <= 1:
-        return "the pins stand elsewhere or at another scale than the model's: crop the frames alike"
+        return (
+            "the pins stand elsewhere or at another scale than the model's: crop the frames alike"
+        )
     number = f"about {usual.pins:.0f} pins are found, the model's sensor has {expected.pins}"
     return f"{number}: it is another sensor, or the frames are cropped otherwise"

@@ -14,7 +14,9 @@ SAMPLED = 20  # frames that a folder is judged by
 Frames = Iterator[tuple[int, str, np.ndarray]]  # row, name, image (S, S) uint8 of {0, 255}
 
 
-def open_frames(recordings: Recordings, network: Perceiver, force: bool) -> tuple[Perceiver, Frames]:
+def open_frames(
+    recordings: Recordings, network: Perceiver, force: bool
+) -> tuple[Perceiver, Frames]:
     """Give the frames that can be read, negatives turned, and the network that is to answer them.
 
     Raises UserError at once where hardly any is of the model's sensor. With `force` all are answered as they are, but for those that
@@ -27,7 +29,9 @@ def open_frames(recordings: Recordings, network: Perceiver, force: bool) -> tupl
         recordings.notes.append(f"{found.reason}: they are turned")
         frames = recordings.frames(network.view)
         # what dark pins leave when they are turned looks less like the sensor than light pins do
-        return network._replace(least=ANY), ((row, name, inverse(image)) for row, name, image in frames)
+        return network._replace(least=ANY), (
+            (row, name, inverse(image)) for row, name, image in frames
+        )
     if not found.ok:
         raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
     return network, recordings.frames(network.view)
@@ -43,5 +47,7 @@ def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
         except UserError as error:
             problem = f"{file.name}: {error}"
     if not images:
-        raise UserError(f"none of the sampled images in {recordings.path} can be read; the last: {problem}")
+        raise UserError(
+            f"none of the sampled images in {recordings.path} can be read; the last: {problem}"
+        )
     return np.stack(images)

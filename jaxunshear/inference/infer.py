@@ -40,7 +40,9 @@ FRAMES = (
 OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
 
 
-def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None) -> Measured:
+def unshear_recordings(
+    path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None
+) -> Measured:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`. One that is
     not understood gets no image and no pose, but a row that says why.
 
@@ -53,7 +55,10 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     experiment = _settings_for(path, model)
     check_beside(path, out, "--out")
     network = _perceiver(
-        model, experiment, over_pins(experiment) or isinstance(experiment.paired, Recorded), like or path
+        model,
+        experiment,
+        over_pins(experiment) or isinstance(experiment.paired, Recorded),
+        like or path,
     )
     recordings, network, frames = _read(path, network, force)
     targets = _targets(recordings.names)
@@ -63,7 +68,9 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     errors = LabelErrors(network.names, recordings)
     for rows, names, answers, spent in _answers(recordings, network, frames, "unshear"):
         if answers.unsheared is None:
-            raise UserError(f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`")
+            raise UserError(
+                f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`"
+            )
         seconds.append(spent / BATCH)
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
@@ -74,14 +81,18 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
                 write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
             image = {"name": name, "image": "" if why else targets[row]}
             poses = {
-                quantity: _format_cell(values[i]) for quantity, values in answers.poses.get("unsheared", {}).items()
+                quantity: _format_cell(values[i])
+                for quantity, values in answers.poses.get("unsheared", {}).items()
             }
             table.append(image | poses | _recorded(recordings, row) | {"left_out": why})
     write_text(out / "poses.csv", csv_text(table))
     notes = list(recordings.notes)
     if not network.names:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    note, frame = learnt_note(experiment), OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
+    note, frame = (
+        learnt_note(experiment),
+        OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
+    )
     write_text(out / "NOTE.txt", "\n".join([note, frame, f"Networks: {model.name}", *notes]) + "\n")
     used = len(table) - left_out.count
     print(f"{used} images unsheared, {len(recordings) - used} left out; see {out / 'poses.csv'}")
@@ -97,7 +108,9 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     )
 
 
-def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path | None = None) -> Measured:
+def pose_of_recordings(
+    path: Path, model: Path, force: bool = False, like: Path | None = None
+) -> Measured:
     """Prints, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
     Notes and errors against the labels go to stderr, so that the CSV can be piped on. Returns the same as rows. Raises as
@@ -125,7 +138,9 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
                     line[f"{way}_{quantity}"] = _format_cell(values[i])
                     if not why:
                         unit = quantity.split("_")[-1]
-                        measured.append(make_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
+                        measured.append(
+                            make_row(f"{name}.{way}.{quantity}", float(values[i]), unit)
+                        )
             table.append(line | _recorded(recordings, row) | {"left_out": why})
     print(csv_text(table).rstrip("\n"))
     note = partial(print, file=sys.stderr)

@@ -26,7 +26,14 @@ from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.tracking import followed
-from jaxunshear.image.understood import ANY, ENOUGH, Expected, expected_of, plausibility, state_doubt
+from jaxunshear.image.understood import (
+    ANY,
+    ENOUGH,
+    Expected,
+    expected_of,
+    plausibility,
+    state_doubt,
+)
 from jaxunshear.inference.perception import lattice_of, trained, unit
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
@@ -42,7 +49,11 @@ from jaxunshear.storage import Json, read_object
 from jaxunshear.training.checkpoint import holds_model
 from jaxunshear.training.examples import FRAME
 
-AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
+AS_RECORDED, UNSHEARED, LEARNT = (
+    "as_recorded",
+    "unsheared",
+    "learnt",
+)  # learnt: by a PoseNet that learnt from slides
 EDGE = "edge_deg"  # the target that turns with the image
 NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
 
@@ -53,7 +64,9 @@ Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 class Seen(NamedTuple):
     """What networks are given of a batch."""
 
-    given: np.ndarray  # images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, NaN where one is not seen
+    given: (
+        np.ndarray
+    )  # images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, NaN where one is not seen
     sure: np.ndarray  # (B,) whether pins were identified, or none are needed
     pins: np.ndarray | None = None  # (B, P, 2) px in the image, of networks over pins
 
@@ -86,8 +99,15 @@ class Perceiver(NamedTuple):
 
     def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
         """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
-        likely = [1.0 if self.least == ANY else plausibility(image, self.expected) for image in images]
-        return np.array([state_doubt(*each, self.least) for each in zip(seen.sure.tolist(), likely, strict=True)])
+        likely = [
+            1.0 if self.least == ANY else plausibility(image, self.expected) for image in images
+        ]
+        return np.array(
+            [
+                state_doubt(*each, self.least)
+                for each in zip(seen.sure.tolist(), likely, strict=True)
+            ]
+        )
 
     def answer(self, images: np.ndarray) -> Answers:
         """Answer images (B, S, S) uint8 of {0, 255}."""
@@ -101,7 +121,9 @@ class Perceiver(NamedTuple):
         return Answers(shown.unsheared, shown.poses, shown.pins, doubts)
 
 
-def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None) -> Perceiver:
+def perceiver(
+    model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None
+) -> Perceiver:
     """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
     in the images that are to be read; networks over simulated pins need it. Raises UserError."""
     keep_freed_memory()
@@ -113,14 +135,18 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
             f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
         )
     nets, variables, targets = trained(model, wanted)
-    names = next((names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ())
+    names = next(
+        (names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ()
+    )
     run = ready(partial(_forward, nets, targets, recorded_too), variables)
     learnt, expected = frame_learnt(model, experiment), expected_by(model, experiment)
     if over_pins(experiment):
         rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
         frame = learnt or frame
         if frame is None:
-            raise UserError(f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}")
+            raise UserError(
+                f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}"
+            )
         return _of_pins(experiment, run, names, frame, rest, expected)
 
     def read(images: np.ndarray) -> Seen:
@@ -130,12 +156,21 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
         after, poses = jax.device_get(run(seen.given))
         return Values(None if after is None else after[..., 0], _in_order(poses, names), {})
 
-    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, read, run_networks, expected)
+    return Perceiver(
+        experiment.paired.preprocess,
+        learnt.view if learnt else None,
+        names,
+        read,
+        run_networks,
+        expected,
+    )
 
 
 def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
     """What the recordings that a model learnt from have in common; None where it learnt from simulated touches. Raises UserError."""
-    return frame_from(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
+    return (
+        frame_from(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
+    )
 
 
 def frame_for(path: Path, experiment: Experiment) -> Frame | None:
@@ -156,13 +191,17 @@ def expected_by(model: Path, experiment: Experiment) -> Expected:
 Answered = tuple[Array | None, dict[str, dict[str, Array]]]
 
 
-def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Array) -> Answered:
+def _forward(
+    nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Array
+) -> Answered:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
     def pose(name: str, given: Array) -> dict[str, Array]:
         return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
 
-    after = unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None
+    after = (
+        unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None
+    )
     poses = {}
     if POSENET in nets and (recorded_too or after is None):
         poses[AS_RECORDED] = pose(POSENET, seen)
@@ -173,7 +212,9 @@ def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables
     return after, poses
 
 
-def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+def _in_order(
+    poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]
+) -> dict[str, dict[str, np.ndarray]]:
     """In the order of the targets, which a compiled program forgets."""
     return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
 
@@ -202,7 +243,9 @@ def _of_pins(
         places, drawn = {AS_RECORDED: seen.pins}, None
         if after is not None:
             places[UNSHEARED] = back(after)
-            drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[..., 0]
+            drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[
+                ..., 0
+            ]
         for pose in poses.values():
             if EDGE in pose:
                 pose[EDGE] = wrap_degrees(pose[EDGE] + degrees)

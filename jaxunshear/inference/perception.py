@@ -34,7 +34,14 @@ from jaxunshear.settings.registry import (
     UNSHEARING,
 )
 from jaxunshear.settings.targets import Targets, names_of
-from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net, read_targets
+from jaxunshear.training.checkpoint import (
+    check_finished,
+    digest_of,
+    holds_model,
+    load_best,
+    read_net,
+    read_targets,
+)
 
 TRUE = "true"  # the pose that the simulator knows
 WAYS = {  # name: the networks it runs, in this order
@@ -60,10 +67,14 @@ Images = TypeVar("Images", np.ndarray, Array)
 
 def ways_of(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
-    return tuple(way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks))
+    return tuple(
+        way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)
+    )
 
 
-def trained(model: Path, names: Iterable[str]) -> tuple[dict[str, Net], dict[str, Variables], dict[str, Targets]]:
+def trained(
+    model: Path, names: Iterable[str]
+) -> tuple[dict[str, Net], dict[str, Variables], dict[str, Targets]]:
     """Settings, variables and pose targets of networks in the folder of a run, by name each. Raises `UserError` where one is missing,
     damaged or not finished."""
     folders = {name: model / name for name in names}
@@ -91,7 +102,10 @@ def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> d
 def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
     """Of the networks of each of `ways`; that of the true pose has none. Raises `UserError` where a network is missing."""
     parts = {way: WAYS.get(way, ()) for way in ways}
-    own = {name: digest_of(model / name) for name in dict.fromkeys(name for names in parts.values() for name in names)}
+    own = {
+        name: digest_of(model / name)
+        for name in dict.fromkeys(name for names in parts.values() for name in names)
+    }
     return {way: " ".join(own[name] for name in names) for way, names in parts.items()}
 
 
@@ -178,7 +192,9 @@ def _of_pins(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
 def _perception(model: Path, see: See, way: str) -> Perceive:
     forward, variables, targets = load_forward(model, way)
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
-        raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
+        raise UserError(
+            f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg"
+        )
 
     def edge(variables: Variables, given: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, given)

@@ -18,7 +18,9 @@ def learnt_note(experiment: Experiment) -> str:
     """What the networks of a model have seen, and what that means for recordings: one line, from its own settings."""
     if isinstance(experiment.paired, Recorded):
         share = (
-            f", with {experiment.paired.labelled:.0%} of the slides' labels" if experiment.paired.labelled < 1 else ""
+            f", with {experiment.paired.labelled:.0%} of the slides' labels"
+            if experiment.paired.labelled < 1
+            else ""
         )
         return (
             f"These networks learnt from recordings of one sensor of {experiment.sensor.pins} pins{share}: another sensor, another "

@@ -21,7 +21,10 @@ def make_row(name: str, value: float, unit: str) -> Measurement:
 
 
 def count_rows(command: str, used: int, recordings: "Recordings") -> list[Measurement]:
-    return [make_row(f"{command}.images", used, "1"), make_row(f"{command}.left_out", len(recordings) - used, "1")]
+    return [
+        make_row(f"{command}.images", used, "1"),
+        make_row(f"{command}.left_out", len(recordings) - used, "1"),
+    ]
 
 
 class LeftOut:
@@ -67,15 +70,24 @@ class LabelErrors:
 
         true = {name: values[rows] for name, values in self._true.items()}
         for way, poses in answers.poses.items():
-            for name, error in pose_errors({n: v[: len(rows)] for n, v in poses.items()}, true).items():
+            for name, error in pose_errors(
+                {n: v[: len(rows)] for n, v in poses.items()}, true
+            ).items():
                 self._found.setdefault(f"{way}.{name}", []).append(error[np.isfinite(error)])
 
     def means(self) -> dict[str, float]:
         found = {name: np.concatenate(parts) for name, parts in self._found.items()}
-        return {name: float(errors.mean(dtype=np.float64)) for name, errors in found.items() if len(errors)}
+        return {
+            name: float(errors.mean(dtype=np.float64))
+            for name, errors in found.items()
+            if len(errors)
+        }
 
     def rows(self) -> list[Measurement]:
-        return [make_row(f"pose_mae.{name}", value, name.rpartition("_")[2]) for name, value in self.means().items()]
+        return [
+            make_row(f"pose_mae.{name}", value, name.rpartition("_")[2])
+            for name, value in self.means().items()
+        ]
 
     def report(self, log: Log) -> None:
         by_way: dict[str, list[str]] = {}

@@ -58,7 +58,9 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
     size = min(a.shape[1:3])
     if scales > (fit := scales_that_fit(size)):
         height, width = a.shape[1:3]
-        raise ValueError(f"a {height}x{width} image is too small for {scales} scales of MS-SSIM: {fit} fit")
+        raise ValueError(
+            f"a {height}x{width} image is too small for {scales} scales of MS-SSIM: {fit} fit"
+        )
     return _ms_ssim(a, b, scales)
 
 
@@ -69,7 +71,9 @@ def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
     """
     a, b = _checked(a, b)
     if min(a.shape[1:3]) < WINDOW:
-        raise ValueError(f"a {a.shape[1]}x{a.shape[2]} image is smaller than SSIM's window of {WINDOW} pixels")
+        raise ValueError(
+            f"a {a.shape[1]}x{a.shape[2]} image is smaller than SSIM's window of {WINDOW} pixels"
+        )
     return _ssim(a, b)
 
 
@@ -83,10 +87,14 @@ def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     """Both as floating point of at least 32 bits."""
     a, b = jnp.asarray(a), jnp.asarray(b)
     if a.shape != b.shape or a.ndim != 4 or a.shape[-1] != 1:
-        raise ValueError(f"two batches of one shape (B, H, W, 1) are needed, not {a.shape} and {b.shape}")
+        raise ValueError(
+            f"two batches of one shape (B, H, W, 1) are needed, not {a.shape} and {b.shape}"
+        )
     for x in (a, b):
         if not jnp.issubdtype(x.dtype, jnp.floating):
-            raise ValueError(f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first")
+            raise ValueError(
+                f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first"
+            )
     dtype = np.result_type(*(np.promote_types(x.dtype, np.float32) for x in (a, b)))
     return a.astype(dtype), b.astype(dtype)
 
@@ -115,7 +123,9 @@ def _ssim(a: Array, b: Array) -> Array:
 def _local(a: Array, b: Array) -> tuple[Array, Array]:
     """SSIM and contrast-structure of (B, H, W) pairs, each averaged over its image -> (B,), (B,)."""
     # as what is lacking to 1, not as (2 cov + C2) / (var + C2): that cancels in bright flat images, and goes beyond 1
-    mean_a, mean_b, squares, apart = _both_sides(_blur, jnp.stack([a, b, a * a + b * b, jnp.square(a - b)]))
+    mean_a, mean_b, squares, apart = _both_sides(
+        _blur, jnp.stack([a, b, a * a + b * b, jnp.square(a - b)])
+    )
     bright = mean_a * mean_a + mean_b * mean_b
     off = jnp.square(mean_a - mean_b)
     contrast = 1 - jnp.maximum(apart - off, 0) / (jnp.maximum(squares - bright, 0) + C2)

@@ -13,7 +13,9 @@ def r2(squares: Float[np.ndarray, "*N"], scatter: Float[np.ndarray, "*N"]) -> fl
     return 1 - float(np.sum(squares, dtype=np.float64)) / total if total > 0 else float("nan")
 
 
-def hsic(one: Float[np.ndarray, "N F"], other: Float[np.ndarray, "M K"], seed: int = 0) -> tuple[float, float]:
+def hsic(
+    one: Float[np.ndarray, "N F"], other: Float[np.ndarray, "M K"], seed: int = 0
+) -> tuple[float, float]:
     """Hilbert-Schmidt independence criterion of N = M paired rows, with Gaussian kernels as wide as the median distance,
     over the root of each one's criterion with itself (0: independent, 1: the same); and the p-value of independence.
 

@@ -18,7 +18,12 @@ PACKAGES = (
 
 def provenance(command: str, *more: str) -> Json:
     """Return the fields that every result has: its command, code, machine, and versions, those of `more` with them."""
-    return {"command": command, "source": read_source(), "machine": machine(), "versions": versions(*more)}
+    return {
+        "command": command,
+        "source": read_source(),
+        "machine": machine(),
+        "versions": versions(*more),
+    }
 
 
 def machine() -> Machine:

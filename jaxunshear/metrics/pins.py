@@ -20,7 +20,9 @@ class PinMatch(NamedTuple):
     extra: int
 
 
-def match_pins(found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float) -> PinMatch:
+def match_pins(
+    found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float
+) -> PinMatch:
     """Found pins to true pins, px, one to one with the least sum of squares; none beyond `limit_px`."""
     if len(found) == 0 or len(true) == 0:
         return PinMatch(np.zeros(0), len(true), len(found))
@@ -38,7 +40,10 @@ def pin_error(
     """`rms_px`, the root mean square distance of the pins found in images, white from half of full scale on, from true pins px as
     (column, row), matched within `limit_px`, NaN where none matched; `missed_per_image` and `extra_per_image`.
     """
-    matches = [match_pins(find_pins(image), true, limit_px) for image, true in zip(images, true_px, strict=True)]
+    matches = [
+        match_pins(find_pins(image), true, limit_px)
+        for image, true in zip(images, true_px, strict=True)
+    ]
     squares = np.concatenate([match.error_px for match in matches]) ** 2
     return {
         "rms_px": float(np.sqrt(squares.mean())) if squares.size else float("nan"),

@@ -19,7 +19,9 @@ def pose_errors(
     if unknown:
         raise ValueError(f"pose quantity {unknown[0]!r} is missing")
     errors = {}
-    for name in (name for name in true if name in predicted):  # what comes out of a jitted function is sorted by name
+    for name in (
+        name for name in true if name in predicted
+    ):  # what comes out of a jitted function is sorted by name
         a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
         if a.shape != b.shape or a.ndim != 1:
             raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")

@@ -22,7 +22,9 @@ class Decoded(NamedTuple):
     same_pose: Array | None = None  # DC of the pose code of a partner at the same pose
 
 
-def measure_disagreement(one: Float[Array, "B *F"], other: Float[Array, "B *F"]) -> Float[Array, "B"]:
+def measure_disagreement(
+    one: Float[Array, "B *F"], other: Float[Array, "B *F"]
+) -> Float[Array, "B"]:
     """Return the squared difference of codes that should be equal, in every direction over its variance.
 
     This is the Mahalanobis distance by the covariance of the batch, over the number of directions. A

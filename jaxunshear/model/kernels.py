@@ -39,7 +39,11 @@ def using(way: str) -> Iterator[None]:
 
 def described() -> str:
     """For results: which layers, and whether those of a training were compiled for this processor."""
-    return f"{FAST}, compiled" if chosen() == FAST and native.form() == "compiled" and native.available() else chosen()
+    return (
+        f"{FAST}, compiled"
+        if chosen() == FAST and native.form() == "compiled" and native.available()
+        else chosen()
+    )
 
 
 def pick(plain: T, fast: T) -> T:

@@ -21,7 +21,9 @@ class Down(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        conv = nn.Conv(self.width, (4, 4), 2, padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        conv = nn.Conv(
+            self.width, (4, 4), 2, padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT
+        )
         return norm_relu(self, conv, x, train)
 
 
@@ -32,7 +34,9 @@ class Same(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        conv = nn.Conv(self.width, (3, 3), padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        conv = nn.Conv(
+            self.width, (3, 3), padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT
+        )
         return norm_relu(self, conv, x, train)
 
 
@@ -73,10 +77,17 @@ class Last(nn.Module):
         return image.astype(np.promote_types(x.dtype, np.float32)) + bias[None, None, None]
 
 
-def norm_relu(layer: nn.Module, conv: nn.Conv, x: Float[Array, "B H W C"], train: bool) -> Float[Array, "B _ _ N"]:
+def norm_relu(
+    layer: nn.Module, conv: nn.Conv, x: Float[Array, "B H W C"], train: bool
+) -> Float[Array, "B _ _ N"]:
     """A layer's convolution, whose kernel is the layer's own parameter, batch normalisation and ReLU."""
     nn.share_scope(layer, conv)
     norm = nn.BatchNorm(
-        not train, momentum=MOMENTUM, epsilon=EPSILON, dtype=x.dtype, use_fast_variance=False, name="norm"
+        not train,
+        momentum=MOMENTUM,
+        epsilon=EPSILON,
+        dtype=x.dtype,
+        use_fast_variance=False,
+        name="norm",
     )
     return nn.relu(norm(conv(x)))

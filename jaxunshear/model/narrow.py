@@ -34,6 +34,8 @@ class Grown(nn.Module):
     def __call__(self, z: Array, train: bool) -> Array:
         dense = nn.Dense(math.prod(self.shape), use_bias=False, dtype=z.dtype, kernel_init=INIT)
         x = dense(z.reshape(z.shape[0], -1)).reshape(z.shape[0], *self.shape)
-        norm = nn.BatchNorm(not train, momentum=MOMENTUM, epsilon=EPSILON, dtype=x.dtype, use_fast_variance=False)
+        norm = nn.BatchNorm(
+            not train, momentum=MOMENTUM, epsilon=EPSILON, dtype=x.dtype, use_fast_variance=False
+        )
         drawn: Array = self.decoder()(nn.relu(norm(x)), train)
         return drawn

@@ -22,7 +22,10 @@ from jaxunshear.model.fast import patches
 from jaxunshear.settings.networks import PinNet
 
 AROUND = 30  # pins that the motion at a place is interpolated from
-CONVOLUTIONS: tuple[Callable[..., Array], ...] = (lax.conv_general_dilated, patches.convolution)  # plain and fast
+CONVOLUTIONS: tuple[Callable[..., Array], ...] = (
+    lax.conv_general_dilated,
+    patches.convolution,
+)  # plain and fast
 INSIDE = 1.2  # pin spacings from the nearest pin: a place is still among them
 
 
@@ -34,7 +37,9 @@ def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     side = max(2, round(float(np.max(high - low)) / spacing))
     columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
     places = np.stack([columns.ravel(), rows.ravel()], axis=-1)
-    spline = RBFInterpolator(pins, np.eye(len(pins)), neighbors=min(AROUND, len(pins)), kernel="linear")
+    spline = RBFInterpolator(
+        pins, np.eye(len(pins)), neighbors=min(AROUND, len(pins)), kernel="linear"
+    )
     inside = cKDTree(pins).query(places)[0] < INSIDE * spacing
     return np.where(inside[:, None], spline(places), 0).T.astype(np.float32)
 
@@ -56,4 +61,6 @@ class GridTrunk(nn.Module):
             stride = 2 if number else 1
             convolve = nn.Conv(channels, (3, 3), stride, kernel_init=he, conv_general_dilated=way)
             x = nn.gelu(nn.LayerNorm()(convolve(x)))
-        return nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x.reshape(count, -1))))
+        return nn.gelu(
+            nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x.reshape(count, -1)))
+        )

@@ -33,7 +33,11 @@ class Trunk(nn.Module):
     @nn.compact
     def __call__(self, x: Array) -> Array:
         for _ in range(self.net.layers):
-            x = nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=nn.initializers.he_normal())(x)))
+            x = nn.gelu(
+                nn.LayerNorm()(
+                    nn.Dense(self.net.hidden, kernel_init=nn.initializers.he_normal())(x)
+                )
+            )
         return x
 
 
@@ -84,7 +88,9 @@ class Codes(nn.Module):
         return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
-def init(net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0) -> Variables:
+def init(
+    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0
+) -> Variables:
     """Fresh variables for pins that stand untouched at `rest` px and move by `spread` px (root mean square). `outputs`: of the
     pose targets together, for all but PinUnshear."""
     motions = int(np.size(rest))
@@ -94,12 +100,19 @@ def init(net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, 
     if net.convolved and not isinstance(net, PinRenderer):
         constants["grid"] = jnp.asarray(grid_of(rest))
         seen.append(constants["grid"])
-    return {"params": _module(net, motions, outputs).init(key, *seen)["params"], "batch_stats": constants}
+    return {
+        "params": _module(net, motions, outputs).init(key, *seen)["params"],
+        "batch_stats": constants,
+    }
 
 
-def unshear(net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
+def unshear(
+    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
+) -> Float[Array, "B P 2"]:
     """Sheared pins px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
-    return decode_canonical(net, variables, _codes(net, variables, "pose_code", *_seen(net, variables, pins)))
+    return decode_canonical(
+        net, variables, _codes(net, variables, "pose_code", *_seen(net, variables, pins))
+    )
 
 
 def encode(
@@ -111,7 +124,9 @@ def encode(
     return _codes(net, variables, "encode", *_seen(net, variables, pins))
 
 
-def decode_canonical(net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]) -> Float[Array, "B P 2"]:
+def decode_canonical(
+    net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]
+) -> Float[Array, "B P 2"]:
     """DC: pose code -> pins px of the tap."""
     return _places(variables, _codes(net, variables, "decode_canonical", z_p))
 
@@ -138,7 +153,9 @@ def reconstruct(
     seen = jnp.concatenate([pins, *partners])
     seen = seen if key is None else spoilt(net, seen, key)
     # one by one: where trunks are apart, the partner in the slide passes E by
-    z_p, z_s = zip(*(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True)
+    z_p, z_s = zip(
+        *(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True
+    )
     canonical = decode_canonical(net, variables, z_p[0])
     apart = again = None
     if same_pose is not None:
@@ -148,7 +165,9 @@ def reconstruct(
         return Decoded(canonical, z_p[0], disagreement=apart, same_pose=again)
     held = jax.lax.stop_gradient((z_p, z_s)) if net.apart else (z_p, z_s)
     sheared = decode_sheared(net, variables, held[0][0], held[1][0])
-    exchanged = None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
+    exchanged = (
+        None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
+    )
     return Decoded(canonical, z_p[0], sheared, exchanged, apart, z_s[0], again)
 
 
@@ -164,15 +183,23 @@ def predict(
     return _dense(net, variables, motions, *grid)
 
 
-def render(net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]) -> Float[Array, "B P 2"]:
+def render(
+    net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]
+) -> Float[Array, "B P 2"]:
     """Poses as PoseNet's outputs in [0, 1] -> pins px of a tap there."""
     return _places(variables, _dense(net, variables, 2 * outputs - 1))
 
 
-def distance(pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables) -> Float[Array, "B"]:
+def distance(
+    pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables
+) -> Float[Array, "B"]:
     """Mean squared distance of pins in units of `spread`, over those that the target shows."""
     seen = jnp.isfinite(target)
-    square = jnp.where(seen, jnp.square((pins - jnp.where(seen, target, 0)) / variables["batch_stats"]["spread"]), 0)
+    square = jnp.where(
+        seen,
+        jnp.square((pins - jnp.where(seen, target, 0)) / variables["batch_stats"]["spread"]),
+        0,
+    )
     return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2), dtype=square.dtype), 1)
 
 
@@ -212,4 +239,6 @@ def _motions(variables: Variables, pins: Array) -> Array:
 
 def _places(variables: Variables, motions: Array) -> Array:
     constants = variables["batch_stats"]
-    return constants["rest"][None] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)
+    return constants["rest"][None] + constants["spread"] * motions.reshape(
+        motions.shape[0], *constants["rest"].shape
+    )

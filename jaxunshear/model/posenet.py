@@ -66,7 +66,9 @@ def check(net: networks.PoseNet) -> None:
         raise UserError(f"size: {net.size} px is no multiple of 16")
 
 
-def predict(net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B K"]:
+def predict(
+    net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B K"]:
     """Images in [0, 1] -> outputs in [0, 1]; each image on its own."""
     outputs: Array = _of(net, variables).apply(variables, images, False)  # type: ignore[assignment]
     return outputs
@@ -116,7 +118,9 @@ def drawn_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{co
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def pose_from_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str, Float[Array, "B"]]:
+def pose_from_outputs(
+    outputs: Float[Array, "B K"], targets: Targets
+) -> dict[str, Float[Array, "B"]]:
     """Outputs -> mm and deg by target; angles of a full circle in (-180, 180]."""
     signed = 2 * outputs - 1
     pose, column = {}, 0

@@ -55,13 +55,17 @@ def check(net: networks.UNet) -> None:
     unshearnet.check(networks.UnshearNet(net.size, net.widths))
 
 
-def unshear(net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B S S 1"]:
+def unshear(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B S S 1"]:
     """Sheared images in [0, 1] -> canonical ones."""
     logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
     return jax.nn.sigmoid(logits)
 
 
-def reconstruct(net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]) -> tuple[Decoded, Variables]:
+def reconstruct(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Decoded, Variables]:
     """The training pass: logits of the canonical image, and new running statistics."""
     canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
     return Decoded(canonical), updates["batch_stats"]

@@ -93,7 +93,9 @@ class Network(nn.Module):
             return z, None
         if not self.net.shear_channels:
             return self.pose(z, train), None
-        return self.pose(z, train), self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
+        return self.pose(z, train), self.encode_slide(
+            images, train
+        ) if self.net.apart else self.shear(z, train)
 
     def encode_slide(self, images: Array, train: bool) -> Array:
         return self.shear(self.ES(images, train), train)
@@ -107,7 +109,9 @@ class Network(nn.Module):
     def unshear(self, images: Array, train: bool) -> Array:
         return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
 
-    def __call__(self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None) -> Decoded:
+    def __call__(
+        self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None
+    ) -> Decoded:
         """In training."""
         if not self.net.apart:
             z_p, z_s = self.encode(images, True)
@@ -116,7 +120,11 @@ class Network(nn.Module):
         z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, True))
         z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, True))
         held = jax.lax.stop_gradient(z_p)
-        drawn = _with(z_s, other, lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), True))
+        drawn = _with(
+            z_s,
+            other,
+            lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), True),
+        )
         canonical, partner = _with(z_p, again, lambda z: self.DC(z, True))
         apart = None if again is None else measure_disagreement(z_p, again)
         return Decoded(canonical, z_p, *drawn, apart, z_s, partner)
@@ -125,7 +133,9 @@ class Network(nn.Module):
 def init(net: UnshearNet, key: Array) -> Variables:
     """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
     check(net)
-    side = net.size if net.apart else 2 ** len(net.widths)  # shapes of other networks do not depend on the image's
+    side = (
+        net.size if net.apart else 2 ** len(net.widths)
+    )  # shapes of other networks do not depend on the image's
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
@@ -135,11 +145,17 @@ def check(net: UnshearNet) -> None:
     if len(net.widths) < 2:
         raise UserError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
-        raise UserError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
+        raise UserError(
+            f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)"
+        )
     if net.disentangled and net.pose_channels < 1:
-        raise UserError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
+        raise UserError(
+            f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1"
+        )
     if net.disentangled and net.shear_channels < 0:
-        raise UserError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
+        raise UserError(
+            f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS"
+        )
 
 
 def parameters(net: UnshearNet) -> int:
@@ -176,20 +192,27 @@ def encode(
     return _apply(net, variables, "encode", images)
 
 
-def decode_canonical(net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]) -> Float[Array, "B S S 1"]:
+def decode_canonical(
+    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]
+) -> Float[Array, "B S S 1"]:
     """DC: pose code -> logits of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p)
 
 
 def decode_sheared(
-    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"], z_s: Float[Array, "B _ _ _"]
+    net: UnshearNet,
+    variables: Variables,
+    z_p: Float[Array, "B s s _"],
+    z_s: Float[Array, "B _ _ _"],
 ) -> Float[Array, "B S S 1"]:
     """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
     check_sheared(variables)
     return _apply(net, variables, "decode_sheared", z_p, z_s)
 
 
-def unshear(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B S S 1"]:
+def unshear(
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B S S 1"]:
     """Sheared images in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
     return _apply(net, variables, "unshear", images)
 
@@ -205,11 +228,15 @@ def reconstruct(
 
     Of codes that are `apart`, which DS does not teach, partners: `same_pose`, the contacts after another slide, or taps there, whose pose
     codes should agree; `same_slide`, those of another pose after that other slide, whose shear code DS is given, too."""
-    found, updates = Network(net).apply(variables, images, same_pose, same_slide, mutable=["batch_stats"])
+    found, updates = Network(net).apply(
+        variables, images, same_pose, same_slide, mutable=["batch_stats"]
+    )
     return found, updates["batch_stats"]
 
 
-def _with(images: Array, others: Array | None, run: Callable[[Array], Array]) -> tuple[Array, Array | None]:
+def _with(
+    images: Array, others: Array | None, run: Callable[[Array], Array]
+) -> tuple[Array, Array | None]:
     """`run` of both in one batch, whose statistics are of both."""
     if others is None:
         return run(images), None

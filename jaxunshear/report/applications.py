@@ -21,7 +21,12 @@ KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} 
 def sections(run_dir: Path) -> list[Markup]:
     """HTML, in the order geometry, walks, objects, stream; nothing for a command that has not been run. Raises `UserError`."""
     found = []
-    for name, part in (("geometry", _geometry), ("servo", _walks), ("reconstruct", _objects), ("stream", _stream)):
+    for name, part in (
+        ("geometry", _geometry),
+        ("servo", _walks),
+        ("reconstruct", _objects),
+        ("stream", _stream),
+    ):
         folder = results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
@@ -29,7 +34,9 @@ def sections(run_dir: Path) -> list[Markup]:
         try:
             found.append(part(read_object(file), folder))
         except (KeyError, TypeError, AttributeError) as error:
-            raise UserError(f"{file} lacks {error}: run `jaxunshear {name}` again, or delete it") from error
+            raise UserError(
+                f"{file} lacks {error}: run `jaxunshear {name}` again, or delete it"
+            ) from error
     return found
 
 
@@ -53,21 +60,29 @@ def _geometry(results: Json, folder: Path) -> Markup:
         "each with a 95 % interval over contacts, of one training. Images whose pins are not identified for sure are left out and counted."
     )
     return page.section(
-        "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)
+        "Contact geometry",
+        lead,
+        page.table(head, rows),
+        _picture(folder / "geometry.png"),
+        _command(results),
     )
 
 
 def _walks(results: Json, folder: Path) -> Markup:
     def cell(row: Json) -> str:
         distances = (number(row[name]) for name in ("mean_mm", "p95_mm", "largest_mm"))
-        return Markup("{} of {}<small>{} / {} / {}</small>").format(row["closed"], row["starts"], *distances)
+        return Markup("{} of {}<small>{} / {} / {}</small>").format(
+            row["closed"], row["starts"], *distances
+        )
 
     lead = (
         "The sensor follows outlines in the simulator, steered by what each way of perceiving reports. Walks that closed the outline; "
         "below, how far the sensor was from it in mm: mean / 95th percentile / largest."
     )
     ways = {row["way"]: row["perceive_ms"] for row in results["rows"]}
-    times = "; ".join(f"{WORDS.get(way, way)} {ms:.1f} ms" for way, ms in ways.items() if way != "true")
+    times = "; ".join(
+        f"{WORDS.get(way, way)} {ms:.1f} ms" for way, ms in ways.items() if way != "true"
+    )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
     return page.section(
         "Around objects by touch",
@@ -89,9 +104,13 @@ def _objects(results: Json, folder: Path) -> Markup:
         "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands."
     )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
-    pictures = (_picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values())
+    pictures = (
+        _picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values()
+    )
     lines = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
-    return page.section("Complete objects", lead, _by_way(lines, cell), *pictures, _command(results))
+    return page.section(
+        "Complete objects", lead, _by_way(lines, cell), *pictures, _command(results)
+    )
 
 
 def _stream(results: Json, folder: Path) -> Markup:
@@ -108,7 +127,10 @@ def _by_way(rows: list[Json], cell: Callable[[Json], str]) -> Markup:
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
     names = list(dict.fromkeys(row["stimulus"] for row in rows))
     lines = [[name, *(found.get((name, way), "") for way in ways)] for name in names]
-    return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", Markup(",<br>")) for way in ways)], lines)
+    return page.table(
+        ["object", *(escape(WORDS.get(way, way)).replace(", ", Markup(",<br>")) for way in ways)],
+        lines,
+    )
 
 
 def _spanned(row: Json, name: str) -> str:

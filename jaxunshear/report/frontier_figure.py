@@ -20,7 +20,10 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "pose/disentangled/edge_deg": ("edge angle error, deg", False),
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
-TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images appear
+TEST = (
+    "paired.",
+    "sensor",
+)  # settings that decide which contacts the test holds, and how their images appear
 # but for these: errors in mm and degrees compare across sizes
 SIZES = ("paired.preprocess.size", "paired.camera.frame_px")
 
@@ -63,10 +66,16 @@ def _reference(summary: SweepResult) -> CellResult:
 
 
 def _test(cell: CellResult) -> dict[str, str]:
-    return {name: value for name, value in cell.settings.items() if name.startswith(TEST) and name not in SIZES}
+    return {
+        name: value
+        for name, value in cell.settings.items()
+        if name.startswith(TEST) and name not in SIZES
+    }
 
 
-def points(summary: SweepResult, metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+def points(
+    summary: SweepResult, metric: str, cost: str
+) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
     Milliseconds are those of all cells with the same network, since nothing else distinguishes them. MS-SSIM of
@@ -78,7 +87,11 @@ def points(summary: SweepResult, metric: str, cost: str) -> tuple[list[str], np.
     for cell in cells:
         if metric.startswith("ms_ssim") and cell.metric["ms_ssim"] != scale:
             continue
-        alike = [cell] if cost != "ms_per_image" else [other for other in cells if _network(other) == _network(cell)]
+        alike = (
+            [cell]
+            if cost != "ms_per_image"
+            else [other for other in cells if _network(other) == _network(cell)]
+        )
         if spent := [seconds for each in alike for seconds in _spent(each, cost)]:
             found.append((cell.label, float(np.mean(spent)), cell.metrics[metric].mean))
     labels, x, y = zip(*found, strict=True) if found else ((), (), ())
@@ -108,7 +121,9 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         return None
     number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained", dpi=100)
+        figure = Figure(
+            figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained", dpi=100
+        )
         places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
         for row, (cost, cost_label) in zip(places, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
@@ -120,7 +135,9 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         seeds = len(summary.seeds)
         names = "      ".join(f"{digit} {label}" for label, digit in number.items())
         names += "      hollow: another test" * (len(ranked(summary)) < len(number))
-        figure.suptitle(f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
+        figure.suptitle(
+            f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none"
+        )
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
         return png_of(figure)
 
@@ -140,7 +157,11 @@ def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict
             va="center",
             fontsize=LABEL,
             color="white" if full else INK,
-            bbox={"boxstyle": "circle,pad=0.25", "facecolor": inside, "edgecolor": "white" if full else FAINT},
+            bbox={
+                "boxstyle": "circle,pad=0.25",
+                "facecolor": inside,
+                "edgecolor": "white" if full else FAINT,
+            },
             zorder=3 + on,
         )
     axes.plot(x, y, "o", alpha=0)  # so that the axes reach as far as the numbers

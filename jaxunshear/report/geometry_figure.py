@@ -14,7 +14,9 @@ TRUTH = "true indentation"
 VIEW = {"elev": 42, "azim": -60}
 
 
-def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> bytes:
+def of_contacts(
+    lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry
+) -> bytes:
     """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way."""
     height = {at: each for at, each in geometry.height_mm.items() if at[0] != UNTOUCHED}
     sheared = correlation(np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm)
@@ -34,11 +36,15 @@ def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContact
 def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
     """A PNG: a line an image, without truth."""
     names, kinds = shown
-    lines = [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)]
+    lines = [
+        (name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)
+    ]
     return _surfaces(lattice, lines, None)
 
 
-def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None) -> bytes:
+def _surfaces(
+    lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None
+) -> bytes:
     columns = len(lines[0][1]) if lines else 1
     wide = WIDTH * columns
     figure = Figure(figsize=(wide, 2.6 * max(1, len(lines))), layout="constrained", dpi=DPI)
@@ -46,17 +52,33 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
     low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[i], high[i], CELLS) for i in (0, 1)))
     for row, (name, heights) in enumerate(lines):
-        reported = np.concatenate([height for height in heights.values() if not np.isnan(height[0])] or [np.zeros(2)])
+        reported = np.concatenate(
+            [height for height in heights.values() if not np.isnan(height[0])] or [np.zeros(2)]
+        )
         span = np.percentile(reported, [0.5, 99.5])
         for column, (kind, height) in enumerate(heights.items()):
-            axes = figure.add_subplot(len(lines), columns, 1 + row * columns + column, projection="3d")
+            axes = figure.add_subplot(
+                len(lines), columns, 1 + row * columns + column, projection="3d"
+            )
             axes.set_axis_off()
             title = kind if row == 0 else ""
             if np.isnan(height[0]):
-                axes.text2D(0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=size)
+                axes.text2D(
+                    0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=size
+                )
             else:
                 drawn = surface(lattice.place, height, CELLS)
-                axes.plot_surface(x, -y, drawn, cmap="viridis", vmin=span[0], vmax=span[1], rstride=1, cstride=1, lw=0)
+                axes.plot_surface(
+                    x,
+                    -y,
+                    drawn,
+                    cmap="viridis",
+                    vmin=span[0],
+                    vmax=span[1],
+                    rstride=1,
+                    cstride=1,
+                    lw=0,
+                )
                 axes.set_zlim(*span)
                 axes.view_init(**VIEW)
                 if truth is not None and kind != truth:

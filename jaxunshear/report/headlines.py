@@ -23,7 +23,9 @@ def _simulated(results: Results) -> list[Markup]:
     similar, pose, pins = results.ms_ssim, results.pose_mae, results.pin_error
     name, kind = results.metric["ms_ssim"], shown_kind(similar)
     row, first = rows[f"ms_ssim.{kind}.overall"], rows["ms_ssim.sheared.overall"]
-    held = row.bar and kind != "sheared"  # a run without a network that unshears has nothing to hold against a bar
+    held = (
+        row.bar and kind != "sheared"
+    )  # a run without a network that unshears has nothing to hold against a bar
     note = f"at least {row.bar:.2f} unsheared, at most {first.bar:.2f} sheared" if held else ""
     before, after = number(similar["sheared"]["overall"]), number(similar[kind]["overall"])
     met = row.ok and first.ok if held else None
@@ -34,7 +36,13 @@ def _simulated(results: Results) -> list[Markup]:
         note = f"at most {ratio.bar:g} of the sheared error" if ratio and ratio.bar else ""
         label = "distance to the edge" if quantity == "edge_mm" else words.word(quantity)
         shown.append(
-            page.card(f"Error in {label}", before, f"{after} {words.unit(quantity)}", note, ratio.ok if ratio else None)
+            page.card(
+                f"Error in {label}",
+                before,
+                f"{after} {words.unit(quantity)}",
+                note,
+                ratio.ok if ratio else None,
+            )
         )
     moved = page.card(
         "Pins away from the tap's",
@@ -49,17 +57,22 @@ def _recorded(results: Results) -> list[Markup]:
     pose, similar, chief = results.pose_mae, results.ms_ssim, words.chief(results)
     shown = [_read(pose, quantity) for quantity in chief if pose]
     if similar:
-        before, after = (number(similar[kind]["overall"]) for kind in ("sheared", shown_kind(similar)))
+        before, after = (
+            number(similar[kind]["overall"]) for kind in ("sheared", shown_kind(similar))
+        )
         label = f"Likeness to the {words.truth(results)} ({results.metric['ms_ssim']})"
         shown.append(
-            page.card(label, before, after, "of drawn pins; 1 is equal" if words.over_pins(results) else "1 is equal")
+            page.card(
+                label,
+                before,
+                after,
+                "of drawn pins; 1 is equal" if words.over_pins(results) else "1 is equal",
+            )
         )
     recovery = results.pose_recovery.get("unsheared")
     if recovery:
         values = ", ".join(number(recovery[quantity]) for quantity in chief)
-        note = (
-            f"{', '.join(words.word(quantity) for quantity in chief)}; 1 is as good as taps, 0 as bad as slides as felt"
-        )
+        note = f"{', '.join(words.word(quantity) for quantity in chief)}; 1 is as good as taps, 0 as bad as slides as felt"
         shown.append(page.card("Recovery", "", values, note))
     return shown
 
@@ -67,12 +80,25 @@ def _recorded(results: Results) -> list[Markup]:
 def _read(pose: Table, quantity: str) -> Markup:
     """The error in one quantity: of slides before and after, of taps and of the direct way beside it."""
     kind = next(kind for kind in READ if kind in pose)
-    before = _error(pose["sheared"][quantity], quantity) if kind in READ[:2] and "sheared" in pose else ""
+    before = (
+        _error(pose["sheared"][quantity], quantity)
+        if kind in READ[:2] and "sheared" in pose
+        else ""
+    )
     beside = {"tap": "taps: ", "sheared_learnt": "learnt from slides directly: "}
-    notes = [f"{text}{_error(pose[k][quantity], quantity)}" for k, text in beside.items() if k in pose and k != kind]
+    notes = [
+        f"{text}{_error(pose[k][quantity], quantity)}"
+        for k, text in beside.items()
+        if k in pose and k != kind
+    ]
     if kind != "unsheared":
         notes.insert(
-            0, {"tap": "taps", "sheared": "slides, as felt", "sheared_learnt": "learnt from slides directly"}[kind]
+            0,
+            {
+                "tap": "taps",
+                "sheared": "slides, as felt",
+                "sheared_learnt": "learnt from slides directly",
+            }[kind],
         )
     after = f"{_error(pose[kind][quantity], quantity)} {words.unit(quantity)}"
     return page.card(f"Error in {words.word(quantity)}", before, after, ", ".join(notes))
@@ -85,5 +111,8 @@ def _error(value: float | None, quantity: str) -> str:
 def _run_total(results: Results) -> Markup:
     machine, total = results.machine, duration(sum(results.time_s.values()))
     return page.card(
-        "Entire run", "", total, f"sum of its stages; {machine.cores} cores, {machine.device.split(':')[0]}"
+        "Entire run",
+        "",
+        total,
+        f"sum of its stages; {machine.cores} cores, {machine.device.split(':')[0]}",
     )

@@ -31,9 +31,17 @@ def read_lines(path: Path) -> list[Json]:
             lines.append(unsealed(json.loads(line)))
         except ValueError:
             continue
-    kept = [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+    kept = [
+        line
+        for line in lines
+        if isinstance(line, dict) and "train_seconds" in line and "epoch" in line
+    ]
     if len(kept) < len(rows):
-        warnings.warn(f"{path} is damaged: {len(rows) - len(kept)} of its lines are left out", Note, stacklevel=2)
+        warnings.warn(
+            f"{path} is damaged: {len(rows) - len(kept)} of its lines are left out",
+            Note,
+            stacklevel=2,
+        )
     return kept
 
 
@@ -52,5 +60,7 @@ def read_history(path: Path) -> History | None:
 
 def _columns(rows: list[Json]) -> dict[str, list[float]]:
     """Those names that every row has."""
-    names = [name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)]
+    names = [
+        name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)
+    ]
     return {name: [float(row[name]) for row in rows] for name in names}

@@ -38,7 +38,9 @@ def training(histories: dict[str, History], summaries: dict[str, Summary]) -> Ma
     head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
     text = "loss over epochs of " + ", ".join(histories)
     lead = "Losses at each validation, in training (thin) and on poses kept out of it (thick). The best step is used."
-    return page.section("Training", lead, page.drawing(loss_curves(histories), text), page.table(head, rows))
+    return page.section(
+        "Training", lead, page.drawing(loss_curves(histories), text), page.table(head, rows)
+    )
 
 
 def times(results: Results, histories: dict[str, History]) -> Markup:
@@ -49,7 +51,11 @@ def times(results: Results, histories: dict[str, History]) -> Markup:
         drawn.append(page.drawing(stage_times(list(stages), list(stages.values())), text))
     for name, label in _over_time(results).items():
         if any(name in history.validation for history in histories.values()):
-            drawn.append(page.drawing(error_over_time(histories, name, label), f"{label} over seconds of training"))
+            drawn.append(
+                page.drawing(
+                    error_over_time(histories, name, label), f"{label} over seconds of training"
+                )
+            )
     lead = (
         "Wall clock of each stage, summed over the runs that it was stopped and continued in (what one had spent that was "
         "killed outright is lost), and what the seconds of training bought on poses kept out of it."
@@ -101,11 +107,18 @@ def contacts(results: Results) -> Markup:
     )
     poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
     lead = "How well the simulated contacts behind the test images were solved."
-    return page.section("Contact quality", lead, page.table(head, rows), page.soft(f"{tried} {pairs}; {poses}"))
+    return page.section(
+        "Contact quality", lead, page.table(head, rows), page.soft(f"{tried} {pairs}; {poses}")
+    )
 
 
 def provenance(results: Results) -> Markup:
-    held = (results.seeds, plain(results.machine), results.versions, plain(results.source) if results.source else {})
+    held = (
+        results.seeds,
+        plain(results.machine),
+        results.versions,
+        plain(results.source) if results.source else {},
+    )
     parts = (page.table(("", ""), list(part.items())) for part in held if part)
     settings = page.code(json.dumps(results.settings, indent=2))
     return page.section(
@@ -130,8 +143,22 @@ def loss_curves(histories: Mapping[str, History]) -> str:
             colour = COLOURS.get(network, INK)
             names = [name for name in history.validation if name in history.training]
             for name, dash in zip(names, DASHES, strict=False):
-                axes.plot(history.epoch, history.training[name], dash, color=colour, linewidth=1, alpha=0.45)
-                axes.plot(history.epoch, history.validation[name], dash, color=colour, linewidth=2, label=name)
+                axes.plot(
+                    history.epoch,
+                    history.training[name],
+                    dash,
+                    color=colour,
+                    linewidth=1,
+                    alpha=0.45,
+                )
+                axes.plot(
+                    history.epoch,
+                    history.validation[name],
+                    dash,
+                    color=colour,
+                    linewidth=2,
+                    label=name,
+                )
             axes.set(title=network, xlabel="epoch", yscale="log")
             axes.legend()
         for axes in panels[:, 0]:
@@ -148,7 +175,9 @@ def error_over_time(histories: Mapping[str, History], name: str, label: str) -> 
             if name in history.validation:
                 colour = COLOURS.get(network, INK)
                 values = history.validation[name]
-                axes.plot(history.train_seconds, values, "o-", color=colour, markersize=3, label=network)
+                axes.plot(
+                    history.train_seconds, values, "o-", color=colour, markersize=3, label=network
+                )
         axes.set(xlabel="seconds of training", ylabel=label, yscale="log")
         axes.set_xlim(left=0)
         axes.legend()
@@ -161,7 +190,11 @@ def stage_times(stages: Sequence[str], seconds: Sequence[float]) -> str:
         figure = Figure(figsize=(6.6, 0.6 + 0.3 * len(stages)), layout="constrained")
         axes = figure.subplots()
         bars = axes.barh(stages, seconds, color="#9db7dd", height=0.65)
-        axes.bar_label(bars, [f"{value:.1f} s" if value < 100 else f"{value:.0f} s" for value in seconds], padding=3)
+        axes.bar_label(
+            bars,
+            [f"{value:.1f} s" if value < 100 else f"{value:.0f} s" for value in seconds],
+            padding=3,
+        )
         axes.set(xlabel="wall clock, seconds")
         axes.margins(x=0.12)
         axes.invert_yaxis()

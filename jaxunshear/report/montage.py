@@ -16,7 +16,10 @@ from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ, read_npz
 from jaxunshear.style import png_of
 
-MISSING, SURPLUS = (255, 122, 26), (64, 150, 255)  # orange: the tap alone has it; blue: the image alone
+MISSING, SURPLUS = (
+    (255, 122, 26),
+    (64, 150, 255),
+)  # orange: the tap alone has it; blue: the image alone
 WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
 
@@ -34,7 +37,15 @@ def read(path: Path) -> Shown:
     try:
         shown = read_npz(path)
         judged = shown_kind(shown)
-        needed = ("stimulus", "pose", "move", "tap", "sheared", f"ms_ssim_{judged}", "ms_ssim_sheared")
+        needed = (
+            "stimulus",
+            "pose",
+            "move",
+            "tap",
+            "sheared",
+            f"ms_ssim_{judged}",
+            "ms_ssim_sheared",
+        )
         return {name: shown[name] for name in needed} | shown
     except BROKEN_NPZ as error:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
@@ -43,7 +54,13 @@ def read(path: Path) -> Shown:
 def terms(results: Results) -> Terms:
     truth = words.truth(results)
     shown = "tap (truth)" if truth == "tap" else truth
-    heads = ("sheared (input)", "unsheared", shown, f"sheared against {truth}", f"unsheared against {truth}")
+    heads = (
+        "sheared (input)",
+        "unsheared",
+        shown,
+        f"sheared against {truth}",
+        f"unsheared against {truth}",
+    )
     return Terms(heads, "depth" if results.simulated else "z", truth)
 
 
@@ -70,14 +87,20 @@ def drawing(shown: Shown, results: Results) -> bytes:
     said = terms(results)
     height = 1.85 * len(rows) + 0.15 * any(len(head) >= WIDE for head in said.heads)
     figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
-    for line, row in zip(figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True):
+    for line, row in zip(
+        figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True
+    ):
         for axes, (image, text), head in zip(line, _cells(shown, row), said.heads, strict=True):
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
-                axes.set_title(head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9)
-        line[0].set_ylabel("\n".join(described(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
+                axes.set_title(
+                    head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9
+                )
+        line[0].set_ylabel(
+            "\n".join(described(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8
+        )
     return png_of(figure)
 
 
@@ -116,7 +139,9 @@ def _table(shown: Shown, rows: list[int], said: Terms) -> Markup:
     for row in rows:
         name, *about = described(shown, row, said)
         cells = zip(_cells(shown, row), said.heads, strict=True)
-        lines.append((name, about, [(png_address(image), head, text) for (image, text), head in cells]))
+        lines.append(
+            (name, about, [(png_address(image), head, text) for (image, text), head in cells])
+        )
     return page.montage(said.heads, lines)
 
 

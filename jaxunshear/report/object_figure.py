@@ -18,8 +18,15 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
     """A PNG: of each way of perceiving, ABREAST side by side, above what was fused, below both shapes (grey both, orange missed,
     blue too much). Colours are even about the level that parts an object from what lies beside it, or about 0."""
     columns, rows = min(ABREAST, len(solids)), -(-len(solids) // ABREAST)
-    figure = Figure(figsize=(PANEL_IN * columns, 2 * PANEL_IN * rows + 0.5), layout="constrained", dpi=DPI)
-    panels = figure.subplots(2 * rows, columns, squeeze=False).reshape(rows, 2, columns).swapaxes(1, 2).reshape(-1, 2)
+    figure = Figure(
+        figsize=(PANEL_IN * columns, 2 * PANEL_IN * rows + 0.5), layout="constrained", dpi=DPI
+    )
+    panels = (
+        figure.subplots(2 * rows, columns, squeeze=False)
+        .reshape(rows, 2, columns)
+        .swapaxes(1, 2)
+        .reshape(-1, 2)
+    )
     for axes in panels[len(solids) :].ravel():
         axes.set_axis_off()
     for (above, below), (way, solid) in zip(panels, solids.items(), strict=False):
@@ -27,10 +34,16 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
         extent = (line[0], line[-1], line[0], line[-1])
         felt_there = ~np.isnan(solid.fused.value)
         level = solid.level or 0.0
-        span = np.percentile(np.abs(solid.fused.value[felt_there] - level), 98) if felt_there.any() else 1.0
+        span = (
+            np.percentile(np.abs(solid.fused.value[felt_there] - level), 98)
+            if felt_there.any()
+            else 1.0
+        )
         span = max(float(span), 1e-9)
         low, high = level - span, level + span
-        above.imshow(solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
+        above.imshow(
+            solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high
+        )
         above.contour(line, line, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
         above.set_title(WORDS.get(way, way), fontsize=HEAD)
         picture = np.ones((*solid.shape.shape, 3))
@@ -38,7 +51,10 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
         picture[~solid.shape & solid.true] = (1.0, 0.48, 0.1)
         picture[solid.shape & ~solid.true] = (0.25, 0.59, 1.0)
         below.imshow(picture, origin="lower", extent=extent)
-        below.set_title(f"IoU {solid.likeness.iou:.2f}, outline {solid.likeness.mean_mm:.2f} mm off", fontsize=HEAD)
+        below.set_title(
+            f"IoU {solid.likeness.iou:.2f}, outline {solid.likeness.mean_mm:.2f} mm off",
+            fontsize=HEAD,
+        )
         felt = np.argwhere(felt_there)
         for axes in (above, below):
             axes.tick_params(labelsize=LABEL)

@@ -32,11 +32,16 @@ def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> 
         axes.scatter(*ends[:, 1].T, s=5, c=colours[seen])
         lost = lattice.place[~seen]
         axes.scatter(*lost.T, s=18, facecolors="none", edgecolors="yellow", linewidths=0.8)
-    figure.suptitle("Lines lead from where each pin stands untouched to where it is; circled: not found", fontsize=9)
+    figure.suptitle(
+        "Lines lead from where each pin stands untouched to where it is; circled: not found",
+        fontsize=9,
+    )
     return png_of(figure)
 
 
 def _words(lattice: Lattice, track: Track) -> str:
     if not track.sure:
         return "identities not sure: left out"
-    return f"{len(lattice.place) - track.missed} of {len(lattice.place)} pins, doubt {track.doubt:.2f}"
+    return (
+        f"{len(lattice.place) - track.missed} of {len(lattice.place)} pins, doubt {track.doubt:.2f}"
+    )

@@ -19,11 +19,18 @@ def poses(results: Results) -> Markup:
     names, paper = words.targets(results), results.paper["pose_mae"]
     known = [name for name in paper["tap"] if name in names and results.simulated]
     given = "what PoseNet is given" if words.over_pins(results) else "image given to PoseNet"
-    head = [given, *map(words.heading, names), *(Markup("{}<br>paper").format(words.heading(q)) for q in known)]
+    head = [
+        given,
+        *map(words.heading, names),
+        *(Markup("{}<br>paper").format(words.heading(q)) for q in known),
+    ]
     rows = [
         [
             words.kind_of(results, kind),
-            *(spanned(ours[kind].get(q), spread[kind].get(q), words.digits(results, q)) for q in names),
+            *(
+                spanned(ours[kind].get(q), spread[kind].get(q), words.digits(results, q))
+                for q in names
+            ),
             *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
@@ -32,7 +39,9 @@ def poses(results: Results) -> Markup:
     strong, chance = [len(rows) - 1], results.baselines["pose_chance"]
     rows.append(
         [
-            Markup("<i>one answer to every {}</i>").format("image" if results.simulated else "contact"),
+            Markup("<i>one answer to every {}</i>").format(
+                "image" if results.simulated else "contact"
+            ),
             *(number(chance.get(q), words.digits(results, q)) for q in names),
             *("" for _ in known),
         ]
@@ -70,19 +79,17 @@ def _lead(results: Results, names: list[str]) -> str:
     if results.simulated:
         lead = "Mean absolute error of a PoseNet that has only learned from taps."
         if "edge_mm" in names:
-            lead += (
-                " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle are not."
-            )
+            lead += " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle are not."
         return f"{lead} {_brackets(results)}"
     ours = results.pose_mae
-    lead = (
-        "Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet that has only learned from "
-    )
+    lead = "Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet that has only learned from "
     if set(ours) == {"sheared_learnt"}:
         lead += "labelled slides."
     else:
         lead += (
-            "taps; one row is of a PoseNet that learned from labelled slides." if "sheared_learnt" in ours else "taps."
+            "taps; one row is of a PoseNet that learned from labelled slides."
+            if "sheared_learnt" in ours
+            else "taps."
         )
     return f"{lead} {_brackets(results)}"
 
@@ -99,10 +106,16 @@ def _recovery(results: Results) -> Markup:
         return Markup()
     found, spread = results.pose_recovery[kind], results.spread.pose_recovery[kind]
     if results.simulated:
-        undone = [f"{words.word(q)} {x:.0%}{_span(spread[q], '.0%')}" for q, x in found.items() if x is not None]
+        undone = [
+            f"{words.word(q)} {x:.0%}{_span(spread[q], '.0%')}"
+            for q, x in found.items()
+            if x is not None
+        ]
         text = f"Recovery, the part of the slide's damage that is undone, by the {kind} network: "
         return page.soft(f"{text}{', '.join(undone) or 'none'}.")
-    reported = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
+    reported = "; ".join(
+        f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results)
+    )
     return Markup(
         "<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {} network: {}. 1 is as good as taps, "
         "0 as bad as slides as felt.</p>{}"
@@ -137,10 +150,20 @@ def _by_part(results: Results, parts: Parts | None, by: str) -> Markup:
             continue
         if kind in found.pose_recovery and kind != "sheared":
             recovered, spread = True, found.spread.pose_recovery[kind]
-            rows.append([part, *(spanned(found.pose_recovery[kind].get(q), spread.get(q), 2) for q in names)])
-        elif not results.simulated and {"sheared", kind} <= set(found.pose_mae) and kind != "sheared":
+            rows.append(
+                [
+                    part,
+                    *(spanned(found.pose_recovery[kind].get(q), spread.get(q), 2) for q in names),
+                ]
+            )
+        elif (
+            not results.simulated and {"sheared", kind} <= set(found.pose_mae) and kind != "sheared"
+        ):
             errors = (found.pose_mae["sheared"], found.pose_mae[kind])
-            cells = [" \u2192 ".join(number(error[q], words.digits(results, q)) for error in errors) for q in names]
+            cells = [
+                " \u2192 ".join(number(error[q], words.digits(results, q)) for error in errors)
+                for q in names
+            ]
             rows.append([part, *cells])
     if not rows:
         return Markup()
@@ -161,7 +184,11 @@ def _apart(results: Results) -> list[Markup]:
         }
         shown = ["edge_mm"] if "edge_mm" in units else list(units)
         return [scores.apart(results, q, units[q], 3, -1) for q in shown]
-    return [_against(results, kind) for kind, columns in results.difference.items() if set(columns) != {"ms_ssim"}]
+    return [
+        _against(results, kind)
+        for kind, columns in results.difference.items()
+        if set(columns) != {"ms_ssim"}
+    ]
 
 
 def _against(results: Results, kind: str) -> Markup:
@@ -173,7 +200,11 @@ def _against(results: Results, kind: str) -> Markup:
         form = f"+.{words.digits(results, name)}f"
         figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"
         reported.append(Markup("{} <b>{}</b> ({})").format(words.word(name), verdict, figure))
-    other = "a PoseNet that learnt from slides directly" if kind == "sheared_learnt" else words.kind_of(results, kind)
-    return Markup("<p>Slide by slide, the disentangled network's slides against {}: {}.</p>").format(
-        other, Markup("; ").join(reported)
+    other = (
+        "a PoseNet that learnt from slides directly"
+        if kind == "sheared_learnt"
+        else words.kind_of(results, kind)
     )
+    return Markup(
+        "<p>Slide by slide, the disentangled network's slides against {}: {}.</p>"
+    ).format(other, Markup("; ").join(reported))

@@ -31,8 +31,12 @@ def recordings(results: Results) -> Markup:
         for kind, counted in (("taps", reported.taps), ("slides", reported.slides))
         if any(counted.values())
     ]
-    folders = dict.fromkeys(results.settings["paired"][kind] for kind in ("tap_folder", "slide_folder"))
-    named = Markup(", ").join(Markup("<code>{}</code>").format(folder) for folder in folders if folder)
+    folders = dict.fromkeys(
+        results.settings["paired"][kind] for kind in ("tap_folder", "slide_folder")
+    )
+    named = Markup(", ").join(
+        Markup("<code>{}</code>").format(folder) for folder in folders if folder
+    )
     facts = [
         Markup("Folder: {} (digest {}); sensor {}, {} pins.").format(
             named, reported.digest, reported.sensor, reported.pins
@@ -45,7 +49,9 @@ def recordings(results: Results) -> Markup:
         facts.append(f"Labels of {reported.labelled:.0%} of the training slides teach.")
     if results.settings["paired"].get("unlabelled") == "read":
         facts.append(
-            Markup("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
+            Markup(
+                "The poses of slides without a label are those that <code>posenet_sheared</code> reads off them."
+            )
         )
     if (taps := results.settings["paired"].get("direct_taps", "none")) != "none":
         taught = Markup("<code>posenet_sheared</code> also learns from {} taps.").format(taps)
@@ -67,9 +73,16 @@ def recordings(results: Results) -> Markup:
 def intervals(results: Results) -> Markup:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
     widths, held = results.half_width or {}, results.coverage or {}
-    names = [name for name in words.targets(results) if any(name in reported for reported in held.values())]
+    names = [
+        name
+        for name in words.targets(results)
+        if any(name in reported for reported in held.values())
+    ]
     rows = [
-        [words.kind_of(results, way), *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names)]
+        [
+            words.kind_of(results, way),
+            *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names),
+        ]
         for way, reported in held.items()
         if way in widths
     ]
@@ -81,7 +94,9 @@ def intervals(results: Results) -> Markup:
         f"{ELSEWHERE}. For yours: jaxunshear evaluate RUN --recordings DIR."
     )
     return page.section(
-        "How far an answer may be off", lead, page.table(["pose read from", *map(words.heading, names)], rows)
+        "How far an answer may be off",
+        lead,
+        page.table(["pose read from", *map(words.heading, names)], rows),
     )
 
 
@@ -106,7 +121,8 @@ def pairing(results: Results) -> Markup:
         return Markup()
     names = words.targets(results)
     rows = [
-        [split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in results.pairing.gaps.items()
+        [split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)]
+        for split, gap in results.pairing.gaps.items()
     ]
     head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
     note = page.soft("Median, and in brackets the 95th percentile.")

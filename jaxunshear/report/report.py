@@ -10,7 +10,17 @@ from markupsafe import Markup
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.recorded_facts import describe_test
-from jaxunshear.report import applications, headlines, making, montage, page, poses, recordings, scores, words
+from jaxunshear.report import (
+    applications,
+    headlines,
+    making,
+    montage,
+    page,
+    poses,
+    recordings,
+    scores,
+    words,
+)
 from jaxunshear.report.history import read_history
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.run import EVALUATED, Results
@@ -29,7 +39,9 @@ RECORDED = Markup(
     "A soft dome that slides feels its own shear on top of what it touches. {} Every figure is measured on "
     "<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {} ({}).{}"
 )
-OF_PAPER = Markup(" The paper's, in <span class=real>tinted columns</span>, are from another real sensor.")
+OF_PAPER = Markup(
+    " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
+)
 
 
 def write_report(run_dir: Path) -> Path:
@@ -45,9 +57,13 @@ def write_report(run_dir: Path) -> Path:
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
-    summaries = {name: read(path, Summary, making.TRAINED) for name, path in endings.items() if path.exists()}
+    summaries = {
+        name: read(path, Summary, making.TRAINED) for name, path in endings.items() if path.exists()
+    }
     try:
-        shown = montage.read(run_dir / "montage.npz") if results.simulated or results.ms_ssim else None
+        shown = (
+            montage.read(run_dir / "montage.npz") if results.simulated or results.ms_ssim else None
+        )
         parts = [
             _heading(results),
             headlines.headlines(results),
@@ -60,7 +76,11 @@ def write_report(run_dir: Path) -> Path:
             *(
                 []
                 if results.simulated
-                else [recordings.recordings(results), recordings.pairing(results), recordings.intervals(results)]
+                else [
+                    recordings.recordings(results),
+                    recordings.pairing(results),
+                    recordings.intervals(results),
+                ]
             ),
             scores.swap(results),
             *applications.sections(run_dir),
@@ -91,7 +111,9 @@ def _of_recordings(results: Results) -> Markup:
     else:
         about = "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read poses."
     counted = " and ".join(
-        f"{count} {kind}" for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses)) if count
+        f"{count} {kind}"
+        for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses))
+        if count
     )
     paper = OF_PAPER if results.ms_ssim and words.comparable(results) else ""
     return RECORDED.format(about, counted, describe_test(results), paper)

@@ -59,12 +59,18 @@ def apart(results: Results, column: str, what: str, digits: int, better: int) ->
         if less is None or span is None:
             continue
         low, high = span
-        verdict = "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
+        verdict = (
+            "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
+        )
         name = words.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
-        said.append(f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})")
+        said.append(
+            f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})"
+        )
     if not said:
         return Markup()
-    return page.soft(f"Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}.")
+    return page.soft(
+        f"Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}."
+    )
 
 
 def further(results: Results) -> Markup:
@@ -77,8 +83,15 @@ def further(results: Results) -> Markup:
         rows = [
             [
                 words.KINDS[kind],
-                *(spanned(ours.get(kind, {}).get(g), spread.ms_ssim.get(kind, {}).get(g), 3) for g in groups),
-                *(spanned(pose[kind].get(q), spread.pose_mae[kind].get(q), 2) for q in names if kind in pose),
+                *(
+                    spanned(ours.get(kind, {}).get(g), spread.ms_ssim.get(kind, {}).get(g), 3)
+                    for g in groups
+                ),
+                *(
+                    spanned(pose[kind].get(q), spread.pose_mae[kind].get(q), 2)
+                    for q in names
+                    if kind in pose
+                ),
             ]
             for kind in words.KINDS
             if kind in pose or kind in ours
@@ -93,17 +106,26 @@ def further(results: Results) -> Markup:
         if test.followed:
             depth = f"{depth}, their pins found in the images ({_followed(test.followed)})"
         ways = {"twist_deg": "slides that twist", "tilt_deg": "sensors that lean"}
-        wide = {reported: size for field, reported in ways.items() if (size := (test.ranges or {}).get(field))}
+        wide = {
+            reported: size
+            for field, reported in ways.items()
+            if (size := (test.ranges or {}).get(field))
+        }
         depth += "".join(f", {reported} by up to {size:g} deg" for reported, size in wide.items())
         lead = f"{test.contacts} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
-        parts.append(page.section(f"Test of its own: {name}", lead, page.table(head, rows, (), [len(rows) - 1])))
+        parts.append(
+            page.section(
+                f"Test of its own: {name}", lead, page.table(head, rows, (), [len(rows) - 1])
+            )
+        )
     return Markup().join(parts)
 
 
 def _followed(pins: Table) -> str:
     kinds = {"tap": "taps", "sheared": "slides"}
     said = [
-        f"{pins[k]['followed']:.1%} of {name} followed, {pins[k]['rms_px']:.2f} px off" for k, name in kinds.items()
+        f"{pins[k]['followed']:.1%} of {name} followed, {pins[k]['rms_px']:.2f} px off"
+        for k, name in kinds.items()
     ]
     return "; ".join(said)
 
@@ -116,10 +138,15 @@ def pins(results: Results) -> Markup:
     shown = [
         (head, name, digits)
         for head, name, digits in PIN_COLUMNS
-        if name == "rms_px" or results.simulated or any(row.get(name) is not None for row in errors.values())
+        if name == "rms_px"
+        or results.simulated
+        or any(row.get(name) is not None for row in errors.values())
     ]
     rows = [
-        [_pinned(results, kind), *(number(errors[kind].get(name), digits) for _, name, digits in shown)]
+        [
+            _pinned(results, kind),
+            *(number(errors[kind].get(name), digits) for _, name, digits in shown),
+        ]
         for kind in words.KINDS
         if kind in errors
     ]
@@ -130,12 +157,18 @@ def pins(results: Results) -> Markup:
     )
     if words.over_pins(results) and not results.simulated:
         lead = f"How far each pin, known by name, is from the {truth}; the last row is how far the slide moved them."
-    return page.section("Where the pins are", lead, page.table(["image", *(head for head, _, _ in shown)], rows))
+    return page.section(
+        "Where the pins are", lead, page.table(["image", *(head for head, _, _ in shown)], rows)
+    )
 
 
 def _pinned(results: Results, kind: str) -> str:
     """Images are compared with one partner or tap, which has a row, too."""
-    return words.truth(results) if kind == "tap" and not results.simulated else words.kind_of(results, kind)
+    return (
+        words.truth(results)
+        if kind == "tap" and not results.simulated
+        else words.kind_of(results, kind)
+    )
 
 
 def swap(results: Results) -> Markup:
@@ -168,7 +201,9 @@ def swap(results: Results) -> Markup:
         name,
         *(Markup("{}<br>paper").format(metric) for metric in ("MSE", "MS-SSIM") if known),
     ]
-    return page.section("Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6)))
+    return page.section(
+        "Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6))
+    )
 
 
 def readers(results: Results) -> Markup:
@@ -183,7 +218,10 @@ def readers(results: Results) -> Markup:
             READERS[reader] if not place else "",
             words.kind_of(results, kind),
             _counted(results.reader_images[reader][kind]),
-            *(spanned(errors.get(q), spread[reader][kind].get(q), words.digits(results, q)) for q in names),
+            *(
+                spanned(errors.get(q), spread[reader][kind].get(q), words.digits(results, q))
+                for q in names
+            ),
         ]
         for reader, kinds in ours.items()
         for place, (kind, errors) in enumerate(kinds.items())
@@ -201,7 +239,10 @@ def readers(results: Results) -> Markup:
         else ""
     )
     return page.section(
-        "Read by readers of another make", lead, page.table(head, rows), page.soft(found) if found else ""
+        "Read by readers of another make",
+        lead,
+        page.table(head, rows),
+        page.soft(found) if found else "",
     )
 
 

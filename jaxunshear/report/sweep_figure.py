@@ -24,7 +24,10 @@ SHOWN = (  # in this order; a metric that is the same in all cells says nothing 
     "ablation/DS(z_p,0)/ssim",
     "ablation/DS(0,z_s)/ssim",
 )
-NAMED = {"swap/DC(z_p)/mse": "L_sup, swap/DC(z_p)/mse", "swap/DS(z_p,z_s)/mse": "L_rec, swap/DS(z_p,z_s)/mse"}
+NAMED = {
+    "swap/DC(z_p)/mse": "L_sup, swap/DC(z_p)/mse",
+    "swap/DS(z_p,z_s)/mse": "L_rec, swap/DS(z_p,z_s)/mse",
+}
 COLUMNS = 4
 
 
@@ -44,7 +47,9 @@ def sweep_figure(summary: SweepResult) -> bytes | None:
             axes.set_title(NAMED.get(name, name))
         for axes in places[len(panels) :]:
             axes.set_axis_off()
-        figure.suptitle(f"{summary.sweep}: means over {len(summary.seeds)} seeds and the test contacts")
+        figure.suptitle(
+            f"{summary.sweep}: means over {len(summary.seeds)} seeds and the test contacts"
+        )
         return png_of(figure)
 
 
@@ -70,7 +75,10 @@ def values_on_grid(summary: SweepResult, name: str) -> np.ndarray:
 
 
 def _figures(cell: CellResult) -> Figures:
-    return {**cell.metrics, **{f"ablation/{name}": figure for name, figure in cell.ablation.items()}}
+    return {
+        **cell.metrics,
+        **{f"ablation/{name}": figure for name, figure in cell.ablation.items()},
+    }
 
 
 def _places(summary: SweepResult) -> list[tuple[tuple[int, ...], CellResult]]:
@@ -117,14 +125,24 @@ def _lines(axes: Axes, summary: SweepResult, name: str) -> None:
     """The mean with its interval over the values of the axis, a point a seed; failures crossed below, with their reasons."""
     (axis,) = summary.axes
     there = sorted(
-        ((place[0], cell) for place, cell in _places(summary) if name in _figures(cell)), key=lambda at: at[0]
+        ((place[0], cell) for place, cell in _places(summary) if name in _figures(cell)),
+        key=lambda at: at[0],
     )
     x = [place for place, _ in there]
     figures = [_figures(cell)[name] for _, cell in there]
     means = np.array([figure.mean for figure in figures])
     colour = next((colour for network, colour in COLOURS.items() if f"/{network}" in name), INK)
     bands = np.array([figure.interval or [figure.mean] * 2 for figure in figures]).T
-    axes.errorbar(x, means, np.abs(bands - means), fmt="o-", color=colour, markersize=4, linewidth=1.5, capsize=3)
+    axes.errorbar(
+        x,
+        means,
+        np.abs(bands - means),
+        fmt="o-",
+        color=colour,
+        markersize=4,
+        linewidth=1.5,
+        capsize=3,
+    )
     for place, figure in zip(x, figures, strict=True):
         seeds = [mean for mean in (figure.per_seed or {}).values() if mean is not None]
         axes.plot([place] * len(seeds), seeds, ".", color=colour, alpha=0.45, markersize=5)
@@ -132,14 +150,26 @@ def _lines(axes: Axes, summary: SweepResult, name: str) -> None:
         if cell.failures:
             below = axes.get_xaxis_transform()
             axes.plot(place, 0.03, "x", color=INK, transform=below, clip_on=False)
-            axes.text(place, 0.07, _short(cell.failures), transform=below, fontsize=LABEL, ha="center", va="bottom")
+            axes.text(
+                place,
+                0.07,
+                _short(cell.failures),
+                transform=below,
+                fontsize=LABEL,
+                ha="center",
+                va="bottom",
+            )
     axes.set_xlabel(axis.name)
     axes.set_xticks(range(len(axis.values)), axis.values)
     axes.margins(x=0.1)
 
 
 def _write(axes: Axes, x: float, y: float, text: str, colour: str, size: float) -> None:
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 1} if colour == INK and size <= LABEL else None
+    box = (
+        {"facecolor": "white", "edgecolor": "none", "pad": 1}
+        if colour == INK and size <= LABEL
+        else None
+    )
     axes.text(x, y, text, color=colour, fontsize=size, ha="center", va="center", bbox=box)
 
 

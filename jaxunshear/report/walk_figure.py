@@ -21,7 +21,9 @@ def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
     """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
     ways = list(dict.fromkeys(walks.way.tolist()))
     columns, rows = min(ABREAST, len(ways)), -(-len(ways) // ABREAST)
-    figure = Figure(figsize=(PANEL_IN * columns, (PANEL_IN + 0.3) * rows + 0.3), layout="constrained", dpi=DPI)
+    figure = Figure(
+        figsize=(PANEL_IN * columns, (PANEL_IN + 0.3) * rows + 0.3), layout="constrained", dpi=DPI
+    )
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(ways) :]:
         axes.set_axis_off()
@@ -36,8 +38,13 @@ def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
                 axes.plot(*track[-1], "x", color="black", markersize=6)
         ends = [ENDS[end] for end in walks.end[mine] if end != CLOSED]
         why = f"\n{max(set(ends), key=ends.count)}" if ends else ""
-        axes.set_title(f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}", fontsize=HEAD)
+        axes.set_title(
+            f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}",
+            fontsize=HEAD,
+        )
         axes.set_aspect("equal")
         axes.tick_params(labelsize=LABEL)
-    figure.suptitle(headed(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1)
+    figure.suptitle(
+        headed(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1
+    )
     return png_of(figure)

@@ -37,7 +37,9 @@ QUANTITIES = {
     "Ry_deg": "Ry",
     "Rz_deg": "Rz",
 }
-QUANTITIES |= {f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED}
+QUANTITIES |= {
+    f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED
+}
 EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
 CARDS = 3  # quantities that have a card, at most
 
@@ -49,7 +51,11 @@ def over_pins(results: Results) -> bool:
 
 def truth(results: Results) -> str:
     """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
-    return "partner" if results.pairing and results.pairing.way in ("rendered", "nearest", "simulated") else "tap"
+    return (
+        "partner"
+        if results.pairing and results.pairing.way in ("rendered", "nearest", "simulated")
+        else "tap"
+    )
 
 
 def comparable(results: Results) -> bool:

@@ -26,9 +26,7 @@ class WalkScore:
     ends: Mapping[str, int]  # of how many walks, by what ended them
     unsolved: int  # contacts that did not converge
     steps: int
-    unfollowed: (
-        int  # steps whose pins were not identified for sure, of networks over pins; the sensor then goes straight on
-    )
+    unfollowed: int  # steps whose pins were not identified for sure, of networks over pins; the sensor then goes straight on
     perceive_ms: float  # a step
 
 

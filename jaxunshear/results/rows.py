@@ -69,5 +69,7 @@ class Summary:
     train_seconds: float  # steps and their data, without compilation, validation and checkpoints
     compile_seconds: float = 0.0
     images_per_second: float
-    trained_on: Machine = field(default_factory=Machine)  # that ended it; of earlier versions unknown
+    trained_on: Machine = field(
+        default_factory=Machine
+    )  # that ended it; of earlier versions unknown
     trained_by: Source | None = None  # likewise

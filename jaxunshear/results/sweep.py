@@ -97,7 +97,9 @@ class SweepResult:
     reference: str | None
     cells: Sequence[CellResult]
     base: Settings = field(default_factory=dict)
-    efficient: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=dict)  # labels by metric and cost
+    efficient: Mapping[str, Mapping[str, Sequence[str]]] = field(
+        default_factory=dict
+    )  # labels by metric and cost
     command: str = ""
     machines: Sequence[Machine] = ()
     trained_on: Sequence[Machine] = ()

@@ -17,6 +17,8 @@ def read_trained(run_dir: Path, networks: Iterable[str]) -> Json:
         with suppress(UserError):
             found[name] = read(Path(run_dir) / name / "summary.json", Summary, "train again")
     return {
-        "trained_on": {n: one.trained_on for n, one in found.items() if one.trained_on != Machine()},
+        "trained_on": {
+            n: one.trained_on for n, one in found.items() if one.trained_on != Machine()
+        },
         "trained_by": {n: one.trained_by for n, one in found.items() if one.trained_by},
     }

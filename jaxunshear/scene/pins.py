@@ -15,10 +15,14 @@ def pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
             angle = 2 * np.pi * turn
             points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         else:
-            corners = np.stack([np.cos(np.arange(7) * np.pi / 3), np.sin(np.arange(7) * np.pi / 3)], axis=-1)
+            corners = np.stack(
+                [np.cos(np.arange(7) * np.pi / 3), np.sin(np.arange(7) * np.pi / 3)], axis=-1
+            )
             side, along = np.divmod(6 * turn, 1.0)
             side = side.astype(int)
-            points.append(ring * (corners[side] * (1 - along)[:, None] + corners[side + 1] * along[:, None]))
+            points.append(
+                ring * (corners[side] * (1 - along)[:, None] + corners[side + 1] * along[:, None])
+            )
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 

@@ -37,11 +37,17 @@ class Scenes:
         return len(self.stimulus)
 
     def take(self, index: np.ndarray) -> "Scenes":
-        return Scenes(*(field[index] for field in (self.stimulus, self.pose, self.move, self.friction)))
+        return Scenes(
+            *(field[index] for field in (self.stimulus, self.pose, self.move, self.friction))
+        )
 
 
 def draw_poses(
-    generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]
+    generator: np.random.Generator,
+    count: int,
+    lateral_mm: float,
+    yaw_deg: float,
+    depth_mm: tuple[float, float],
 ) -> Float[np.ndarray, "{count} 4"]:
     """Uniform poses as in section 3.2 of the paper."""
     if count < 1:
@@ -51,16 +57,23 @@ def draw_poses(
     return generator.uniform(low, high, (count, 4))
 
 
-def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> Float[np.ndarray, "{count} 2"]:
+def draw_moves(
+    generator: np.random.Generator, count: int, move_mm: float
+) -> Float[np.ndarray, "{count} 2"]:
     """Slide offsets in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
     offset = generator.uniform(-move_mm, move_mm, (count, 2))
     axis = generator.integers(3, size=count)
     return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
-def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> Float[np.ndarray, "{count} 2"]:
+def draw_tilts(
+    generator: np.random.Generator, count: int, tilt_deg: float
+) -> Float[np.ndarray, "{count} 2"]:
     """Tilts in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
-    size, way = tilt_deg * np.sqrt(generator.uniform(size=count)), generator.uniform(0, 2 * np.pi, count)
+    size, way = (
+        tilt_deg * np.sqrt(generator.uniform(size=count)),
+        generator.uniform(0, 2 * np.pi, count),
+    )
     return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
 
 
@@ -73,7 +86,9 @@ def make_scenes(
 ) -> Scenes:
     """Scenes with friction `mu`, or None for that of each stimulus' material."""
     friction = np.array([stimulus_of(one).friction if mu is None else mu for one in stimuli])
-    return Scenes(np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus])
+    return Scenes(
+        np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus]
+    )
 
 
 def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> Float[np.ndarray, "B 2"]:
@@ -122,6 +137,8 @@ def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     def report(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
         distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
         angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
-        return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), wrap_degrees(angle)], -1)
+        return np.stack(
+            [np.where(np.isnan(point[:, 0]), np.nan, distance), wrap_degrees(angle)], -1
+        )
 
     return report

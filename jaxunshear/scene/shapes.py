@@ -109,7 +109,9 @@ def leaf(radius: float, offset: float, round_mm: float) -> Distance:
     return distance
 
 
-def _nearest_angle(radius: Radius, start: jax.Array, low: jax.Array, high: jax.Array, p: jax.Array) -> jax.Array:
+def _nearest_angle(
+    radius: Radius, start: jax.Array, low: jax.Array, high: jax.Array, p: jax.Array
+) -> jax.Array:
     """Where a polar curve, between two angles, lies nearest to points (..., 2), sought from `start`; all (...,) rad."""
     far, towards = _length(p), jnp.arctan2(p[..., 1], p[..., 0])
 
@@ -144,13 +146,21 @@ def flower(mean: float, wave: float, petals: int) -> Distance:
         fixed = jax.lax.stop_gradient(p)
         petal = 2 * half * jnp.round(jnp.arctan2(fixed[..., 1], fixed[..., 0]) / (2 * half))
         off_axis = jnp.arctan2(fixed[..., 1], fixed[..., 0]) - petal
-        folded = _length(fixed)[..., None] * jnp.stack([jnp.cos(off_axis), jnp.abs(jnp.sin(off_axis))], axis=-1)
+        folded = _length(fixed)[..., None] * jnp.stack(
+            [jnp.cos(off_axis), jnp.abs(jnp.sin(off_axis))], axis=-1
+        )
         starts = np.linspace(0, half, STARTS)
-        apart = jnp.sum((folded[..., None, :] - _on_curve(radius, _beside(starts, p))[0]) ** 2, axis=-1)
+        apart = jnp.sum(
+            (folded[..., None, :] - _on_curve(radius, _beside(starts, p))[0]) ** 2, axis=-1
+        )
         start, gap = jnp.asarray(starts, p.dtype)[jnp.argmin(apart, axis=-1)], half / (STARTS - 1)
-        angle = _nearest_angle(radius, start, jnp.maximum(start - gap, 0), jnp.minimum(start + gap, half), folded)
+        angle = _nearest_angle(
+            radius, start, jnp.maximum(start - gap, 0), jnp.minimum(start + gap, half), folded
+        )
         point, normal = _on_curve(radius, petal + jnp.where(off_axis < 0, -angle, angle))
-        return jnp.sum((p - point) * normal, axis=-1)  # the outline's point stands still, to first order
+        return jnp.sum(
+            (p - point) * normal, axis=-1
+        )  # the outline's point stands still, to first order
 
     return distance
 
@@ -167,7 +177,9 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
         fixed = jax.lax.stop_gradient(p)[..., None, :]
         windings = _beside(2 * np.pi * np.arange(-1, np.ceil(turns) + 1), p)
         start = jnp.clip(jnp.arctan2(fixed[..., 1], fixed[..., 0]) + windings, 0, last)
-        angle = _nearest_angle(radius, start, jnp.maximum(start - 1, 0), jnp.minimum(start + 1, last), fixed)
+        angle = _nearest_angle(
+            radius, start, jnp.maximum(start - 1, 0), jnp.minimum(start + 1, last), fixed
+        )
         points = _on_curve(radius, angle)[0]
         nearest = jnp.argmin(jnp.sum((fixed - points) ** 2, axis=-1), axis=-1)
         point = jnp.take_along_axis(points, nearest[..., None, None], axis=-2)[..., 0, :]
@@ -176,7 +188,9 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
     return distance
 
 
-def spiral_target(inner: float, pitch: float, half_width: float, turns: float) -> tuple[float, float, float]:
+def spiral_target(
+    inner: float, pitch: float, half_width: float, turns: float
+) -> tuple[float, float, float]:
     """x, y (mm) and direction of the outward normal (deg) where the outer side of a spiral stands after so many turns."""
     angle, rise = 2 * np.pi * turns, pitch / (2 * np.pi)
     r = inner + rise * angle
@@ -186,7 +200,9 @@ def spiral_target(inner: float, pitch: float, half_width: float, turns: float) -
     return float(x), float(y), float(np.degrees(np.arctan2(normal[1], normal[0])))
 
 
-def _along(p: jax.Array, start: np.ndarray, end: np.ndarray) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _along(
+    p: jax.Array, start: np.ndarray, end: np.ndarray
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Of the segments (V, 2) to (V, 2) the one nearest to each point (...,): its index, where along it in [0, 1], and the point."""
     begin, side = jnp.asarray(start, p.dtype), jnp.asarray(end - start, p.dtype)
     along, offset = _beside(end - start, p), p[..., None, :] - _beside(start, p)
@@ -194,7 +210,11 @@ def _along(p: jax.Array, start: np.ndarray, end: np.ndarray) -> tuple[jax.Array,
     index = jnp.argmin(jnp.sum((offset - t[..., None] * along) ** 2, -1), axis=-1)
     t = jnp.take_along_axis(t, index[..., None], axis=-1)[..., 0]
     # a corner to the bit, from whichever of its two segments it is seen
-    point = jnp.where((t < 1)[..., None], begin[index] + t[..., None] * side[index], jnp.asarray(end, p.dtype)[index])
+    point = jnp.where(
+        (t < 1)[..., None],
+        begin[index] + t[..., None] * side[index],
+        jnp.asarray(end, p.dtype)[index],
+    )
     return index, t, point
 
 
@@ -204,26 +224,37 @@ def polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
     Beside a segment the distance is that from its line, which knows inside from outside and has a slope on the outline, too. At a
     corner it is that from the corner, outside where the mean of both normals points to.
     """
-    apart = np.any(corners != np.roll(corners, 1, axis=0), axis=-1)  # the first corner may be given again as the last
+    apart = np.any(
+        corners != np.roll(corners, 1, axis=0), axis=-1
+    )  # the first corner may be given again as the last
     corners = np.asarray(corners, float)[apart]
     x, y = corners.T
     if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0:
         corners = corners[::-1]
     following = np.roll(corners, -1, axis=0)
     side = following - corners
-    flat = np.stack([side[:, 1], -side[:, 0]], axis=-1) / np.linalg.norm(side, axis=-1, keepdims=True)
+    flat = np.stack([side[:, 1], -side[:, 0]], axis=-1) / np.linalg.norm(
+        side, axis=-1, keepdims=True
+    )
     mean = flat + np.roll(flat, 1, axis=0)
     mean = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
 
     def distance(p: jax.Array) -> jax.Array:
         index, t, point = _along(jax.lax.stop_gradient(p), corners, following)
-        inside_segment, at_end = (t > 0) & (t < 1), (index + (t >= 1).astype(index.dtype)) % len(corners)
+        inside_segment, at_end = (
+            (t > 0) & (t < 1),
+            (index + (t >= 1).astype(index.dtype)) % len(corners),
+        )
         normal = jnp.where(
-            inside_segment[..., None], jnp.asarray(flat, p.dtype)[index], jnp.asarray(mean, p.dtype)[at_end]
+            inside_segment[..., None],
+            jnp.asarray(flat, p.dtype)[index],
+            jnp.asarray(mean, p.dtype)[at_end],
         )
         signed = jnp.sum((p - point) * normal, axis=-1)
         far = _length(p - point)
-        return jnp.where(inside_segment | (far < AT_CORNER_MM), signed, jnp.where(signed < 0, -far, far))
+        return jnp.where(
+            inside_segment | (far < AT_CORNER_MM), signed, jnp.where(signed < 0, -far, far)
+        )
 
     return distance
 
@@ -236,6 +267,8 @@ def stroke(points: Num[np.ndarray, "V 2"], half_width: float) -> Distance:
     points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=-1))]
 
     def distance(p: jax.Array) -> jax.Array:
-        return _length(p - _along(jax.lax.stop_gradient(p), points[:-1], points[1:])[2]) - half_width
+        return (
+            _length(p - _along(jax.lax.stop_gradient(p), points[:-1], points[1:])[2]) - half_width
+        )
 
     return distance

@@ -119,7 +119,9 @@ def stimulus_named(name: str) -> Stimulus:
 @lru_cache(maxsize=64)
 def _of_outline(outline: Outline) -> Stimulus:
     distance = polygon(np.array(outline.points))
-    return Stimulus(outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own")
+    return Stimulus(
+        outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own"
+    )
 
 
 def stimulus_of(touched: str | Outline | Stimulus) -> Stimulus:
@@ -132,5 +134,7 @@ def stimulus_of(touched: str | Outline | Stimulus) -> Stimulus:
 def followed(touched: str | Outline) -> Stimulus:
     """One with an outline to follow. Raises UserError."""
     if isinstance(touched, str) and stimulus_named(touched).name not in SHAPES:
-        raise UserError(f"stimulus '{touched}' has no outline that closes: use one of {', '.join(SHAPES)}")
+        raise UserError(
+            f"stimulus '{touched}' has no outline that closes: use one of {', '.join(SHAPES)}"
+        )
     return stimulus_of(touched)

@@ -10,13 +10,21 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
-from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
+from jaxunshear.settings.sensor import (
+    FITTED_FRICTION,
+    TACTIP_331,
+    TACTIP_331_FITTED,
+    TACTIP_331_FLUSH,
+    Sensor,
+)
 from jaxunshear.storage import Json
 
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
 METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and versions
-MANIFEST = "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
+MANIFEST = (
+    "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
+)
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
 # of `Recorded`: where it lies, and what is made of it
 NOT_STORED = (
@@ -25,11 +33,19 @@ NOT_STORED = (
 )
 Settings = PairedData | PoseData | Recorded
 
-FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
-FITTED_256: Json = FITTED | {"camera": replace(FITTED_CAMERA, frame_px=256), "preprocess": Preprocess(size=256)}
+FITTED: Json = {
+    "camera": FITTED_CAMERA,
+    "friction": FITTED_FRICTION,
+}  # what sets of the fitted sensor share
+FITTED_256: Json = FITTED | {
+    "camera": replace(FITTED_CAMERA, frame_px=256),
+    "preprocess": Preprocess(size=256),
+}
 SKIN: Json = FITTED | {  # touches as recordings of an edge have them
     "stimuli": ("edge", "disk", "clover", "teardrop"),
-    "ranges": Ranges(lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0),
+    "ranges": Ranges(
+        lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0
+    ),
 }
 # as deep as a dome that leans so far can touch without contact beyond its rings
 TILTED = Ranges(depth_max_mm=5.0, tilt_deg=25.0)
@@ -44,11 +60,27 @@ PAIRED = {
         PairedData(config="skin", poses=750, **SKIN),
         PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
         PairedData(config="end_to_end", poses=3200, slides=4, poses_a_slide=4, **FITTED_256),
-        PairedData(config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED),
+        PairedData(
+            config="twisted",
+            poses=200,
+            slides=4,
+            poses_a_slide=4,
+            ranges=Ranges(twist_deg=5.0),
+            **FITTED,
+        ),
         PairedData(config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
         PairedData(config="paper_short", poses=1200, **FITTED_256),
-        PairedData(config="paper", poses=200, taps=50, slides=150, tap_depth_jitter_mm=1.0, **FITTED_256),
-        PairedData(config="paper_tenth", poses=200, taps=5, slides=15, tap_depth_jitter_mm=1.0, **FITTED_256),
+        PairedData(
+            config="paper", poses=200, taps=50, slides=150, tap_depth_jitter_mm=1.0, **FITTED_256
+        ),
+        PairedData(
+            config="paper_tenth",
+            poses=200,
+            taps=5,
+            slides=15,
+            tap_depth_jitter_mm=1.0,
+            **FITTED_256,
+        ),
     )
 }
 POSE = {
@@ -67,7 +99,10 @@ POSE = {
         PoseData(config="paper_tenth", poses=1000, **FITTED_256),
     )
 }
-CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
+CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {
+    PAIRED_SET: PAIRED,
+    POSE_SET: POSE,
+}
 
 
 def sensor_of(config: str) -> Sensor:
@@ -122,7 +157,9 @@ def config_name(settings: Settings, sensor: Sensor = TACTIP_331) -> str:
         return f"recorded-{fingerprint(settings, sensor)}"
     known = CONFIGS[set_name(settings)]
     if settings.config not in known:
-        raise UserError(f"config '{settings.config}' of {set_name(settings)} is unknown: use one of {', '.join(known)}")
+        raise UserError(
+            f"config '{settings.config}' of {set_name(settings)} is unknown: use one of {', '.join(known)}"
+        )
     if settings == known[settings.config] and sensor == sensor_of(settings.config):
         return settings.config
     return f"custom-{fingerprint(settings, sensor)}"
@@ -130,7 +167,12 @@ def config_name(settings: Settings, sensor: Sensor = TACTIP_331) -> str:
 
 def set_folder(settings: Settings, sensor: Sensor, data_dir: Path) -> Path:
     """Where a finished set lies, as TFDS names it: <data_dir>/<set>/<config>/<version>."""
-    return Path(data_dir).absolute() / set_name(settings) / config_name(settings, sensor) / version_of(settings)
+    return (
+        Path(data_dir).absolute()
+        / set_name(settings)
+        / config_name(settings, sensor)
+        / version_of(settings)
+    )
 
 
 def unfinished_folder(settings: Settings, sensor: Sensor, data_dir: Path) -> Path:

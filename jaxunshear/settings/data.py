@@ -33,8 +33,12 @@ class Ranges:
     depth_min_mm: float = 1.0  # indentation depth from this
     depth_max_mm: float = 6.0  # to this
     move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
-    twist_deg: float = 0.0  # a slide turns within +- this while it moves, and ends at the pose's yaw
-    tilt_deg: float = 0.0  # the sensor leans by up to this, any way: the same from first touch to the slide's end
+    twist_deg: float = (
+        0.0  # a slide turns within +- this while it moves, and ends at the pose's yaw
+    )
+    tilt_deg: float = (
+        0.0  # the sensor leans by up to this, any way: the same from first touch to the slide's end
+    )
 
     def rules(self) -> Iterator[Rule]:
         """What a sensor can reach is for `rules.py`."""
@@ -54,7 +58,9 @@ class Ranges:
         )
 
 
-DRIFTING = Nuisance(drift_px=1.0, drift_brightness=0.1)  # a set is recorded over days (paper section 3.2.2)
+DRIFTING = Nuisance(
+    drift_px=1.0, drift_brightness=0.1
+)  # a set is recorded over days (paper section 3.2.2)
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,9 @@ class PairedData:
     taps: int = 1  # canonical images a pose
     slides: int = 2  # sheared images a pose
     poses_a_slide: int = 1  # so many poses of a split share their slides (`dataset/factorial.py`)
-    tap_depth_jitter_mm: float = 0.0  # a tap misses its slide's depth by up to this (the paper: 1.0)
+    tap_depth_jitter_mm: float = (
+        0.0  # a tap misses its slide's depth by up to this (the paper: 1.0)
+    )
     seed: int = 0  # of poses and slides
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
@@ -83,9 +91,21 @@ class PairedData:
     def rules(self) -> Iterator[Rule]:
         yield from _simulated(self)
         yield self.taps >= 1, "taps", "use at least 1: a sheared image needs a tap to pair with"
-        yield self.poses_a_slide >= 1, "poses_a_slide", "use at least 1: a slide belongs to one pose at least"
-        yield self.slides >= 1, "slides", "use at least 1: without slides there is nothing to unshear"
-        yield self.taps <= self.slides, "taps", f"exceeds slides ({self.slides}): some would never be paired"
+        yield (
+            self.poses_a_slide >= 1,
+            "poses_a_slide",
+            "use at least 1: a slide belongs to one pose at least",
+        )
+        yield (
+            self.slides >= 1,
+            "slides",
+            "use at least 1: without slides there is nothing to unshear",
+        )
+        yield (
+            self.taps <= self.slides,
+            "taps",
+            f"exceeds slides ({self.slides}): some would never be paired",
+        )
         yield (
             0 <= self.tap_depth_jitter_mm <= self.ranges.depth_min_mm,
             "tap_depth_jitter_mm",
@@ -119,9 +139,17 @@ class PoseData:
 def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
     yield len(data.stimuli) > 0, "stimuli", "name at least one"
     yield len(set(data.names)) == len(data.names), "stimuli", "name each stimulus once"
-    yield data.poses >= BLOCK, "poses", f"use at least {BLOCK}, so that each of the three splits gets a pose"
+    yield (
+        data.poses >= BLOCK,
+        "poses",
+        f"use at least {BLOCK}, so that each of the three splits gets a pose",
+    )
     yield seed_rule(data.seed)
-    yield data.friction is None or data.friction >= 0, "friction", "use 0 or more, or none for each material's own"
+    yield (
+        data.friction is None or data.friction >= 0,
+        "friction",
+        "use 0 or more, or none for each material's own",
+    )
     camera, nuisance = data.camera, data.nuisance
     yield (
         data.preprocess.size <= camera.frame_px,
@@ -136,7 +164,10 @@ def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
         )
 
 
-RENDERED = ("rendered", "simulated")  # pairings that take a renderer; the latter for test slides alone
+RENDERED = (
+    "rendered",
+    "simulated",
+)  # pairings that take a renderer; the latter for test slides alone
 
 
 @dataclass(frozen=True)
@@ -172,7 +203,11 @@ class Recorded:
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def rules(self) -> Iterator[Rule]:
-        yield bool(self.tap_folder or self.slide_folder), "tap_folder", "name your recordings: add --recordings DIR"
+        yield (
+            bool(self.tap_folder or self.slide_folder),
+            "tap_folder",
+            "name your recordings: add --recordings DIR",
+        )
         yield (
             bool(self.pairs) == (self.pairing == "file"),
             "pairs",

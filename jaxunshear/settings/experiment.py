@@ -6,7 +6,14 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import RENDERED, PairedData, PoseData, Recorded, RecordedTaps, seed_rule
+from jaxunshear.settings.data import (
+    RENDERED,
+    PairedData,
+    PoseData,
+    Recorded,
+    RecordedTaps,
+    seed_rule,
+)
 from jaxunshear.settings.networks import PinNet, PoseNet, UnshearNet
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
@@ -63,30 +70,46 @@ class Experiment:
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
-    unseen: tuple[Touched, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
-    other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
+    unseen: tuple[
+        Touched, ...
+    ] = ()  # stimuli that no network sees in training, evaluated as a test of their own
+    other_jitters_mm: tuple[
+        float, ...
+    ] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
     other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
     sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
-    targets: tuple[str, ...] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
+    targets: tuple[
+        str, ...
+    ] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
     paired: PairedData | Recorded = field(default_factory=PairedData)
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
     # all networks over pins: those of `unshear.input` "pins", and the renderer
     pins: PinNet = field(default_factory=PinNet)
-    train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
+    train: Training = field(
+        default_factory=Training
+    )  # UnshearNets, and the U-Net of the same widths
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
     train_pins: Training = PINS  # networks over pins, in the place of the first two
 
     def rules(self) -> Iterator[Rule]:
         named = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name)
-        yield named is not None, "name", "use letters, digits, '-', '_' and '.'; it names the folder of the results"
+        yield (
+            named is not None,
+            "name",
+            "use letters, digits, '-', '_' and '.'; it names the folder of the results",
+        )
         yield seed_rule(self.seed)
         yield len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
         yield len(set(self.networks)) == len(self.networks), "networks", "name each network once"
-        yield len(set(stimulus_names(self.unseen))) == len(self.unseen), "unseen", "name each stimulus once"
+        yield (
+            len(set(stimulus_names(self.unseen))) == len(self.unseen),
+            "unseen",
+            "name each stimulus once",
+        )
 
 
 def recorded_of(experiment: Experiment) -> Recorded | None:
@@ -97,7 +120,9 @@ def recorded_of(experiment: Experiment) -> Recorded | None:
 def simulated_of(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
     """The simulated sets of an experiment. Raises UserError where it is about recordings, which `what` cannot use."""
     if isinstance(experiment.paired, Recorded) or isinstance(experiment.pose, RecordedTaps):
-        raise UserError(f"{what} needs a model of simulated touches: '{experiment.name}' learnt from recordings")
+        raise UserError(
+            f"{what} needs a model of simulated touches: '{experiment.name}' learnt from recordings"
+        )
     return experiment.paired, experiment.pose
 
 
@@ -114,7 +139,10 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     reader = (POSENET_SHEARED,) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
-    drawn = over_pins(experiment) and set(OF_TAPS) & {*experiment.networks, *taught}  # learn from rendered taps, too
+    drawn = over_pins(experiment) and set(OF_TAPS) & {
+        *experiment.networks,
+        *taught,
+    }  # learn from rendered taps, too
     direct = (
         recorded is not None
         and recorded.direct_taps == "rendered"
@@ -139,7 +167,10 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 
 def takes_taps(experiment: Experiment) -> bool:
     """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
-    return any(name in OF_TAPS or training_of(experiment, name).tap_weight > 0 for name in trained(experiment))
+    return any(
+        name in OF_TAPS or training_of(experiment, name).tap_weight > 0
+        for name in trained(experiment)
+    )
 
 
 def training_of(experiment: Experiment, network: str) -> Training:
@@ -170,7 +201,9 @@ def further_tests(experiment: Experiment) -> dict[str, PairedData]:
     for jitter in experiment.other_jitters_mm:
         tests[f"depth_{jitter:g}mm"] = replace(fifth, tap_depth_jitter_mm=jitter)
     for twist in experiment.other_twists_deg:
-        tests[f"twist_{twist:g}deg"] = replace(fifth, ranges=replace(paired.ranges, twist_deg=twist))
+        tests[f"twist_{twist:g}deg"] = replace(
+            fifth, ranges=replace(paired.ranges, twist_deg=twist)
+        )
     for tilt in experiment.other_tilts_deg:
         tests[f"tilt_{tilt:g}deg"] = replace(fifth, ranges=replace(paired.ranges, tilt_deg=tilt))
     return tests

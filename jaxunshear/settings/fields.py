@@ -14,7 +14,16 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import Sensor, sensor_named
-from jaxunshear.settings.types import Hint, Value, choices, describe, groups, hints, optional, origin
+from jaxunshear.settings.types import (
+    Hint,
+    Value,
+    choices,
+    describe,
+    groups,
+    hints,
+    optional,
+    origin,
+)
 from jaxunshear.storage import Json
 
 NOT_SET = ("config", "digest")
@@ -44,7 +53,9 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
     words = iter(argv)
     for word in words:
         if not word.startswith("--"):
-            raise UserError(f"argument '{word}' is not understood: fields are changed by --name value")
+            raise UserError(
+                f"argument '{word}' is not understood: fields are changed by --name value"
+            )
         name, equals, text = word[2:].partition("=")
         if name not in kinds:
             raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
@@ -56,7 +67,9 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
     return pairs
 
 
-def split_overrides(argv: Sequence[str], own: Iterable[str], flags: Iterable[str]) -> tuple[list[str], list[str]]:
+def split_overrides(
+    argv: Sequence[str], own: Iterable[str], flags: Iterable[str]
+) -> tuple[list[str], list[str]]:
     """Parts a command line: what argparse reads, and every `--name value` where --name is not of `own`.
 
     No value follows `flags`.
@@ -68,7 +81,9 @@ def split_overrides(argv: Sequence[str], own: Iterable[str], flags: Iterable[str
         is_field = word.startswith("--") and word.partition("=")[0] not in own
         (fields if is_field else kept).append(word)
         if word.startswith("--") and "=" not in word and word not in flags:
-            (fields if is_field else kept).extend([value] if (value := next(words, None)) is not None else [])
+            (fields if is_field else kept).extend(
+                [value] if (value := next(words, None)) is not None else []
+            )
     return kept, fields
 
 
@@ -95,7 +110,12 @@ def show(value: object) -> str:
     if isinstance(value, Sensor):
         return value.name
     if isinstance(value, tuple):
-        return ",".join(":".join(map(str, item)) if isinstance(item, tuple) else str(item) for item in value) or "''"
+        return (
+            ",".join(
+                ":".join(map(str, item)) if isinstance(item, tuple) else str(item) for item in value
+            )
+            or "''"
+        )
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -105,21 +125,25 @@ def _suggestion(name: str, kinds: Iterable[str]) -> str:
         return ": a configuration is chosen by the experiment's file; run another one, or change its fields"
     inside = [kind for kind in kinds if kind.startswith(name + ".")]
     if inside:
-        return (
-            f": it is a group, with {', '.join('--' + kind for kind in inside[:4])}{', ...' if len(inside) > 4 else ''}"
-        )
+        return f": it is a group, with {', '.join('--' + kind for kind in inside[:4])}{', ...' if len(inside) > 4 else ''}"
     last = [kind for kind in kinds if kind.rpartition(".")[2] == name.rpartition(".")[2]]
     near = (
         difflib.get_close_matches(name, kinds, n=1, cutoff=0.7)
         or last[:3]
         or difflib.get_close_matches(name, kinds, n=1)
     )
-    return f": did you mean {' or '.join('--' + kind for kind in near)}?" if near else ": see `jaxunshear run --help`"
+    return (
+        f": did you mean {' or '.join('--' + kind for kind in near)}?"
+        if near
+        else ": see `jaxunshear run --help`"
+    )
 
 
 def _replaced(node: Any, path: list[str], value: object) -> Any:
     if not hasattr(node, path[0]):
-        raise UserError(f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields")
+        raise UserError(
+            f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields"
+        )
     if len(path) > 1:
         value = _replaced(getattr(node, path[0]), path[1:], value)
     return dataclasses.replace(node, **{path[0]: value})
@@ -141,7 +165,9 @@ def _parsed(text: str, kind: Hint) -> Value:
         if more[-1:] == [...]:
             return tuple(_parsed(item.strip(), first) for item in text.split(",")) if text else ()
         items = text.split(":")
-        return tuple(_parsed(item.strip(), part) for item, part in zip(items, (first, *more), strict=True))
+        return tuple(
+            _parsed(item.strip(), part) for item, part in zip(items, (first, *more), strict=True)
+        )
     if kind is bool:
         if text.lower() not in ("true", "false"):
             raise ValueError

@@ -25,9 +25,17 @@ class Camera:
     housing: float = 1.22
 
     def rules(self) -> Iterator[Rule]:
-        yield SMALLEST_PX <= self.frame_px <= LARGEST_PX, "frame_px", f"use {SMALLEST_PX} to {LARGEST_PX}"
+        yield (
+            SMALLEST_PX <= self.frame_px <= LARGEST_PX,
+            "frame_px",
+            f"use {SMALLEST_PX} to {LARGEST_PX}",
+        )
         yield self.mm_across > 0, "mm_across", "must be above zero"
-        yield self.housing >= 1, "housing", "use 1 or more: the housing lies outside the outermost pins"
+        yield (
+            self.housing >= 1,
+            "housing",
+            "use 1 or more: the housing lies outside the outermost pins",
+        )
 
 
 FLUSH_CAMERA = Camera(mm_across=35.3)  # frames the wider ring of `sensor.TACTIP_331_FLUSH` alike
@@ -50,7 +58,11 @@ class Nuisance:
     def rules(self) -> Iterator[Rule]:
         yield 0 <= self.specks <= 1000, "specks", "use 0 to 1000"
         for field in ("noise", "brightness", "drift_brightness"):
-            yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1 (fractions of full scale)"
+            yield (
+                0 <= getattr(self, field) < 1,
+                field,
+                "use 0 up to, but not, 1 (fractions of full scale)",
+            )
 
 
 @dataclass(frozen=True)
@@ -59,14 +71,28 @@ class Preprocess:
 
     size: int = 128  # output pixels, square
     block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
-    offset: float = 0.08  # a pixel is white if it exceeds the local mean by this fraction of full scale
+    offset: float = (
+        0.08  # a pixel is white if it exceeds the local mean by this fraction of full scale
+    )
     mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
     outer_pins: float = 0.375
 
     def rules(self) -> Iterator[Rule]:
-        yield SMALLEST_PX <= self.size <= LARGEST_PX, "size", f"use {SMALLEST_PX} to {LARGEST_PX} px"
+        yield (
+            SMALLEST_PX <= self.size <= LARGEST_PX,
+            "size",
+            f"use {SMALLEST_PX} to {LARGEST_PX} px",
+        )
         yield 0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1"
         yield -1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1"
-        yield 0 < self.outer_pins <= 0.5, "outer_pins", "use a fraction of the image above 0, at most 0.5"
-        yield 0 < self.mask_radius <= 1, "mask_radius", "use a fraction of the image above 0, at most 1"
+        yield (
+            0 < self.outer_pins <= 0.5,
+            "outer_pins",
+            "use a fraction of the image above 0, at most 0.5",
+        )
+        yield (
+            0 < self.mask_radius <= 1,
+            "mask_radius",
+            "use a fraction of the image above 0, at most 1",
+        )

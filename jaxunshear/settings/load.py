@@ -37,13 +37,19 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
     for name, kind in kinds.items():
         found = variables.get(name)
         if found is not None and not isinstance(found, kind):
-            raise UserError(f"experiment file {path}: `{name}` is of type {type(found).__name__}, not {kind.__name__}")
+            raise UserError(
+                f"experiment file {path}: `{name}` is of type {type(found).__name__}, not {kind.__name__}"
+            )
         if found is not None:
             return found
     if "sweep" in variables:
-        raise UserError(f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`")
+        raise UserError(
+            f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`"
+        )
     name, kind = next(iter(kinds.items()))
-    raise UserError(f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)")
+    raise UserError(
+        f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)"
+    )
 
 
 @contextlib.contextmanager
@@ -56,7 +62,10 @@ def _neighbours(path: Path) -> Iterator[None]:
     finally:
         sys.path[:] = places
         for name in set(sys.modules) - before:
-            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent in (folder, folder.parent):
+            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent in (
+                folder,
+                folder.parent,
+            ):
                 del sys.modules[name]
 
 
@@ -65,6 +74,10 @@ def _failure(path: Path, error: BaseException) -> str:
         return "is not text: name a Python file"
     if isinstance(error, SyntaxError):
         return f"has a syntax error in line {error.lineno}: {error.msg}"
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(path)
+    ]
     where = f" in line {lines[-1]}" if lines else ""
     return f"fails{where}: {type(error).__name__}: {' '.join(str(error).split())}"

@@ -24,10 +24,16 @@ class UnshearNet:
     # both codes are numbers without place; z_s has an encoder of its own, and DS teaches neither code
     apart: bool = False
     disentangled: bool = True  # of a network built from these settings; experiments leave it
-    input: Literal["images", "pins"] = "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
+    input: Literal["images", "pins"] = (
+        "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
+    )
 
     def rules(self) -> Iterator[Rule]:
-        yield len(self.widths) > 1 and min(self.widths) >= 1, "widths", "list at least two positive numbers"
+        yield (
+            len(self.widths) > 1 and min(self.widths) >= 1,
+            "widths",
+            "list at least two positive numbers",
+        )
         halvings = 2 ** len(self.widths)
         yield (
             self.size % halvings == 0,
@@ -35,7 +41,11 @@ class UnshearNet:
             f"is not divisible by {halvings}: each of the {len(self.widths)} widths halves the image",
         )
         yield self.pose_channels >= 1, "pose_channels", "must be at least 1"
-        yield self.shear_channels >= 0, "shear_channels", "must not be below zero; 0 builds no shear code"
+        yield (
+            self.shear_channels >= 0,
+            "shear_channels",
+            "must not be below zero; 0 builds no shear code",
+        )
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:
@@ -63,7 +73,11 @@ class PoseNet:
     def rules(self) -> Iterator[Rule]:
         yield len(self.widths) == 5, "widths", "list five: PoseNet has five convolutions"
         yield min(self.widths) >= 1, "widths", "list positive numbers"
-        yield self.size % 16 == 0, "size", "is no multiple of 16, which PoseNet's strides and pooling need"
+        yield (
+            self.size % 16 == 0,
+            "size",
+            "is no multiple of 16, which PoseNet's strides and pooling need",
+        )
         yield self.hidden >= 1, "hidden", "must be at least 1"
 
 
@@ -77,7 +91,9 @@ class PinNet:
     convolved: tuple[int, ...] = ()
     # the same of posenet_sheared, which learns poses of slides directly; other PoseNets are dense
     direct_convolved: tuple[int, ...] = ()
-    noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
+    noise_px: float = (
+        0.08  # added to the pins of training examples: as much as finding them errs by
+    )
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too
     turned: float = 0.0

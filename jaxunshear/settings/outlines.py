@@ -26,7 +26,9 @@ GRID_MM = 0.25  # between the points at which a function is asked
 
 def touched(text: str) -> Touched:
     """What a text means where a stimulus is named: the outline in a file, or else a name, right or wrong. Raises UserError."""
-    return read_outline(Path(text)) if Path(text).suffix.lower() in FILES else cast(StimulusName, text)
+    return (
+        read_outline(Path(text)) if Path(text).suffix.lower() in FILES else cast(StimulusName, text)
+    )
 
 
 def read_outline(file: Path) -> Outline:
@@ -36,7 +38,9 @@ def read_outline(file: Path) -> Outline:
     Raises UserError.
     """
     if not file.is_file():
-        raise UserError(f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)")
+        raise UserError(
+            f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)"
+        )
     fields = {".svg": _of_drawing, ".csv": _of_table, ".json": _of_json}[file.suffix.lower()](file)
     try:
         return Outline(**{"name": file.stem, **fields})
@@ -63,7 +67,9 @@ def traced(
     grid = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1)
     values = np.asarray(distance(grid.reshape(-1, 2)), float)
     if values.shape != (len(line) ** 2,) or not np.isfinite(values).all():
-        raise UserError(f"outline '{name}': its function must give one finite number for each row x, y")
+        raise UserError(
+            f"outline '{name}': its function must give one finite number for each row x, y"
+        )
     values = values.reshape(len(line), -1)
     if min(values[[0, -1]].min(), values[:, [0, -1]].min()) <= 0:
         raise UserError(f"outline '{name}' goes beyond within_mm = {within_mm:g}: raise it")
@@ -96,7 +102,9 @@ def _of_table(file: Path) -> dict[str, Any]:
         rows = rows[1:] if rows and re.match(r"[A-Za-z]", rows[0][0]) else rows  # a head
         return {"points": tuple(tuple(float(value) for value in row) for row in rows)}
     except (OSError, ValueError) as error:
-        raise UserError(f"outline {file} cannot be read ({error}): write x and y in mm, a point a line") from None
+        raise UserError(
+            f"outline {file} cannot be read ({error}): write x and y in mm, a point a line"
+        ) from None
 
 
 def _of_json(file: Path) -> dict[str, Any]:
@@ -104,7 +112,9 @@ def _of_json(file: Path) -> dict[str, Any]:
     fields = found if isinstance(found, dict) else {"points": found}
     odd = sorted(fields.keys() - {"name", "points", "target", "friction"})
     if odd or "points" not in fields:
-        raise UserError(f"outline {file} must be a list of [x, y], or have points, and may have name, target, friction")
+        raise UserError(
+            f"outline {file} must be a list of [x, y], or have points, and may have name, target, friction"
+        )
     return fields
 
 
@@ -119,11 +129,17 @@ def _of_drawing(file: Path) -> dict[str, Any]:
         drawing.draw(pen)
         curves = [curve for curve in _curves(pen.value) if len(curve) > 1]
     except Exception as error:  # of the XML parser, or of any path in it
-        raise UserError(f"outline {file} is no drawing that can be read ({' '.join(str(error).split())})") from None
+        raise UserError(
+            f"outline {file} is no drawing that can be read ({' '.join(str(error).split())})"
+        ) from None
     if any("transform" in part.attrib for part in drawing.root.iter()):
-        raise UserError(f"outline {file} has transforms: apply them in the drawing program, as by ungrouping")
+        raise UserError(
+            f"outline {file} has transforms: apply them in the drawing program, as by ungrouping"
+        )
     if len(curves) != 1:
-        raise UserError(f"outline {file} has {len(curves)} paths: leave the one that goes around the shape")
+        raise UserError(
+            f"outline {file} has {len(curves)} paths: leave the one that goes around the shape"
+        )
     return {"points": _plain(simplified(curves[0] * [scale, -scale], CLOSE_MM))}
 
 
@@ -132,7 +148,11 @@ def _mm_a_unit(root: Element) -> float:
     width = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|cm|in)\s*", root.attrib.get("width", ""))
     if not width or "viewBox" not in root.attrib:
         return 1.0
-    return float(width[1]) * MM[width[2]] / float(re.split(r"[,\s]+", root.attrib["viewBox"].strip())[2])
+    return (
+        float(width[1])
+        * MM[width[2]]
+        / float(re.split(r"[,\s]+", root.attrib["viewBox"].strip())[2])
+    )
 
 
 def _curves(drawn: list[tuple[str, tuple]]) -> Iterator[np.ndarray]:

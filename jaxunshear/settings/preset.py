@@ -26,10 +26,14 @@ class Preset:
 def read_preset(file: Path) -> Preset:
     """The field `preset` of a calibration.json. Raises UserError."""
     if not file.is_file():
-        raise UserError(f"--sensor-from {file} is no file: name a calibration.json of `jaxunshear calibrate`")
+        raise UserError(
+            f"--sensor-from {file} is no file: name a calibration.json of `jaxunshear calibrate`"
+        )
     stored = read_json(file)
     if not isinstance(stored, dict) or "preset" not in stored:
-        raise UserError(f"--sensor-from {file} holds no preset: name a calibration.json of `jaxunshear calibrate`")
+        raise UserError(
+            f"--sensor-from {file} holds no preset: name a calibration.json of `jaxunshear calibrate`"
+        )
     return build(stored["preset"], Preset, f"--sensor-from {file}", "preset")
 
 
@@ -42,5 +46,7 @@ def with_preset(experiment: Experiment, file: Path) -> Experiment:
         experiment,
         sensor=preset.sensor,
         paired=replace(paired, camera=camera, friction=preset.friction),
-        pose=replace(pose, camera=replace(camera, frame_px=pose.camera.frame_px), friction=preset.friction),
+        pose=replace(
+            pose, camera=replace(camera, frame_px=pose.camera.frame_px), friction=preset.friction
+        ),
     )

@@ -6,7 +6,9 @@ A network of another name needs an entry here, the settings that build it in `tr
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Network = Literal["entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"]
+Network = Literal[
+    "entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"
+]
 ENTANGLED: Final = "entangled"
 DISENTANGLED: Final = "disentangled"
 POSENET: Final = "posenet"
@@ -15,7 +17,9 @@ UNET: Final = "unet"
 POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
 # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
 TEACHER: Final = "posenet_teacher"
-RENDERER: Final = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
+RENDERER: Final = (
+    "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
+)
 
 CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
@@ -32,7 +36,9 @@ class Kind:
     title: str = ""  # of its images in tables and figures
     codes: bool = False  # it depends on how many numbers the codes have
     over_pins: bool = True  # whether it may read pins in the place of images
-    released: tuple[str, ...] | None = None  # the parts that go with released weights, () for all of it; None: it stays
+    released: tuple[str, ...] | None = (
+        None  # the parts that go with released weights, () for all of it; None: it stays
+    )
 
 
 _UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
@@ -41,7 +47,9 @@ REGISTRY = {
     for kind in (
         Kind(RENDERER, "renders", "taps", _UNSHEARS),
         Kind(TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")),
-        Kind(ENTANGLED, "unshears", "pairs", _UNSHEARS, "entangled", released=("E", "DC", *CONSTANTS)),
+        Kind(
+            ENTANGLED, "unshears", "pairs", _UNSHEARS, "entangled", released=("E", "DC", *CONSTANTS)
+        ),
         Kind(
             DISENTANGLED,
             "unshears",
@@ -51,7 +59,13 @@ REGISTRY = {
             codes=True,
             released=("E", "pose", "DC", *CONSTANTS),
         ),
-        Kind(POSENET, "reads poses", "taps", ("paired", "unshear", "train", "train_teacher"), released=()),
+        Kind(
+            POSENET,
+            "reads poses",
+            "taps",
+            ("paired", "unshear", "train", "train_teacher"),
+            released=(),
+        ),
         Kind(
             ENTANGLED_LARGE,
             "unshears",
@@ -62,13 +76,29 @@ REGISTRY = {
             over_pins=False,
         ),
         Kind(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", over_pins=False),
-        Kind(POSENET_SHEARED, "reads poses", "slides", ("pose", "unshear", "train", "train_teacher"), released=()),
+        Kind(
+            POSENET_SHEARED,
+            "reads poses",
+            "slides",
+            ("pose", "unshear", "train", "train_teacher"),
+            released=(),
+        ),
     )
 }
 TRAINABLE = tuple(REGISTRY)
 NETWORKS: tuple[Network, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
-ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # and rivals
-UNSHEARING = (ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED)  # the last that a run has is the one it is about
+ALL_NETWORKS: tuple[Network, ...] = (
+    *NETWORKS,
+    ENTANGLED_LARGE,
+    UNET,
+    POSENET_SHEARED,
+)  # and rivals
+UNSHEARING = (
+    ENTANGLED,
+    ENTANGLED_LARGE,
+    UNET,
+    DISENTANGLED,
+)  # the last that a run has is the one it is about
 POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.does == "reads poses")
 OF_TAPS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
 PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].over_pins)

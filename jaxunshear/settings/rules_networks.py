@@ -37,14 +37,21 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
         "unshear.disentangled",
         "both networks are trained from these settings: to train one of them use `--networks entangled`",
     )
-    yield not pins.turned or over_pins(experiment), "pins.turned", "is for networks over pins: leave it at 0"
     yield (
-        not pins.turned or recorded_of(experiment) is None or POSENET_SHEARED in trained(experiment),
+        not pins.turned or over_pins(experiment),
+        "pins.turned",
+        "is for networks over pins: leave it at 0",
+    )
+    yield (
+        not pins.turned
+        or recorded_of(experiment) is None
+        or POSENET_SHEARED in trained(experiment),
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
     yield (
-        not pins.direct_convolved or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
+        not pins.direct_convolved
+        or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
         "pins.direct_convolved",
         "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
     )
@@ -111,7 +118,8 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
         )
         yield not weight or shared or field != "swap_weight", f"train.{field}", share
         yield (
-            not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
+            not getattr(training, field)
+            or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
             f"train_pins.{field}",
             "takes a shear code, and pins as they are: raise pins.shear_code, leave pins.turned at 0",
         )
@@ -127,7 +135,8 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
         "is of networks over images: use pins.apart",
     )
     yield (
-        not experiment.unshear.apart or (experiment.train.slide_weight > 0 and experiment.unshear.shear_channels > 0),
+        not experiment.unshear.apart
+        or (experiment.train.slide_weight > 0 and experiment.unshear.shear_channels > 0),
         "unshear.apart",
         "leaves z_s to learn from the slide alone: raise train.slide_weight and unshear.shear_channels",
     )
@@ -135,8 +144,16 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
 
 def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     """What learning from a share of the pairs takes, and from taps without a slide."""
-    simulated, over_images, training = recorded_of(experiment) is None, experiment.train, experiment.train_pins
-    yield over_images.paired_share == 1, "train.paired_share", "is for networks over pins: leave it at 1"
+    simulated, over_images, training = (
+        recorded_of(experiment) is None,
+        experiment.train,
+        experiment.train_pins,
+    )
+    yield (
+        over_images.paired_share == 1,
+        "train.paired_share",
+        "is for networks over pins: leave it at 1",
+    )
     yield (
         training.paired_share == 1 or simulated,
         "train_pins.paired_share",
@@ -149,14 +166,19 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     )
     for field in ("tap_weight", "alike_weight"):
         weight = getattr(training, field)
-        yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not getattr(over_images, field),
+            f"train.{field}",
+            "is for networks over pins: leave it at 0",
+        )
         yield (
             not weight or (simulated and not experiment.pins.turned),
             f"train_pins.{field}",
             "takes simulated pins as they are: leave it at 0, or pins.turned",
         )
     yield (
-        not training.alike_weight or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
+        not training.alike_weight
+        or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
         "train_pins.alike_weight",
         "takes two slides to a pose: raise paired.slides",
     )
@@ -165,7 +187,11 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
 def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
     for field in PAIR_LOSSES:
         value, unused = getattr(training, field), getattr(Training, field)
-        yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
+        yield (
+            value == unused,
+            f"{name}.{field}",
+            f"is for networks that unshear: leave it at {_plain(unused)}",
+        )
 
 
 def _plain(value: float | str) -> str:

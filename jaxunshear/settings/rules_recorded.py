@@ -51,8 +51,16 @@ def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         "targets",
         f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
     )
-    yield not slides or not experiment.pins.turned, "pins.turned", f"does not turn {', '.join(slides)}: leave it at 0"
+    yield (
+        not slides or not experiment.pins.turned,
+        "pins.turned",
+        f"does not turn {', '.join(slides)}: leave it at 0",
+    )
     yield from network_rules(experiment, recorded.preprocess, recorded.preprocess)
     for field in ("unseen", *FURTHER):
-        yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
+        yield (
+            not getattr(experiment, field),
+            field,
+            "is a test of simulated touches: leave it empty",
+        )
     yield from training_rules(experiment, ANY, ANY)

@@ -41,7 +41,8 @@ def simulated_rules(experiment: Experiment, paired: PairedData, pose: PoseData) 
     yield from training_rules(experiment, pairs, taps)
     yield (
         experiment.train.pose_target != "label"
-        or of_ranges(experiment.targets, paired.ranges) == of_ranges(experiment.targets, pose.ranges),
+        or of_ranges(experiment.targets, paired.ranges)
+        == of_ranges(experiment.targets, pose.ranges),
         "train.pose_target",
         "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
     )
@@ -63,7 +64,9 @@ def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterato
         f"use 0 to below {edge:.0f}, where the dome's contact ends",
     )
     deepest = deepest_touch_mm(sensor, ranges.tilt_deg)
-    leaning = f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
+    leaning = (
+        f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
+    )
     yield (
         ranges.depth_max_mm <= deepest,
         f"{group}ranges.depth_max_mm",
@@ -84,14 +87,24 @@ def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterato
 
 def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     outlines = {*paired.stimuli, *pose.stimuli}
-    twice = ", ".join(sorted({name for name in stimulus_names(outlines) if stimulus_names(outlines).count(name) > 1}))
+    twice = ", ".join(
+        sorted(
+            {name for name in stimulus_names(outlines) if stimulus_names(outlines).count(name) > 1}
+        )
+    )
     yield not twice, "pose.stimuli", f"two outlines are called {twice}: give each a name of its own"
-    seen = ", ".join(name for name in stimulus_names(experiment.unseen) if name in {*paired.names, *pose.names})
+    seen = ", ".join(
+        name for name in stimulus_names(experiment.unseen) if name in {*paired.names, *pose.names}
+    )
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     for field in FURTHER:
         names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
         yield len(set(names)) == len(names), field, "name each once"
-        for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
+        for data in (
+            data
+            for name, data in further_tests(experiment).items()
+            if name.startswith(FURTHER[field])
+        ):
             for holds, _, remedy in (*own_rules(data), *_reached(data, "", experiment.sensor)):
                 yield holds, field, remedy
             yield from _varied(experiment, data.ranges, field, "leaves nothing to predict")
@@ -111,7 +124,10 @@ def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iter
         yield stimulus not in touched or not hidden, "targets", remedy
     for ranges in (paired.ranges, pose.ranges):
         yield from _varied(
-            experiment, ranges, "targets", "there is none: the ranges of the poses leave nothing to predict"
+            experiment,
+            ranges,
+            "targets",
+            "there is none: the ranges of the poses leave nothing to predict",
         )
 
 

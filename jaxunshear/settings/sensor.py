@@ -21,7 +21,9 @@ class Sensor:
     """
 
     name: str = "tactip331"  # as which it is listed
-    layout: Literal["rings", "hexagonal"] = "rings"  # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
+    layout: Literal["rings", "hexagonal"] = (
+        "rings"  # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
+    )
     rings: int = 10  # of pins, around the one at the apex
     pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
     pin_radius_mm: float = 0.45  # of a white tip
@@ -48,9 +50,17 @@ class Sensor:
             "gel_modulus_mpa",
         ):
             yield 0 < getattr(self, field) < math.inf, field, "must be above zero, and finite"
-        yield 0 <= self.pin_length_mm < math.inf, "pin_length_mm", "must not be below zero, and finite"
+        yield (
+            0 <= self.pin_length_mm < math.inf,
+            "pin_length_mm",
+            "must not be below zero, and finite",
+        )
         for field in ("skin_poisson", "gel_poisson"):
-            yield 0 <= getattr(self, field) < 0.5, field, "use 0 up to, but not, 0.5 (exactly incompressible)"
+            yield (
+                0 <= getattr(self, field) < 0.5,
+                field,
+                "use 0 up to, but not, 0.5 (exactly incompressible)",
+            )
         yield (
             2 * self.pin_radius_mm < self.pin_spacing_mm,
             "pin_radius_mm",
@@ -70,15 +80,23 @@ class Sensor:
 
 
 TACTIP_331 = Sensor()
-TACTIP_127 = Sensor(name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6)
+TACTIP_127 = Sensor(
+    name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6
+)
 # Pins that end where they stand: they show where the skin moves, but not how it turns.
 TACTIP_331_FLUSH = replace(TACTIP_331, name="tactip331-flush", pin_length_mm=0.0)
 # Fitted by `jaxunshear calibrate` to 200 contacts of a real TacTip with an edge (docs/results/calibrate_edge_2d.json).
 TACTIP_331_FITTED = replace(
-    TACTIP_331, name="tactip331-fitted", pin_spacing_mm=2.18, pin_radius_mm=0.511, gel_modulus_mpa=0.00702
+    TACTIP_331,
+    name="tactip331-fitted",
+    pin_spacing_mm=2.18,
+    pin_radius_mm=0.511,
+    gel_modulus_mpa=0.00702,
 )
 FITTED_FRICTION = 0.386  # of that skin on that edge
-SENSORS = {sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED)}
+SENSORS = {
+    sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED)
+}
 
 
 def sensor_named(name: str) -> Sensor:

@@ -15,7 +15,9 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 
-StimulusName = Literal["disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"]
+StimulusName = Literal[
+    "disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"
+]
 # Of a pose, what shapes show that are alike in many places; all others show all of it.
 SHOWN = {
     "edge": ("x_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg", "tilt_x_deg", "tilt_y_deg"),
@@ -49,7 +51,9 @@ class Outline:
     friction: float = ABS_FRICTION
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,39}", self.name):
+        if not isinstance(self.name, str) or not re.fullmatch(
+            r"[A-Za-z0-9_][A-Za-z0-9_-]{0,39}", self.name
+        ):
             raise UserError(f"outline '{self.name}': name it by letters, digits, '-' and '_'")
         if self.name in typing.get_args(StimulusName):
             raise UserError(f"outline '{self.name}': there is a shape of this name: use another")
@@ -75,7 +79,11 @@ class Outline:
         return float(np.linalg.norm(self.points, axis=-1).max())
 
     def _numbers(self, field: str, rows: Iterable[Iterable[float]]) -> tuple:
-        wanted = {"points": "pairs x, y in mm", "target": "x and y in mm and degrees", "friction": "a number"}[field]
+        wanted = {
+            "points": "pairs x, y in mm",
+            "target": "x and y in mm and degrees",
+            "friction": "a number",
+        }[field]
         try:
             found = tuple(tuple(float(value) for value in row) for row in rows)
         except (TypeError, ValueError):
@@ -83,7 +91,9 @@ class Outline:
         if any(len(row) != {"points": 2, "target": 3, "friction": 1}[field] for row in found):
             raise UserError(f"outline '{self.name}': its {field} must be {wanted}")
         if not all(np.isfinite(row).all() for row in found):
-            raise UserError(f"outline '{self.name}': its {field} must be finite, not NaN or infinite")
+            raise UserError(
+                f"outline '{self.name}': its {field} must be finite, not NaN or infinite"
+            )
         return found
 
     def _complaint(self) -> str:
@@ -98,9 +108,7 @@ class Outline:
             return f"encloses less than {SMALLEST_MM2:g} mm²: make it larger; points are in mm"
         farthest = float(np.linalg.norm(corners - self.place[:2], axis=-1).max())
         if farthest > FARTHEST_MM:
-            return (
-                f"goes {farthest:.0f} mm from its target: make it smaller, at most {FARTHEST_MM:g} mm; points are in mm"
-            )
+            return f"goes {farthest:.0f} mm from its target: make it smaller, at most {FARTHEST_MM:g} mm; points are in mm"
         return ""
 
 
@@ -136,7 +144,9 @@ def _rightmost(points: np.ndarray) -> Target:
     last, length = int(np.argmax(at)), np.linalg.norm(after - corners, axis=-1)
     arc = np.append(0, np.cumsum(length))
     ends = arc[last] + share[last] * length[last] + np.array([-ABOUT_MM, ABOUT_MM])
-    before, behind = np.stack([np.interp(ends, arc[:-1], of, period=arc[-1]) for of in (x, y)], axis=-1)
+    before, behind = np.stack(
+        [np.interp(ends, arc[:-1], of, period=arc[-1]) for of in (x, y)], axis=-1
+    )
     along = behind - before
     return float(at[last]), height, float(np.degrees(np.arctan2(-along[0], along[1])))
 

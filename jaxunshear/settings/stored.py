@@ -24,7 +24,9 @@ def from_json(data: object, source: str = "experiment.json") -> Experiment:
 
     Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
     """
-    return build(without_version(data, source) if isinstance(data, dict) else data, Experiment, source, "")
+    return build(
+        without_version(data, source) if isinstance(data, dict) else data, Experiment, source, ""
+    )
 
 
 def with_version(settings: Json) -> Json:
@@ -52,7 +54,9 @@ def build(data: object, kind: Hint, source: str, name: str) -> Any:
     """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
     items = next(iter(typing.get_args(kind)), None) if origin(kind) is tuple else None
     if groups(items) and isinstance(data, list):
-        return tuple(item if isinstance(item, str) else build(item, items, source, name) for item in data)
+        return tuple(
+            item if isinstance(item, str) else build(item, items, source, name) for item in data
+        )
     if kinds := groups(kind):
         return _group(data, kinds, source, name)
     value = _tupled(data)
@@ -70,8 +74,13 @@ def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
     own = min(kinds, key=lambda each: len(_misfits(data, hints(each), name)))
     fields = hints(own)
     if misfits := _misfits(data, fields, name):
-        raise UserError(f"{source} does not fit version {__version__}: {', '.join(misfits)}; {OTHERS}: run it again")
-    parts = {field: build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in fields.items()}
+        raise UserError(
+            f"{source} does not fit version {__version__}: {', '.join(misfits)}; {OTHERS}: run it again"
+        )
+    parts = {
+        field: build(data[field], hint, source, f"{name}.{field}".lstrip("."))
+        for field, hint in fields.items()
+    }
     return own(**parts)
 
 
@@ -80,7 +89,10 @@ def _misfits(given: Json, fields: dict[str, Hint], group: str) -> list[str]:
     gone = {field: value for field, value in given.items() if field not in fields}
     lacking = fields.keys() - given.keys()
     return [
-        *(f"{group}.{field} = {value!r} is no setting".lstrip(".") for field, value in sorted(gone.items())),
+        *(
+            f"{group}.{field} = {value!r} is no setting".lstrip(".")
+            for field, value in sorted(gone.items())
+        ),
         *(f"{group}.{field} is missing".lstrip(".") for field in sorted(lacking)),
     ]
 

@@ -41,7 +41,9 @@ class Sweep:
     seeds: tuple[int, ...] = (0,)
     networks: tuple[Network, ...] | None = None  # trained in each row; None: those of the base
     ablation: bool = False  # whether the decoders are fed spoilt codes, too
-    reference: str | None = None  # label of the cell to compare with; None: that of the base's own values
+    reference: str | None = (
+        None  # label of the cell to compare with; None: that of the base's own values
+    )
 
 
 def load_sweep(path: str | Path) -> Sweep:
@@ -66,10 +68,17 @@ def with_overrides(sweep: Sweep, argv: Sequence[str]) -> Sweep:
     varied = [field for fields, _ in sweep.grid for field in names_of(fields)]
     for name, value in parse_overrides(argv):
         taken = next(
-            (field for field in varied if f"{field}.".startswith(f"{name}.") or name.startswith(f"{field}.")), None
+            (
+                field
+                for field in varied
+                if f"{field}.".startswith(f"{name}.") or name.startswith(f"{field}.")
+            ),
+            None,
         )
         if taken:
-            raise UserError(f"--{name}: sweep {sweep.name} varies {taken}; change its values in the file instead")
+            raise UserError(
+                f"--{name}: sweep {sweep.name} varies {taken}; change its values in the file instead"
+            )
         if name == "seed":
             raise UserError("--seed: a sweep has several; use --seeds 0,1,2")
         if name in ("name", "claim", "networks"):
@@ -87,7 +96,11 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 def base_of(sweep: Sweep) -> Experiment:
     """The base with the networks of the sweep."""
-    return sweep.base if sweep.networks is None else dataclasses.replace(sweep.base, networks=sweep.networks)
+    return (
+        sweep.base
+        if sweep.networks is None
+        else dataclasses.replace(sweep.base, networks=sweep.networks)
+    )
 
 
 def names_of(fields: Fields) -> tuple[str, ...]:
@@ -99,7 +112,10 @@ def check(sweep: Sweep, source: str) -> None:
     """Refuses, naming the file `source` and the field, a sweep that cannot be laid out. Its rows are checked one by one."""
     _check_form(sweep, source)
     validate(dataclasses.replace(base_of(sweep), name=sweep.name))
-    for fields in (*(fields for fields, _ in sweep.grid), *(fields for row in sweep.rows for fields, _ in row)):
+    for fields in (
+        *(fields for fields, _ in sweep.grid),
+        *(fields for row in sweep.rows for fields, _ in row),
+    ):
         for field in names_of(fields):
             replaced(sweep.base, field, None)  # refuses unknown names
 
@@ -113,7 +129,11 @@ def _check_form(sweep: Sweep, source: str) -> None:
 def _rules(sweep: Sweep) -> Iterator[Rule]:
     yield isinstance(sweep.name, str), "name", "is no text"
     yield isinstance(sweep.claim, str), "claim", "is no text"
-    yield isinstance(sweep.base, Experiment), "base", f"is of type {type(sweep.base).__name__}, not Experiment"
+    yield (
+        isinstance(sweep.base, Experiment),
+        "base",
+        f"is of type {type(sweep.base).__name__}, not Experiment",
+    )
     yield (
         isinstance(sweep.grid, tuple) and all(_is_change(axis) for axis in sweep.grid),
         "grid",
@@ -125,7 +145,11 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
             "grid",
             f"lists no values for {fields}: give a tuple of some",
         )
-        yield all(_suits(fields, value) for value in values), "grid", f"needs tuples of a value each for {fields}"
+        yield (
+            all(_suits(fields, value) for value in values),
+            "grid",
+            f"needs tuples of a value each for {fields}",
+        )
     yield (
         isinstance(sweep.rows, tuple)
         and all(isinstance(row, tuple) and all(map(_is_change, row)) for row in sweep.rows),
@@ -133,7 +157,8 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
         'is no tuple of rows (("field", value), ("field", value))',
     )
     yield (
-        isinstance(sweep.labels, tuple) and all(isinstance(label, str) and label for label in sweep.labels),
+        isinstance(sweep.labels, tuple)
+        and all(isinstance(label, str) and label for label in sweep.labels),
         "labels",
         "is no tuple of texts",
     )
@@ -149,27 +174,41 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
     twice = next((field for field in varied if varied.count(field) > 1), None)
     yield twice is None, "grid", f"varies {twice} on two axes"
     changed = [field for row in sweep.rows for fields, _ in row for field in names_of(fields)]
-    for place, field in (*(("grid", field) for field in varied), *(("rows", field) for field in changed)):
+    for place, field in (
+        *(("grid", field) for field in varied),
+        *(("rows", field) for field in changed),
+    ):
         yield field not in ("name", "claim"), place, f"varies {field}, which decides nothing"
         yield field != "seed", place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
     seeds = sweep.seeds
     yield (
         isinstance(seeds, tuple)
         and len(seeds) > 0
-        and all(isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= MOST_SEED for seed in seeds),
+        and all(
+            isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= MOST_SEED
+            for seed in seeds
+        ),
         "seeds",
         f"(or --seeds) is no tuple of integers from 0 to {MOST_SEED}",
     )
     yield len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice"
     yield isinstance(sweep.ablation, bool), "ablation", "is neither True nor False"
-    yield sweep.reference is None or isinstance(sweep.reference, str), "reference", "is no label of a cell"
+    yield (
+        sweep.reference is None or isinstance(sweep.reference, str),
+        "reference",
+        "is no label of a cell",
+    )
 
 
 def _is_change(pair: object) -> bool:
     if not isinstance(pair, tuple) or len(pair) != 2:
         return False
     fields = pair[0]
-    several = isinstance(fields, tuple) and len(fields) > 0 and all(isinstance(field, str) for field in fields)
+    several = (
+        isinstance(fields, tuple)
+        and len(fields) > 0
+        and all(isinstance(field, str) for field in fields)
+    )
     return isinstance(fields, str) or several
 
 

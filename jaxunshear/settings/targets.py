@@ -29,7 +29,10 @@ SIMULATED = {  # name: the field of a simulated set and its column
     "tilt_x_deg": ("pose", 4),
     "tilt_y_deg": ("pose", 5),
 }
-RECORDED = {name: ("pose", i) for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))}
+RECORDED = {
+    name: ("pose", i)
+    for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))
+}
 # of recorded slides, in the labels' own frame; of simulated ones, in the sensor's
 SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()}
 FELT = {name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))}
@@ -67,7 +70,9 @@ def parsed(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
         raise UserError(f"target '{name}' is unknown: use {', '.join(known)}")
     kind = more[0] if more else None
     if kind not in (None, RANGE, CIRCLE) or len(more) > 2:
-        raise UserError(f"target '{text}' is not understood: write {name}, {name}:{RANGE} or {name}:{CIRCLE}:2")
+        raise UserError(
+            f"target '{text}' is not understood: write {name}, {name}:{RANGE} or {name}:{CIRCLE}:2"
+        )
     if kind == CIRCLE and not name.endswith("_deg"):
         raise UserError(f"target '{text}': only an angle goes round a circle; write {name}:{RANGE}")
     try:
@@ -87,7 +92,10 @@ def of_ranges(wanted: Sequence[str], ranges: Ranges) -> Targets:
         "y_mm": (-lateral, lateral),
         "yaw_deg": (-ranges.yaw_deg, ranges.yaw_deg),
         "depth_mm": depth,
-        "edge_mm": (-(2**0.5) * lateral, 2**0.5 * lateral),  # the target point lies on the edge: a bound
+        "edge_mm": (
+            -(2**0.5) * lateral,
+            2**0.5 * lateral,
+        ),  # the target point lies on the edge: a bound
         "edge_deg": (-180.0, 180.0) if lateral or ranges.yaw_deg else (0.0, 0.0),
         "tilt_x_deg": (-ranges.tilt_deg, ranges.tilt_deg),
         "tilt_y_deg": (-ranges.tilt_deg, ranges.tilt_deg),
@@ -101,7 +109,9 @@ def of_labels(wanted: Sequence[str], poses: np.ndarray, moves: np.ndarray | None
     known = np.isfinite(poses).all(axis=1)
     if not known.any():
         return ()
-    labels = np.concatenate([poses, np.zeros_like(poses) if moves is None else moves], axis=1)[known]
+    labels = np.concatenate([poses, np.zeros_like(poses) if moves is None else moves], axis=1)[
+        known
+    ]
     low, high = labels.min(axis=0), labels.max(axis=0)
     spans = {name: (float(low[i]), float(high[i])) for i, name in enumerate(RECORDED | SLIDES)}
     return _targets(wanted, tuple(RECORDED), RECORDED | SLIDES, spans)
@@ -141,7 +151,9 @@ def _targets(
             if wanted:
                 raise UserError(f"target '{name}' does not vary in this data set: leave it out")
             continue
-        circle = kind == CIRCLE or (kind is None and name.endswith("_deg") and high - low > FULL_CIRCLE_DEG)
+        circle = kind == CIRCLE or (
+            kind is None and name.endswith("_deg") and high - low > FULL_CIRCLE_DEG
+        )
         field, column = known[name]
         middle, reach = (0.0, 1.0) if circle else ((low + high) / 2, (high - low) / 2)
         targets.append(Target(name, field, column, middle, reach, circle, weight))
@@ -171,4 +183,6 @@ def from_json(stored: Any, source: str) -> Targets:
     try:
         return tuple(Target(**each) for each in stored)
     except TypeError as error:
-        raise UserError(f"{source} states no pose targets that this version knows: train again") from error
+        raise UserError(
+            f"{source} states no pose targets that this version knows: train again"
+        ) from error

@@ -21,9 +21,13 @@ class Training:
     # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
     optimiser: Literal["adam", "muon"] = "adam"
     learning_rate: float = 1e-3  # at the start
-    schedule: Literal["cosine", "steps"] = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
+    schedule: Literal["cosine", "steps"] = (
+        "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
+    )
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
-    beta1: float = 0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
+    beta1: float = (
+        0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
+    )
     beta2: float = 0.999  # of Adam
     l1: float = 0.0  # weight of |w| of convolution and dense kernels, as `kernels` says, added up over all of them
     l2: float = 0.0  # weight of w^2, likewise
@@ -45,11 +49,21 @@ class Training:
     paired_share: float = 1.0
     tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in
     alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
-    pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
-    pose_target: Literal["tap", "label"] = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
-    averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
-    shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
-    start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
+    pose_weight: float = (
+        0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
+    )
+    pose_target: Literal["tap", "label"] = (
+        "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
+    )
+    averaging: float = (
+        0.99  # decay of the exponential moving average of the weights; 0 switches it off
+    )
+    shift: float = (
+        0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
+    )
+    start: str = (
+        ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
+    )
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
 
@@ -76,7 +90,11 @@ class Training:
             yield getattr(self, field) >= 0, field, "must not be below zero"
         yield 0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1"
         yield 0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25"
-        yield self.crops >= 1, "crops", "must be at least 1; patch_weight 0 switches the patch loss off"
+        yield (
+            self.crops >= 1,
+            "crops",
+            "must be at least 1; patch_weight 0 switches the patch loss off",
+        )
         yield self.crop_px >= 1, "crop_px", "must be at least 1"
 
 

@@ -31,7 +31,11 @@ def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
     for field, hint in hints(kind).items():
         value = getattr(settings, field)
         if known := choices(hint):
-            named = (one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, str))
+            named = (
+                one
+                for one in (value if isinstance(value, tuple) else (value,))
+                if isinstance(one, str)
+            )
             odd = ", ".join(one for one in named if one not in known)
             which = f"{odd} is" if isinstance(value, tuple) else "is"
             yield not odd, f"{group}{field}", f"{which} unknown: use one of {', '.join(known)}"
@@ -99,7 +103,9 @@ def describe(kind: Hint) -> str:
         if groups(inner):
             return "names, or files of outlines, separated by commas"
         plural = (
-            "names" if choices(inner) else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
+            "names"
+            if choices(inner)
+            else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
         )
         return f"{plural} separated by commas"
     if known := choices(kind):
@@ -118,11 +124,17 @@ def fits(value: Any, kind: Hint) -> bool:
         if not isinstance(value, tuple):
             return False
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
-        return len(value) == len(kinds) and all(fits(v, k) for v, k in zip(value, kinds, strict=True))
+        return len(value) == len(kinds) and all(
+            fits(v, k) for v, k in zip(value, kinds, strict=True)
+        )
     if choices(kind):
         return isinstance(value, (str, *groups(kind)))
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+        return (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and abs(value) <= sys.float_info.max
+        )
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
@@ -131,7 +143,9 @@ def _check(value: object, kind: Hint, name: str) -> None:
         own = next((group for group in kinds if isinstance(value, group)), None)
         if own is None:
             wanted = " or ".join(group.__name__ for group in kinds)
-            raise UserError(f"{name or 'experiment'} is of type {type(value).__name__}, not {wanted}")
+            raise UserError(
+                f"{name or 'experiment'} is of type {type(value).__name__}, not {wanted}"
+            )
         for field, hint in hints(own).items():
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):

@@ -47,7 +47,9 @@ def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Give the mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
-    sums = np.stack([np.bincount(group, row) for row in values.astype(np.float64)])  # (seeds, poses)
+    sums = np.stack(
+        [np.bincount(group, row) for row in values.astype(np.float64)]
+    )  # (seeds, poses)
     of_seeds, of_poses = weights(len(values), SEED + 1), draws(len(counts), SEED)
     return np.sum((of_seeds @ sums) * of_poses, axis=1) / (len(values) * (of_poses @ counts))
 
@@ -71,4 +73,8 @@ def weights(seeds: int, seed: int) -> np.ndarray:
 def draws(things: int, seed: int) -> np.ndarray:
     """Draw how often each of `things` counts, with replacement, in each resample: (resamples, things)."""
     equal = np.full(things, 1 / things)
-    return np.random.default_rng(seed).multinomial(things, equal, size=spread.RESAMPLES).astype(np.float64)
+    return (
+        np.random.default_rng(seed)
+        .multinomial(things, equal, size=spread.RESAMPLES)
+        .astype(np.float64)
+    )

@@ -24,7 +24,10 @@ def ray_engine(address: str | None, cores: int) -> Engine:
 
 def _spread(spread: Spread, tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
     which = {task.folder: task for task in tasks}
-    calls = (Call(task.folder, carry_out, (task.folder, task.kind, tuple(worker)), task.needs) for task in tasks)
+    calls = (
+        Call(task.folder, carry_out, (task.folder, task.kind, tuple(worker)), task.needs)
+        for task in tasks
+    )
     for folder, made in spread(calls):
         task = which[folder]
         if isinstance(made, Died):

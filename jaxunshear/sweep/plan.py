@@ -58,13 +58,17 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     experiments = []
     for row in rows:
         plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
-        taught = float(row.experiment.train.pose_weight > 0)  # a teacher needs its taps, whatever its weight
+        taught = float(
+            row.experiment.train.pose_weight > 0
+        )  # a teacher needs its taps, whatever its weight
         plain["train"] = replace(plain["train"], pose_weight=taught)
         experiment = to_json(replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)
     task = Task(folder / "data", "data")
-    outcome_file(task.folder, task.kind).unlink(missing_ok=True)  # a set may have been deleted since
+    outcome_file(task.folder, task.kind).unlink(
+        missing_ok=True
+    )  # a set may have been deleted since
     write(task.folder / TASK, Order(kind=task.kind, experiments=experiments, data=str(data)))
     return task
 
@@ -90,25 +94,39 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
             if part is None:
                 continue
             first = needed(part, network)[:-1]  # its teacher, if it has one
-            own = Task(folder / "shared" / part.name, "training", tuple(awaited[n] for n in first if n in awaited))
+            own = Task(
+                folder / "shared" / part.name,
+                "training",
+                tuple(awaited[n] for n in first if n in awaited),
+            )
             if part.name in finished:
                 sources[network] = str(finished[part.name])
             elif users[part.name] > 1:
                 sources[network] = str(own.folder / network)
                 outcome = read_outcome(own.folder, own.kind)
-                if outcome is None or outcome.status == "done":  # done, but its folder was deleted since
+                if (
+                    outcome is None or outcome.status == "done"
+                ):  # done, but its folder was deleted since
                     outcome_file(own.folder, own.kind).unlink(missing_ok=True)
                     awaited[network] = own.folder
                     if part.name not in shared:
                         shared[part.name] = own
-                        places = {n: finished.get(training_part(row.experiment, n).name, sources.get(n)) for n in first}
+                        places = {
+                            n: finished.get(training_part(row.experiment, n).name, sources.get(n))
+                            for n in first
+                        }
                         copied = {n: str(place) for n, place in places.items() if place}
                         asked = replace(order, networks=(*first, network), sources=copied)
-                        write(own.folder / TASK, replace(asked, kind=own.kind, experiment=to_json(part)))
+                        write(
+                            own.folder / TASK,
+                            replace(asked, kind=own.kind, experiment=to_json(part)),
+                        )
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
         asked = replace(order, networks=trained(row.experiment), sources=sources, ablation=ablation)
         asked = replace(asked, label=row.label, seed=row.experiment.seed)
-        write(task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment)))
+        write(
+            task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment))
+        )
         tasks.append(task)
     return [*shared.values(), *tasks]
 

@@ -16,9 +16,20 @@ from itertools import zip_longest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import VERSION, floats
 from jaxunshear.settings.data import Pairing, PoseData, Recorded
-from jaxunshear.settings.experiment import Experiment, needed, over_pins, recorded_of, without_pair_losses
+from jaxunshear.settings.experiment import (
+    Experiment,
+    needed,
+    over_pins,
+    recorded_of,
+    without_pair_losses,
+)
 from jaxunshear.settings.fields import replaced, show
-from jaxunshear.settings.networks import without_codes, without_direct, without_pin_codes, without_turns
+from jaxunshear.settings.networks import (
+    without_codes,
+    without_direct,
+    without_pin_codes,
+    without_turns,
+)
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
     DISENTANGLED,
@@ -65,7 +76,9 @@ def cells_of(sweep: Sweep) -> list[Cell]:
     """
     cells: dict[str, Cell] = {}
     for given, point, changes in _changes(sweep):
-        reported = ", ".join(f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes)
+        reported = ", ".join(
+            f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes
+        )
         label = given or reported or "base"
         cell = Cell(label, point, changes, _changed(sweep, changes, label))
         if label in cells and cells[label].experiment != cell.experiment:
@@ -118,8 +131,13 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, paired=plain.paired)
     if isinstance(part.paired, Recorded) and network in OF_TAPS:
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
-    if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
-        dragged = network == POSENET_SHEARED and part.paired.pairing == "simulated"  # it learns from simulated slides
+    if isinstance(part.paired, Recorded) and network in (
+        *POSENETS,
+        RENDERER,
+    ):  # and none of these from pairs
+        dragged = (
+            network == POSENET_SHEARED and part.paired.pairing == "simulated"
+        )  # it learns from simulated slides
         way: Pairing = "simulated" if dragged else "rendered"
         alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
@@ -137,7 +155,9 @@ def _without_direct(part: Experiment) -> Experiment:
     """Return `part` with what only posenet_sheared reads at its default."""
     part = dataclasses.replace(part, pins=without_direct(part.pins))
     if isinstance(part.paired, Recorded):
-        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, direct_taps="none"))
+        part = dataclasses.replace(
+            part, paired=dataclasses.replace(part.paired, direct_taps="none")
+        )
     return part
 
 
@@ -179,7 +199,9 @@ def parts_of(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
     return zip(names_of(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
 
-def _changes(sweep: Sweep) -> Iterator[tuple[str | None, tuple[str, ...] | None, tuple[Change, ...]]]:
+def _changes(
+    sweep: Sweep,
+) -> Iterator[tuple[str | None, tuple[str, ...] | None, tuple[Change, ...]]]:
     """The label that was given, if one was; the point on the grid, if it lies there; what is changed."""
     names = [fields for fields, _ in sweep.grid]
     if sweep.grid or not sweep.rows:
@@ -200,7 +222,9 @@ def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experimen
     except UserError as error:
         raise UserError(f"cell {label}: {error}") from error
     if sweep.ablation and DISENTANGLED not in experiment.networks:
-        raise UserError(f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be swapped")
+        raise UserError(
+            f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be swapped"
+        )
     return experiment
 
 

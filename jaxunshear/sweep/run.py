@@ -48,14 +48,21 @@ def run_sweep(
     folder = Path(out).absolute() / sweep.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
-            raise UserError(f"another sweep is at work in {folder}: wait for it, stop it, or give another --out")
+            raise UserError(
+                f"another sweep is at work in {folder}: wait for it, stop it, or give another --out"
+            )
         if retry_failed:
             plan.forget_failures(folder, rows.values())
-        _run_rows(sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker)
+        _run_rows(
+            sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker
+        )
         measured = {key: _measured(plan.row_folder(folder, row)) for key, row in rows.items()}
         for cell in cells:
             _check_contacts(
-                {plan.row_folder(folder, rows[cell.label, s]): measured[cell.label, s] for s in sweep.seeds}
+                {
+                    plan.row_folder(folder, rows[cell.label, s]): measured[cell.label, s]
+                    for s in sweep.seeds
+                }
             )
         summary = _made_with(summarise(sweep, cells, measured, reference), measured, command)
         picture = sweep_figure(summary) or (None if sweep.grid else frontier_figure(summary))
@@ -68,7 +75,13 @@ def run_sweep(
 
 
 def _run_rows(
-    sweep: Sweep, folder: Path, rows: list[Row], data: Path, command: str, engine: Engine, worker: Sequence[str]
+    sweep: Sweep,
+    folder: Path,
+    rows: list[Row],
+    data: Path,
+    command: str,
+    engine: Engine,
+    worker: Sequence[str],
 ) -> None:
     total = len({row.digest for row in rows})
     left = plan.unfinished(folder, rows)
@@ -101,22 +114,32 @@ def _check_contacts(rows: Mapping[Path, Measured]) -> None:
     """Refuses seeds of a cell that were tested on different contacts: their scores cannot be put side by side."""
     done = [(folder, row) for folder, row in rows.items() if row.tests]
     for (first, one), (folder, other) in itertools.pairwise(done):
-        labels = [(test, name) for test in one.tests.keys() & other.tests.keys() for name in ("stimulus", "pose_id")]
-        if not all(np.array_equal(one.tests[test][name], other.tests[test][name]) for test, name in labels):
+        labels = [
+            (test, name)
+            for test in one.tests.keys() & other.tests.keys()
+            for name in ("stimulus", "pose_id")
+        ]
+        if not all(
+            np.array_equal(one.tests[test][name], other.tests[test][name]) for test, name in labels
+        ):
             raise UserError(
                 f"{first} and {folder} were tested on different contacts (the data were made anew in between): "
                 "delete both and run the same command"
             )
 
 
-def _made_with(summary: SweepResult, measured: Mapping[tuple[str, int], Measured], command: str) -> SweepResult:
+def _made_with(
+    summary: SweepResult, measured: Mapping[tuple[str, int], Measured], command: str
+) -> SweepResult:
     """With command, machines, versions and sources: each different one of those that the rows were run on and with."""
     results = [row.outcome.evaluated for row in measured.values() if row.outcome.status == "done"]
     return replace(
         summary,
         command=command,
         machines=_distinct(result.machine for result in results),
-        trained_on=_distinct(machine for result in results for machine in result.trained_on.values()),
+        trained_on=_distinct(
+            machine for result in results for machine in result.trained_on.values()
+        ),
         versions=_distinct(result.versions for result in results),
         sources=_distinct(found for result in results for found in result.sources)
         if all(result.sources for result in results)

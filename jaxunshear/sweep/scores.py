@@ -36,7 +36,9 @@ class Measured(NamedTuple):
 def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
     """The scores that an evaluation left in `folder`, by test. Raises UserError."""
     paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
-    return {path.stem.removeprefix("scores").removeprefix("-"): _read(path, remedy) for path in paths}
+    return {
+        path.stem.removeprefix("scores").removeprefix("-"): _read(path, remedy) for path in paths
+    }
 
 
 def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
@@ -82,7 +84,9 @@ def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     if test:
         stimuli = results.tests[test].stimuli if test in results.tests else ()
     names, stimulus = stimulus_names(stimuli), _labels(rows, test)["stimulus"]
-    return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
+    return {
+        name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)
+    }
 
 
 def smooth_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:

@@ -27,25 +27,41 @@ from jaxunshear.sweep.scores import (
     stacked,
 )
 
-TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
+TABLES = (
+    "pin_error",
+    "half_width",
+    "coverage",
+)  # of a run's results: figures that are no means over contacts
 TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
 
 
 def summarise(
-    sweep: Sweep, cells: Sequence[Cell], measured: Mapping[tuple[str, int], Measured], reference: str | None
+    sweep: Sweep,
+    cells: Sequence[Cell],
+    measured: Mapping[tuple[str, int], Measured],
+    reference: str | None,
 ) -> SweepResult:
     """sweep.json, but for command, machines, versions and sources. `measured` by (label of the cell, seed), for all of them."""
     done = {
-        cell.label: {seed: row for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome.status == "done"}
+        cell.label: {
+            seed: row
+            for seed in sweep.seeds
+            if (row := measured[cell.label, seed]).outcome.status == "done"
+        }
         for cell in cells
     }
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
         simulated=recorded_of(sweep.base) is None,
-        axes=[Axis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis)) for axis in sweep.grid],
+        axes=[
+            Axis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis))
+            for axis in sweep.grid
+        ],
         seeds=sweep.seeds,
-        networks=list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
+        networks=list(
+            dict.fromkeys(network for cell in cells for network in cell.experiment.networks)
+        ),
         spread=spread_of(len(sweep.seeds)),
         reference=reference,
         cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
@@ -57,7 +73,9 @@ def summarise(
 def reproducible(summary: SweepResult) -> SweepResult:
     """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
     cells = [replace(cell, costs={}) for cell in summary.cells]
-    return replace(summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={})
+    return replace(
+        summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={}
+    )
 
 
 def _cell(
@@ -73,15 +91,25 @@ def _cell(
     return CellResult(
         label=cell.label,
         point=cell.point,
-        settings={name: show(part) for fields, value in cell.changes for name, part in parts_of(fields, value)},
+        settings={
+            name: show(part)
+            for fields, value in cell.changes
+            for name, part in parts_of(fields, value)
+        },
         seeds=list(rows),
         metric=metric_of(rows),
         metrics=metrics(rows),
         difference=differences(rows, other) if cell.label != reference else {},
         ablation=ablation(rows),
-        failures=[Failure(seed, outcome.reason) for seed, outcome in ended.items() if outcome.status != "done"],
+        failures=[
+            Failure(seed, outcome.reason)
+            for seed, outcome in ended.items()
+            if outcome.status != "done"
+        ],
         costs={
-            str(seed): Costs(**{each.name: getattr(row.outcome, each.name) for each in dataclass_fields(Costs)})
+            str(seed): Costs(
+                **{each.name: getattr(row.outcome, each.name) for each in dataclass_fields(Costs)}
+            )
             for seed, row in rows.items()
         },
     )
@@ -142,7 +170,9 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, Figure]:
         figure = _recovery(list(rows), [(values, poses) for _, values, poses in errors])
         found |= {called(test, own): figure} if figure else {}
         for shape, inside in shapes_of(rows, test).items() if errors[0][0] == test else ():
-            figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors])
+            figure = _recovery(
+                list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors]
+            )
             found |= {called(test, own, shape): figure} if figure else {}
     return found
 
@@ -165,7 +195,9 @@ def recovery_errors(
     ]
 
 
-def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> Figure | None:
+def _recovery(
+    seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> Figure | None:
     """Of errors of tap, sheared and unsheared, (seeds, N) at poses (N,) each; None where the slide does no damage."""
     tap, sheared, unsheared = (values.mean() for values, _ in errors)
     if sheared <= tap:
@@ -196,13 +228,17 @@ def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> 
     common = [seed for seed in rows if seed in other]
     rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
     found = {}
-    one_size = all(metric_of(rows).get(name) == metric_of(other).get(name) for name in ("ms_ssim", "image_px"))
+    one_size = all(
+        metric_of(rows).get(name) == metric_of(other).get(name) for name in ("ms_ssim", "image_px")
+    )
     for test, name in names_in(rows):
         if ("ms_ssim" in name or name.startswith("swap/")) and not one_size:
             continue
         if (test, name) in names_in(other) and same_contacts(rows, other, test):
             values = stacked(rows, test, name) - stacked(other, test, name)
-            found[called(test, name)] = Figure(float(values.mean()), interval(values, poses_of(rows, test)))
+            found[called(test, name)] = Figure(
+                float(values.mean()), interval(values, poses_of(rows, test))
+            )
     return found
 
 

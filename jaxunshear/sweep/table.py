@@ -19,16 +19,26 @@ def table(summary: SweepResult) -> str:
     for cell in cells:
         mark = " *" if cell.label == summary.reference else ""
         figures = [_figure(cell.metrics.get(name)) for name in names]
-        line = [cell.label + mark, f"{len(cell.seeds)} of {len(summary.seeds)}", *figures, *_costs(cell)]
+        line = [
+            cell.label + mark,
+            f"{len(cell.seeds)} of {len(summary.seeds)}",
+            *figures,
+            *_costs(cell),
+        ]
         rows.append(dict(zip(head, line, strict=True)))
     text = [plain_table(rows, head)]
     text.append(f"brackets: 95 % intervals over {summary.spread['over']}")
     if summary.reference:
         text.append("* what sweep.json has the differences from")
     for cell in cells:
-        text += [f"failed: {cell.label}, seed {failure.seed}: {failure.reason}" for failure in cell.failures]
+        text += [
+            f"failed: {cell.label}, seed {failure.seed}: {failure.reason}"
+            for failure in cell.failures
+        ]
     if any(cell.failures for cell in cells):
-        text.append("the same command leaves failed rows as they are: --retry-failed tries them again")
+        text.append(
+            "the same command leaves failed rows as they are: --retry-failed tries them again"
+        )
     return "\n".join(text + _frontiers(summary))
 
 
@@ -40,8 +50,13 @@ def _frontiers(summary: SweepResult) -> list[str]:
         for cost, labels in costs.items()
         if len(labels) > 1
     ]
-    others = [cell.label for cell in summary.cells if cell.label not in ranked(summary)] if lines else []
-    return [*lines, *([f"not ranked, tested on other contacts: {'; '.join(others)}"] if others else [])]
+    others = (
+        [cell.label for cell in summary.cells if cell.label not in ranked(summary)] if lines else []
+    )
+    return [
+        *lines,
+        *([f"not ranked, tested on other contacts: {'; '.join(others)}"] if others else []),
+    ]
 
 
 def main_metrics(summary: SweepResult) -> list[str]:
@@ -51,7 +66,9 @@ def main_metrics(summary: SweepResult) -> list[str]:
     if not any(name.endswith("/edge_mm") for name in there):  # other targets: the first two
         read = [name.rpartition("/")[2] for name in there if name.startswith("pose/")]
         patterns = (MAIN[0], *(f"pose/*/{target}" for target in list(dict.fromkeys(read))[:2]))
-    shown = [LEARNT_SHEARED if network == POSENET_SHEARED else network for network in summary.networks]
+    shown = [
+        LEARNT_SHEARED if network == POSENET_SHEARED else network for network in summary.networks
+    ]
     wanted = [pattern.replace("*", network) for pattern in patterns for network in shown]
     return [name for name in dict.fromkeys(wanted) if name in there]
 

@@ -42,7 +42,9 @@ class Order:
     experiments: Sequence[Settings] = ()  # whose data sets are made
     experiment: Settings | None = None
     networks: Sequence[str] | None = None  # to be trained, in this order
-    sources: Mapping[str, str] = field(default_factory=dict)  # by network: the folder of a training to be copied
+    sources: Mapping[str, str] = field(
+        default_factory=dict
+    )  # by network: the folder of a training to be copied
     ablation: bool = False
     label: str | None = None
     seed: int | None = None
@@ -65,13 +67,21 @@ def read_order(folder: Path) -> Order:
 
 def failure(order: Order, reason: str, folder: Path) -> Outcome:
     """The outcome of a task that failed in `folder`; the reason is one line, and names files from there."""
-    line = " ".join(reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name).split())
+    line = " ".join(
+        reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name).split()
+    )
     return repeated(order, Outcome(status="failed", reason=line))
 
 
 def repeated(order: Order, outcome: Outcome) -> Outcome:
     """`outcome` with what stands in it whatever it is: for whom it was done, with which settings."""
-    return replace(outcome, label=order.label, seed=order.seed, networks=order.networks, settings=order.experiment)
+    return replace(
+        outcome,
+        label=order.label,
+        seed=order.seed,
+        networks=order.networks,
+        settings=order.experiment,
+    )
 
 
 def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
@@ -98,7 +108,9 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
     if code == DISK_FULL:
         raise UserError(f"{folder}: the disk is full; free some space, then run the same command")
     if not outcome_file(folder, kind).exists():
-        time.sleep(0.2)  # whoever kills all processes of a sweep kills this one next: that is no failure of the task
+        time.sleep(
+            0.2
+        )  # whoever kills all processes of a sweep kills this one next: that is no failure of the task
         give_up(folder, kind, _ending(code, folder))
 
 

@@ -47,7 +47,9 @@ def main(folder: Path, parent: int) -> int:
     die_with(parent)
     read_source()  # as the code is now; it may be changed while this works
     keep_freed_memory()
-    with locked(folder / LOCK, wait=True):  # one left over from a killed sweep may still be at its end
+    with locked(
+        folder / LOCK, wait=True
+    ):  # one left over from a killed sweep may still be at its end
         order = read_order(folder)
         outcome = outcome_file(folder, order.kind)
         if not outcome.exists():
@@ -79,7 +81,9 @@ def attempt(order: Order, folder: Path) -> Outcome:
     except UserError as error:
         if disk_is_full(error):
             raise
-        outcome = failure(order, str(error) if order.kind == "data" else _to_retry(str(error)), folder)
+        outcome = failure(
+            order, str(error) if order.kind == "data" else _to_retry(str(error)), folder
+        )
     except Exception as error:  # also a MemoryError, and what XLA makes of one
         if disk_is_full(error):
             raise
@@ -98,7 +102,11 @@ def attempt(order: Order, folder: Path) -> Outcome:
 def _to_retry(reason: str) -> str:
     """`reason` with the option that tries a failed task again, where it asks for the same command."""
     option = "--retry-failed"
-    return reason if option in reason else reason.replace("the same command", f"the same command with {option}")
+    return (
+        reason
+        if option in reason
+        else reason.replace("the same command", f"the same command with {option}")
+    )
 
 
 def _data(order: Order, folder: Path) -> Outcome:
@@ -111,7 +119,9 @@ def _data(order: Order, folder: Path) -> Outcome:
 
 def _training(order: Order, folder: Path) -> Outcome:
     experiment = _started(order, folder)
-    run_stages(experiment, tuple(order.networks or ()), folder.parent, Path(order.data), order.command)
+    run_stages(
+        experiment, tuple(order.networks or ()), folder.parent, Path(order.data), order.command
+    )
     return _trained(order, folder)
 
 
@@ -125,7 +135,9 @@ def _row(order: Order, folder: Path) -> Outcome:
     return replace(made, device=results.machine.device, ms_per_image=results.ms_per_image)
 
 
-def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> list[dict[str, object]]:
+def _spoilt(
+    experiment: Experiment, folder: Path, data: Path, command: str
+) -> list[dict[str, object]]:
     """What decoders make of exchanged codes, and what each code holds that it should not."""
     from jaxunshear.evaluation.ablation import ablate
     from jaxunshear.evaluation.leakage import leakage
@@ -166,23 +178,31 @@ def _check_checkpoints(source: Path) -> None:
     from jaxunshear.training.checkpoint import holds_model, load_best
 
     if not holds_model(source):
-        raise UserError(f"{source} has lost its checkpoints: delete that folder, then run the same command")
+        raise UserError(
+            f"{source} has lost its checkpoints: delete that folder, then run the same command"
+        )
     load_best(source)
 
 
 def _trained(order: Order, folder: Path) -> Outcome:
     """Time and memory of the trainings, those of other tasks with them."""
     ended = {
-        network: read(folder / network / "summary.json", Summary, "delete it and run the same command")
+        network: read(
+            folder / network / "summary.json", Summary, "delete it and run the same command"
+        )
         for network in order.networks or ()
     }
     others = {Path(source).parent for source in order.sources.values()}
-    outcomes = [read_outcome(other, kind) for other in sorted(others) for kind in ("training", "row")]
+    outcomes = [
+        read_outcome(other, kind) for other in sorted(others) for kind in ("training", "row")
+    ]
     return Outcome(
         status="done",
         reason=None,
         train_seconds={network: summary.train_seconds for network, summary in ended.items()},
-        images_per_second={network: summary.images_per_second for network, summary in ended.items()},
+        images_per_second={
+            network: summary.images_per_second for network, summary in ended.items()
+        },
         peak_memory_bytes=max((one.peak_memory_bytes for one in outcomes if one), default=0),
     )
 

@@ -50,10 +50,18 @@ from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.turning import Turns, sense_of, turns_of
 
 
-def task_of(experiment: Experiment, network: str, examples: Examples, folder: Path) -> tuple[Task, tuple[str, ...]]:
+def task_of(
+    experiment: Experiment, network: str, examples: Examples, folder: Path
+) -> tuple[Task, tuple[str, ...]]:
     """What `network` learns, and the fields of a batch that this takes."""
-    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
-    weighed = ("weight",) if recorded_of(experiment) and REGISTRY[network].does == "unshears" else ()
+    training, targets, labels = (
+        training_of(experiment, network),
+        examples.targets,
+        fields_of(examples.targets),
+    )
+    weighed = (
+        ("weight",) if recorded_of(experiment) and REGISTRY[network].does == "unshears" else ()
+    )
     if network == RENDERER or over_pins(experiment):
         task, fields = _over_pins(experiment, network, examples, folder, weighed)
         share = 0.0 if recorded_of(experiment) else experiment.pins.turned
@@ -61,27 +69,46 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     if network in POSENETS:
         seen = "image" if network in OF_TAPS else "sheared"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
-    teacher = partial(posenet.predict, *_of_taps(experiment, TEACHER, folder)) if training.pose_weight else None
+    teacher = (
+        partial(posenet.predict, *_of_taps(experiment, TEACHER, folder))
+        if training.pose_weight
+        else None
+    )
     net = unshear_net(experiment.unshear, network)
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
     slides = _slides(examples, room) if room else ()
     task = tasks.unshear_task(net, training, teacher, targets, slides)
     partners = _partners(experiment, training, OTHER_IMAGE, SWAPPED_IMAGE) if room else ()
-    named = ("canonical", "sheared", *partners, *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
+    named = (
+        "canonical",
+        "sheared",
+        *partners,
+        *weighed,
+        *(labels if labelled(training) else ()),
+        *fields_of(slides),
+    )
     return task, tuple(dict.fromkeys(named))
 
 
 def _over_pins(
     experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
 ) -> tuple[Task, tuple[str, ...]]:
-    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
+    training, targets, labels = (
+        training_of(experiment, network),
+        examples.targets,
+        fields_of(examples.targets),
+    )
     field = "pins" if network in OF_TAPS else "sheared_pins"
     known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
     pins, recorded = without_direct(without_turns(experiment.pins)), recorded_of(experiment)
     net, plain = asdict(pins), asdict(without_pin_codes(pins))
     sure = ("sure",) if recorded else ()  # simulated pins are all known
     if network == RENDERER:
-        return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
+        return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), (
+            "pins",
+            *sure,
+            *labels,
+        )
     if network in POSENETS:
         turned = experiment.pins.turned if network not in OF_TAPS and recorded else 0.0
         turns = _turns(examples) if turned else None
@@ -90,22 +117,44 @@ def _over_pins(
         rendered = RENDERER in trained(experiment)
         if network not in OF_TAPS:
             rendered = recorded is not None and recorded.direct_taps == "rendered"
-        render = partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
-        return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
+        render = (
+            partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
+        )
+        return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (
+            field,
+            *sure,
+            *labels,
+        )
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
-    teacher = partial(pinnets.predict, *_of_taps(experiment, TEACHER, folder)) if training.pose_weight else None
+    teacher = (
+        partial(pinnets.predict, *_of_taps(experiment, TEACHER, folder))
+        if training.pose_weight
+        else None
+    )
     partners = _partners(experiment, training, OTHER, SWAPPED) if network == DISENTANGLED else ()
-    named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
+    named = (
+        "canonical_pins",
+        "sheared_pins",
+        *partners,
+        *sure,
+        *weighed,
+        *(labels if labelled(training) else ()),
+    )
     taught = training.slide_weight and network == DISENTANGLED
     slides = _slides(examples, codes.shear_code) if taught else ()
     named = tuple(dict.fromkeys((*named, *fields_of(slides))))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
-def _partners(experiment: Experiment, training: Training, other: str, swapped: str) -> tuple[str, ...]:
+def _partners(
+    experiment: Experiment, training: Training, other: str, swapped: str
+) -> tuple[str, ...]:
     """The fields of those that a network learns from where poses share slides."""
     shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
-    wanted = {other: training.swap_weight, swapped: training.swap_weight or training.agreement_weight}
+    wanted = {
+        other: training.swap_weight,
+        swapped: training.swap_weight or training.agreement_weight,
+    }
     return tuple(field for field, weight in wanted.items() if shared and weight)
 
 
@@ -115,7 +164,9 @@ def _slides(examples: Examples, size: int) -> Targets:
     Raises UserError if no slide of the data differs from others.
     """
     if not examples.slides:
-        raise UserError("slide_weight: no slide of this data set is known to differ from others: leave it at 0")
+        raise UserError(
+            "slide_weight: no slide of this data set is known to differ from others: leave it at 0"
+        )
     return examples.slides[:size]
 
 
@@ -146,10 +197,14 @@ def renamed(batch: Json) -> Json:
     """Trainings that read poses name their input "image", or "pins"."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch
-    return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}
+    return {
+        {"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()
+    }
 
 
-def first(split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Batch]]:
+def first(
+    split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]
+) -> Callable[[], Iterator[Batch]]:
     """The first `count` validation examples, in batches."""
     batch = 64
 
@@ -170,7 +225,10 @@ def _turns(examples: Examples) -> Turns:
     taps = examples.taps or examples.reader
     field = "pins" if examples.taps else "sheared_pins"
     known = all_trained(taps, field, "pose")
-    return turns_of(examples.pins.rest, sense_of(examples.pins.rest, known[field], known["pose"], examples.targets))
+    return turns_of(
+        examples.pins.rest,
+        sense_of(examples.pins.rest, known[field], known["pose"], examples.targets),
+    )
 
 
 def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:

@@ -26,7 +26,14 @@ import orbax.checkpoint as ocp
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.parts import Net, Variables, leaves_of
-from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
+from jaxunshear.settings.networks import (
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    PoseNet,
+    UNet,
+    UnshearNet,
+)
 from jaxunshear.settings.stored import OTHERS, with_version, without_version
 from jaxunshear.settings.targets import Targets, from_json
 from jaxunshear.storage import Json
@@ -65,7 +72,9 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
     except UserError:
         raise
     except Exception as error:  # a full disk reaches us as many types
-        raise UserError(f"cannot write checkpoint {target} ({first_line(error)}): is the disk full?") from error
+        raise UserError(
+            f"cannot write checkpoint {target} ({first_line(error)}): is the disk full?"
+        ) from error
     for path in target.parent.iterdir():
         if path not in (target, _path(folder, record["best_step"])):
             shutil.rmtree(path, ignore_errors=True)
@@ -87,11 +96,15 @@ def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     damaged."""
     arrays, record = _read(folder, step)
     names = leaves_of(like)
-    shapes, wanted = ({name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names))
+    shapes, wanted = (
+        {name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names)
+    )
     wrong = next((name for name in shapes | wanted if shapes.get(name) != wanted.get(name)), None)
     if wrong:
         path = _path(folder, step)
-        raise UserError(f"checkpoint {path} does not fit this network ({wrong}): delete {folder} to train again")
+        raise UserError(
+            f"checkpoint {path} does not fit this network ({wrong}): delete {folder} to train again"
+        )
     leaves = [jax.numpy.asarray(arrays[name]) for name in names]
     return jax.tree.unflatten(jax.tree.structure(like), leaves), record
 
@@ -105,9 +118,15 @@ def check_finished(folder: Path) -> None:
     """Raises UserError where the training in `folder` was started and has not come to its end, or says so in a damaged file;
     released weights have come to it."""
     folder = Path(folder)
-    if (folder / MODEL).exists() and not any((folder / name).exists() for name in (SUMMARY, WEIGHTS)):
-        finish = f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
-        raise UserError(f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`")
+    if (folder / MODEL).exists() and not any(
+        (folder / name).exists() for name in (SUMMARY, WEIGHTS)
+    ):
+        finish = (
+            f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
+        )
+        raise UserError(
+            f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`"
+        )
     if (folder / SUMMARY).exists():
         storage.read_object(folder / SUMMARY)
 
@@ -118,9 +137,15 @@ def load_best(folder: Path) -> Json:
         return _tree(_read_weights(Path(folder) / WEIGHTS))
     step = latest(folder)
     if step is None:
-        raise UserError(f"{folder} holds no trained model (no checkpoints): train first, or name another folder")
+        raise UserError(
+            f"{folder} holds no trained model (no checkpoints): train first, or name another folder"
+        )
     arrays, _ = _read(folder, _record(folder, step)["best_step"])
-    kept = {name.partition(".")[2]: array for name, array in arrays.items() if name.startswith("average.")}
+    kept = {
+        name.partition(".")[2]: array
+        for name, array in arrays.items()
+        if name.startswith("average.")
+    }
     return _tree(kept)
 
 
@@ -135,11 +160,15 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
     Kernels are kept as float16, which halves the file; biases and statistics as they are.
     """
     arrays = {
-        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None)
+        name: np.asarray(
+            leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None
+        )
         for name, leaf in leaves_of(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
-    storage.write_npz(Path(folder) / WEIGHTS, {DIGEST: np.array(_digest(arrays))} | arrays, compressed=True)
+    storage.write_npz(
+        Path(folder) / WEIGHTS, {DIGEST: np.array(_digest(arrays))} | arrays, compressed=True
+    )
 
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
@@ -148,9 +177,13 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
     except storage.BROKEN_NPZ as error:
         storage.blame_the_machine(path, error)
-        raise UserError(f"{path} is damaged ({first_line(error)}): install or copy these weights again") from error
+        raise UserError(
+            f"{path} is damaged ({first_line(error)}): install or copy these weights again"
+        ) from error
     if not intact:
-        raise UserError(f"{path} is damaged (its digest differs): install or copy these weights again")
+        raise UserError(
+            f"{path} is damaged (its digest differs): install or copy these weights again"
+        )
     return arrays
 
 
@@ -176,21 +209,32 @@ def write_settings(folder: Path, settings: Json) -> None:
     for name in old | new:
         if old.get(name) != new.get(name):
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
-            raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
+            raise UserError(
+                f"{folder} holds a training with {change}: delete the folder or use another name"
+            )
 
 
 def read_net(folder: Path) -> Net:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():
-        raise UserError(f"{folder} holds no trained model (no {MODEL}): train first, or name another folder")
+        raise UserError(
+            f"{folder} holds no trained model (no {MODEL}): train first, or name another folder"
+        )
     try:
         stored = _read_model(path)
         kind = NETS[stored["kind"]]
         fields = {field.name: stored["net"][field.name] for field in dataclasses.fields(kind)}
-        return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+        return kind(
+            **{
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in fields.items()
+            }
+        )
     except (KeyError, TypeError) as error:
-        raise UserError(f"{path} lacks or misnames {error} ({OTHERS}): delete {folder} and train again") from error
+        raise UserError(
+            f"{path} lacks or misnames {error} ({OTHERS}): delete {folder} and train again"
+        ) from error
 
 
 def _read_model(path: Path) -> Json:
@@ -210,22 +254,30 @@ def read_targets(folder: Path) -> Targets:
     stored = storage.read_object(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
         return ()
-    return from_json(stored.get("targets"), str(path))  # a PoseNet that gives none was trained by an earlier version
+    return from_json(
+        stored.get("targets"), str(path)
+    )  # a PoseNet that gives none was trained by an earlier version
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
     path, record = _path(folder, step), _record(folder, step)
     try:
         if FILES in record and record[FILES] != _digest_of_files(path / "state"):
-            raise ValueError("its files are not those that were written")  # Orbax' threads would say so at length
+            raise ValueError(
+                "its files are not those that were written"
+            )  # Orbax' threads would say so at length
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
             arrays = reader.restore((path / "state").absolute())
         intact = _digest(arrays) == record[DIGEST]
     except Exception as error:  # whatever a damaged file makes of itself
         storage.blame_the_machine(path, error)
-        raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
+        raise UserError(
+            f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}"
+        ) from error
     if not intact:
-        raise UserError(f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}")
+        raise UserError(
+            f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}"
+        )
     return arrays, record
 
 
@@ -238,19 +290,25 @@ def _record(folder: Path, step: int) -> Json:
         return record
     except (UserError, AttributeError) as error:
         storage.blame_the_machine(path, error)
-        raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
+        raise UserError(
+            f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}"
+        ) from error
 
 
 def _remedy(folder: Path, path: Path) -> str:
     steps = _steps(folder)
-    last = len(steps) > 1 and path == _path(folder, max(steps))  # the record of a later one may name an earlier one
+    last = len(steps) > 1 and path == _path(
+        folder, max(steps)
+    )  # the record of a later one may name an earlier one
     back = f"delete {path} to go on from the one before, or " if last else ""
     return f"{back}delete {folder} to train from the start"
 
 
 def _steps(folder: Path) -> list[int]:
     root = Path(folder) / "checkpoints"
-    return [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
+    return (
+        [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
+    )
 
 
 def _path(folder: Path, step: int) -> Path:

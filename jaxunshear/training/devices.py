@@ -37,7 +37,10 @@ class Devices(NamedTuple):
             return jax.device_put(batch)
         split = NamedSharding(self.mesh, PartitionSpec(AXIS))
         even = {name: len(values) % self.number == 0 for name, values in batch.items()}
-        return {name: jax.device_put(values, split if even[name] else self.on_each) for name, values in batch.items()}
+        return {
+            name: jax.device_put(values, split if even[name] else self.on_each)
+            for name, values in batch.items()
+        }
 
 
 def devices_for(batch: int) -> Devices:
@@ -49,7 +52,9 @@ def devices_for(batch: int) -> Devices:
             f"{DEVICE_COUNT}={count}: JAX sees {len(there)} here ({there[0].platform}): use at most so many"
         )
     if batch % count:
-        raise UserError(f"batch: {batch} images cannot be split over {count} devices: use a multiple of {count}")
+        raise UserError(
+            f"batch: {batch} images cannot be split over {count} devices: use a multiple of {count}"
+        )
     if count == 1:
         return Devices(1, None)
     return Devices(count, Mesh(np.array(there[:count]), (AXIS,)))

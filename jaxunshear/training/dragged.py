@@ -32,7 +32,10 @@ from jaxunshear.training.drawing import SHIFTED, TURNED_DEG
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
-FOLLOW = (0.5, 2.5)  # times the simulated motion; chosen with recorded slides in sight (docs/your-own-recordings.md, 9)
+FOLLOW = (
+    0.5,
+    2.5,
+)  # times the simulated motion; chosen with recorded slides in sight (docs/your-own-recordings.md, 9)
 DRAWN = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides
@@ -41,19 +44,34 @@ Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.n
 
 
 def drag_of(
-    stored: RecordedSet, sensor: Sensor, data_dir: Path, simulate: Simulate | None = None, chunk: int = CHUNK
+    stored: RecordedSet,
+    sensor: Sensor,
+    data_dir: Path,
+    simulate: Simulate | None = None,
+    chunk: int = CHUNK,
 ) -> Drag:
     """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
     on where it stopped. Where `simulate` is not given it is `shear` of the training taps; files have `chunk` contacts. Raises UserError."""
-    place = Path(data_dir).absolute() / "simulated_slides" / f"{config_name(stored.settings, sensor)}-{_digest()}"
-    view = functools.cache(lambda: view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED))
+    place = (
+        Path(data_dir).absolute()
+        / "simulated_slides"
+        / f"{config_name(stored.settings, sensor)}-{_digest()}"
+    )
+    view = functools.cache(
+        lambda: view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED)
+    )
     if simulate is None:
         simulate = lambda *slides: shear(view(), *slides)  # noqa: E731
-    motions = {split: _motions(stored, split, place / split, simulate, chunk) for split in ("train", "validation")}
+    motions = {
+        split: _motions(stored, split, place / split, simulate, chunk)
+        for split in ("train", "validation")
+    }
 
     def drag(split: str) -> Batch:
         rest = np.array(stored.frame["place_px"])
-        return _drawn(_taps(stored, split), *motions[split], rest, stored.frame["spacing_px"], split)
+        return _drawn(
+            _taps(stored, split), *motions[split], rest, stored.frame["spacing_px"], split
+        )
 
     return drag
 
@@ -80,19 +98,26 @@ def _motions(
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if missing:
         done = len(rows) - sum(len(parts[i]) for i in missing)
-        with Progress(f"simulate slides ({split})", len(rows), unit="contacts", done=done) as progress:
+        with Progress(
+            f"simulate slides ({split})", len(rows), unit="contacts", done=done
+        ) as progress:
             for i in missing:
                 _write(paths[i], simulate, taps.pose, parts[i])
                 progress.advance(len(parts[i]))
     chunks = [load_chunk(path) for path in paths]
-    joined = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in ("row", "motion", "move", "fine")}
+    joined = {
+        name: np.concatenate([chunk[name] for chunk in chunks])
+        for name in ("row", "motion", "move", "fine")
+    }
     fine = joined["fine"]
     if not fine.all():
         print(
             f"simulated slides ({split}): {int((~fine).sum())} of {len(fine)} out of reach or not converged, left out"
         )
     if not fine.any():
-        raise UserError(f"paired.pairing simulated: of {len(fine)} slides none converged: use another pairing")
+        raise UserError(
+            f"paired.pairing simulated: of {len(fine)} slides none converged: use another pairing"
+        )
     return joined["row"][fine], joined["motion"][fine], joined["move"][fine]
 
 
@@ -107,7 +132,13 @@ def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -
 
 
 def _drawn(
-    taps: Taps, row: np.ndarray, motion: np.ndarray, move: np.ndarray, rest: np.ndarray, spacing_px: float, split: str
+    taps: Taps,
+    row: np.ndarray,
+    motion: np.ndarray,
+    move: np.ndarray,
+    rest: np.ndarray,
+    spacing_px: float,
+    split: str,
 ) -> Batch:
     """DRAWN slides of each motion."""
     generator = np.random.default_rng([VERSION, *split.encode()])
@@ -116,4 +147,8 @@ def _drawn(
     angle = np.radians(TURNED_DEG) * generator.standard_normal(len(again))
     moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ rotation_2d(-angle)
     moved += SHIFTED * spacing_px * generator.standard_normal((len(again), 1, 2))
-    return {"row": row[again], "sheared_pins": (rest + moved).astype(np.float32), "move": move[again]}
+    return {
+        "row": row[again],
+        "sheared_pins": (rest + moved).astype(np.float32),
+        "move": move[again],
+    }

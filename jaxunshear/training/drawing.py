@@ -24,13 +24,19 @@ from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
 # Times the simulated motion of a slide, evenly in its logarithm. Skin that slips is dragged in proportion to its friction,
 # we think: 0.2 to 0.8, as of rubber on plastic, is half to twice the fitted 0.39. No recorded slide decides this range.
 FOLLOW = (0.5, 2.0)
-TURNED_DEG, SHIFTED = 4.0, 0.065  # standard deviations of the camera's place; the latter in the pins' spacing
+TURNED_DEG, SHIFTED = (
+    4.0,
+    0.065,
+)  # standard deviations of the camera's place; the latter in the pins' spacing
 
 Batch = Json
 
 
 def drawing_of(
-    rest: Float[np.ndarray, "P 2"], share: float, turned_deg: float = TURNED_DEG, shifted: float = SHIFTED
+    rest: Float[np.ndarray, "P 2"],
+    share: float,
+    turned_deg: float = TURNED_DEG,
+    shifted: float = SHIFTED,
 ) -> Callable[[Batch, Array], Batch]:
     """Draws `share` of all batches anew; the others are as the simulator gave them. The camera's place has standard deviations of
     `turned_deg`, and of `shifted` spacings of the pins."""
@@ -45,7 +51,9 @@ def drawing_of(
             times = jax.random.uniform(follow, (len(tap), 1, 1), tap.dtype, *np.log(FOLLOW))
             drawn["sheared_pins"] = tap + jnp.exp(times) * (slide - tap)
         seen = "sheared_pins" if "sheared_pins" in drawn else "pins"
-        drawn[seen] = _before_camera(turns.rest, drawn[seen], turned_deg, shifted * spacing_px, camera)
+        drawn[seen] = _before_camera(
+            turns.rest, drawn[seen], turned_deg, shifted * spacing_px, camera
+        )
         some = jax.random.uniform(chance) < share
         return {name: jnp.where(some, drawn[name], value) for name, value in batch.items()}
 
@@ -61,7 +69,9 @@ def _turned(turns: Turns, k: Array, batch: Batch) -> Batch:
     return after
 
 
-def _before_camera(rest: Array, pins: Array, turned_deg: float, shift_px: float, key: Array) -> Array:
+def _before_camera(
+    rest: Array, pins: Array, turned_deg: float, shift_px: float, key: Array
+) -> Array:
     """Pins (B, P, 2) px of sensors that stand turned and shifted before their camera, each by its own."""
     angle, shift = jax.random.split(key)
     radians = jnp.radians(turned_deg) * jax.random.normal(angle, (len(pins), 1))

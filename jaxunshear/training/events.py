@@ -20,7 +20,9 @@ def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Calla
     of a step from 0. Without tensorboardX nothing is written.
     """
     try:
-        from tensorboardX.event_file_writer import EventsWriter  # writes at once: no thread can fail unseen
+        from tensorboardX.event_file_writer import (
+            EventsWriter,  # writes at once: no thread can fail unseen
+        )
         from tensorboardX.proto.event_pb2 import Event, SessionLog
         from tensorboardX.proto.summary_pb2 import Summary
     except ImportError:
@@ -29,7 +31,9 @@ def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Calla
 
     def append(line: Json) -> None:
         values = scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
-        summary = Summary(value=[Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()])
+        summary = Summary(
+            value=[Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()]
+        )
         writer.write_event(Event(wall_time=time.time(), step=line["step"], summary=summary))
         writer.flush()
 

@@ -78,13 +78,19 @@ def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
     return open_recorded(recorded, experiment.sensor, data_dir, experiment.seed)
 
 
-def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path) -> Reader:
+def pairs_of(
+    experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path
+) -> Reader:
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
     its posenet_sheared where the settings ask for that."""
     settings = stored.settings
     render = _render(run_dir / RENDERER) if settings.pairing in RENDERED else None
     drag = _drag(experiment, stored, data_dir)
-    read = _read(run_dir / POSENET_SHEARED, over_pins(experiment)) if settings.unlabelled == "read" else None
+    read = (
+        _read(run_dir / POSENET_SHEARED, over_pins(experiment))
+        if settings.unlabelled == "read"
+        else None
+    )
     return stored.pairs(targets, render, not over_pins(experiment), read, drag)
 
 
@@ -97,7 +103,9 @@ def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> Drag |
 
 
 def pins_of(frame: Json) -> Pins:
-    return Pins(np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"]))
+    return Pins(
+        np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"])
+    )
 
 
 def all_trained(reader: Reader, *fields: str) -> Batch:
@@ -127,7 +135,9 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
     targets = of_ranges(experiment.targets, settings.ranges)
     slides = felt_of(settings.ranges) if isinstance(settings, PairedData) else ()
-    return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"), slides=slides)
+    return Examples(
+        reader, targets, Pins(rest, radius, size), reader.length("train"), slides=slides
+    )
 
 
 def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:
@@ -142,7 +152,9 @@ def _render(folder: Path) -> Render:
     run = jax.jit(partial(pinnets.render, net, variables))
 
     def render(poses: np.ndarray) -> np.ndarray:
-        return _in_parts(lambda part: run(posenet.pose_targets({"pose": part}, targets)), poses, POSES_AT_ONCE)
+        return _in_parts(
+            lambda part: run(posenet.pose_targets({"pose": part}, targets)), poses, POSES_AT_ONCE
+        )
 
     return render
 
@@ -172,7 +184,9 @@ def _trained(folder: Path, what: str) -> tuple[Net, Variables, Targets]:
     return read_net(folder), load_best(folder), read_targets(folder)
 
 
-def _in_parts(function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, at_once: int) -> np.ndarray:
+def _in_parts(
+    function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, at_once: int
+) -> np.ndarray:
     """`function` of `values` (N, ...), so many at a time: one shape to compile."""
     parts = []
     for start in range(0, max(1, len(values)), at_once):

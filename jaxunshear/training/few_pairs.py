@@ -30,7 +30,11 @@ def few_pairs(examples: Examples, share: float, seed: int) -> Examples:
 
     def load(split: str) -> Batch:
         rows = stored.rows(split)
-        kept = slice(None) if split == "test" else chosen(rows["stimulus"], rows["pose_id"], share, seed)
+        kept = (
+            slice(None)
+            if split == "test"
+            else chosen(rows["stimulus"], rows["pose_id"], share, seed)
+        )
         return {name: value[kept] for name, value in rows.items()}
 
     return examples._replace(reader=Reader(load, examples.pins.size))
@@ -41,7 +45,9 @@ def chosen(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: int) -
     poses, row = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)
     hashes = [hashed(f"pair {seed} {s} {p}") for s, p in poses.tolist()]
     drawn = np.zeros(len(poses), bool)
-    drawn[sorted(range(len(poses)), key=hashes.__getitem__)[: max(1, round(share * len(poses)))]] = True
+    drawn[
+        sorted(range(len(poses)), key=hashes.__getitem__)[: max(1, round(share * len(poses)))]
+    ] = True
     return drawn[row.reshape(-1)]
 
 
@@ -50,7 +56,10 @@ def with_taps(batches: Batches, taps: Reader, count: int, seed: int) -> Batches:
     drawn = taps.train_batches(count, seed, 0.0, ("pins",))
 
     def from_step(start: int = 0) -> Iterator[Batch]:
-        return (pairs | {TAPS: alone["pins"]} for pairs, alone in zip(batches(start), drawn(start), strict=True))
+        return (
+            pairs | {TAPS: alone["pins"]}
+            for pairs, alone in zip(batches(start), drawn(start), strict=True)
+        )
 
     return from_step
 

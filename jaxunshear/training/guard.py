@@ -57,8 +57,14 @@ def _inspected(batch: Batch) -> tuple[str, str]:
             more = ", ..." if len(rows) > NAMED else ""
             wrong.append(f"{name} of examples {', '.join(map(str, rows[:NAMED]))}{more}")
     if wrong:
-        return f"with NaN or infinity in {'; '.join(wrong)}", "fix the data, then run the same command"
-    least, most = min(array.min() for array in arrays.values()), max(array.max() for array in arrays.values())
+        return (
+            f"with NaN or infinity in {'; '.join(wrong)}",
+            "fix the data, then run the same command",
+        )
+    least, most = (
+        min(array.min() for array in arrays.values()),
+        max(array.max() for array in arrays.values()),
+    )
     hint = "if these are as they should be, lower learning_rate (in another folder)"
     return f"whose numbers are {least:g} to {most:g}", hint
 

@@ -101,24 +101,42 @@ def train(
     devices = devices_for(training.batch)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
-    length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
+    length = _Length(
+        max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch
+    )
     optimiser = optimiser_of(training, length.steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
     state, reached = _restored(folder, first_state(task, optimiser, key_init, start), task.rank)
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
     rate = learning_rate(training, length.steps, steps_per_epoch)
-    with native.taking("xla") if devices.mesh else contextlib.nullcontext():  # what is compiled cannot be split
+    with (
+        native.taking("xla") if devices.mesh else contextlib.nullcontext()
+    ):  # what is compiled cannot be split
         with (
             contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream,
             open_events(folder, reached.step, rate) as log,
         ):
-            state = _run(step, state, reached, length, task, training, stream, validation, folder, devices, log)
+            state = _run(
+                step,
+                state,
+                reached,
+                length,
+                task,
+                training,
+                stream,
+                validation,
+                folder,
+                devices,
+                log,
+            )
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _ended(task, parameters, reached, length, folder, devices)
 
 
-def first_state(task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None = None) -> State:
+def first_state(
+    task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None = None
+) -> State:
     """Before the first step."""
 
     def first(key: Array, given: Tree) -> State:
@@ -136,7 +154,9 @@ def _restored(folder: Path, state: State, rank: str) -> tuple[State, _Reached]:
     state, record = checkpoint.restore(folder, step, state)
     history, best_step = record["history"], record["best_step"]
     best_loss = min(_ranked(line["validation"][rank]) for line in history)
-    return state, _Reached(step, history, best_step, best_loss, record["train_seconds"], record["compile_seconds"])
+    return state, _Reached(
+        step, history, best_step, best_loss, record["train_seconds"], record["compile_seconds"]
+    )
 
 
 def _run(
@@ -155,11 +175,15 @@ def _run(
     """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
     state, batch = devices.with_state(state), next(stream)
     began = time.perf_counter()
-    compiled = jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
+    compiled = (
+        jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
+    )
     validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
     reached.compile_seconds += time.perf_counter() - began
 
-    with Progress(f"train {folder.name}", length.steps * length.batch, done=reached.step * length.batch) as progress:
+    with Progress(
+        f"train {folder.name}", length.steps * length.batch, done=reached.step * length.batch
+    ) as progress:
         began = time.perf_counter()
         waiting: list[tuple[int, dict[str, Array], Batch]] = []
         for done in range(reached.step + 1, length.steps + 1):
@@ -178,13 +202,22 @@ def _run(
             check_state(state, done, ready[2], folder)
             scores = _mean_terms(validate, state.average, validation())
             sizes = {name: float(size) for name, size in measure(state.params).items()}
-            _keep(state, reached, length, {"train": last, "validation": scores, "kernels": sizes}, task.rank, folder)
+            _keep(
+                state,
+                reached,
+                length,
+                {"train": last, "validation": scores, "kernels": sizes},
+                task.rank,
+                folder,
+            )
             log(reached.history[-1])
             began = time.perf_counter()
     return state
 
 
-def _keep(state: State, reached: _Reached, length: _Length, scores: Json, rank: str, folder: Path) -> None:
+def _keep(
+    state: State, reached: _Reached, length: _Length, scores: Json, rank: str, folder: Path
+) -> None:
     """A line of the history and a checkpoint that holds it."""
     loss = _ranked(scores["validation"][rank])
     if reached.best_step == 0 or loss < reached.best_loss:
@@ -202,11 +235,15 @@ def _keep(state: State, reached: _Reached, length: _Length, scores: Json, rank: 
     _write_log(folder, reached.history)
 
 
-def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path, devices: Devices) -> Summary:
+def _ended(
+    task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path, devices: Devices
+) -> Summary:
     """Raises UserError where no validation loss was finite."""
     if math.isinf(reached.best_loss):
         hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
-        raise UserError(f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}")
+        raise UserError(
+            f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}"
+        )
     images = length.steps * length.batch
     summary = Summary(
         kind=task.kind,
@@ -218,7 +255,9 @@ def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, fold
         train_seconds=reached.seconds,
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
-        trained_on=replace(machine(), kernels=kernels.described(), devices=devices.number if devices.mesh else None),
+        trained_on=replace(
+            machine(), kernels=kernels.described(), devices=devices.number if devices.mesh else None
+        ),
         trained_by=read_source(),
     )
     stored.write(folder / checkpoint.SUMMARY, summary)
@@ -243,7 +282,10 @@ def _mean_terms(
     for batch in batches:
         size = len(next(iter(batch.values())))
         full = max(full, size)
-        filled = {name: np.resize(np.asarray(value), (full, *np.shape(value)[1:])) for name, value in batch.items()}
+        filled = {
+            name: np.resize(np.asarray(value), (full, *np.shape(value)[1:]))
+            for name, value in batch.items()
+        }
         for name, values in jax.device_get(validate(variables, filled)).items():
             sums[name] = sums.get(name, 0.0) + float(np.sum(values[:size], dtype=np.float64))
         count += size
@@ -259,4 +301,6 @@ def _ranked(loss: float | None) -> float:
 
 def _write_log(folder: Path, history: list[Json]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
-    storage.write_text(folder / "log.jsonl", "".join(json.dumps(storage.sealed(line)) + "\n" for line in history))
+    storage.write_text(
+        folder / "log.jsonl", "".join(json.dumps(storage.sealed(line)) + "\n" for line in history)
+    )

@@ -12,25 +12,33 @@ from jaxtyping import Float, Int
 from jaxunshear.model.parts import Variables, leaves_of
 
 
-def supervised(canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]) -> Float[Array, "B"]:
+def supervised(
+    canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
+) -> Float[Array, "B"]:
     """L_sup: mean squared difference of images in [0, 1]."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
 
 
-def reconstruction(sheared: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]) -> Float[Array, "B"]:
+def reconstruction(
+    sheared: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
+) -> Float[Array, "B"]:
     """L_rec: the same, of the sheared image."""
     return supervised(sheared, target)
 
 
 def patch(
-    canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"], counts: Float[Array, "B S S"]
+    canonical: Float[Array, "B S S 1"],
+    target: Float[Array, "B S S 1"],
+    counts: Float[Array, "B S S"],
 ) -> Float[Array, "B"]:
     """L_patch: mean absolute difference over all pixels of all crops. `counts`: crops that cover a pixel."""
     difference = jnp.abs(canonical - target)[..., 0]
     return jnp.sum(counts * difference, (1, 2)) / jnp.sum(counts, (1, 2))
 
 
-def coverage(corners: Int[Array, "B crops 2"], size: int, side: int) -> Float[Array, "B {size} {size}"]:
+def coverage(
+    corners: Int[Array, "B crops 2"], size: int, side: int
+) -> Float[Array, "B {size} {size}"]:
     """How many crops of `side` pixels cover each pixel, by the crops' corners (row, column).
 
     A crop is the outer product of an indicator of its rows and one of its columns, so the counts are one matrix
@@ -38,16 +46,22 @@ def coverage(corners: Int[Array, "B crops 2"], size: int, side: int) -> Float[Ar
     """
     start = corners[..., None]
     pixel = jnp.arange(size)[None, None, None]
-    rows, columns = jnp.moveaxis(((pixel >= start) & (pixel < start + side)).astype(jnp.float32), 2, 0)
+    rows, columns = jnp.moveaxis(
+        ((pixel >= start) & (pixel < start + side)).astype(jnp.float32), 2, 0
+    )
     return jnp.einsum("bkr,bkc->brc", rows, columns, precision="highest")
 
 
-def random_corners(key: Array, images: int, crops: int, size: int, side: int) -> Int[Array, "{images} {crops} 2"]:
+def random_corners(
+    key: Array, images: int, crops: int, size: int, side: int
+) -> Int[Array, "{images} {crops} 2"]:
     """Uniform upper left corners of crops that lie in the image."""
     return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
 
 
-def pose(outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]) -> Float[Array, "B"]:
+def pose(
+    outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
+) -> Float[Array, "B"]:
     """PoseNet's L2 loss: weighted mean squared difference of outputs and targets."""
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
 
@@ -66,7 +80,9 @@ def slide(z_s: Float[Array, "B G"], wanted: Float[Array, "B K"]) -> Float[Array,
     return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
 
 
-def regularisation(params: Variables, l1: float, l2: float, kernels: str = "sum") -> Float[Array, ""]:
+def regularisation(
+    params: Variables, l1: float, l2: float, kernels: str = "sum"
+) -> Float[Array, ""]:
     """l1 sum |w| + l2 sum w^2 over each kernel (no biases, no normalisation), or their "mean"; added up over all of
     them. A weight of zero computes nothing."""
     over = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
@@ -85,4 +101,8 @@ def kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
 def kernels_of(params: Variables) -> dict[str, Array]:
     """The kernels of convolution and dense layers, by dotted name."""
     leaves = leaves_of(params)
-    return {name.removesuffix(".kernel"): leaf for name, leaf in leaves.items() if name.endswith(".kernel")}
+    return {
+        name.removesuffix(".kernel"): leaf
+        for name, leaf in leaves.items()
+        if name.endswith(".kernel")
+    }

@@ -24,14 +24,18 @@ RMS = 0.2
 READ_OUT = 8  # kernels with fewer outputs
 
 
-def muon(learning_rate: optax.ScalarOrSchedule, beta1: float, beta2: float) -> optax.GradientTransformation:
+def muon(
+    learning_rate: optax.ScalarOrSchedule, beta1: float, beta2: float
+) -> optax.GradientTransformation:
     """Muon for the inner kernels; Adam for the first and the last layer's, biases and normalisation, as is usual."""
     inner = optax.chain(
         optax.trace(MOMENTUM, nesterov=True),
         optax.stateless(lambda updates, _: jax.tree.map(_kernel_update, updates)),
         optax.scale_by_learning_rate(learning_rate),
     )
-    return optax.partition({"muon": inner, "adam": optax.adam(learning_rate, beta1, beta2)}, _labels)
+    return optax.partition(
+        {"muon": inner, "adam": optax.adam(learning_rate, beta1, beta2)}, _labels
+    )
 
 
 def orthogonal(x: Array) -> Array:

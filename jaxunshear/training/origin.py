@@ -19,7 +19,9 @@ def origin_of(experiment: Experiment, network: str) -> Json:
         if network not in POSENETS or settings.pairing == "simulated":
             described |= {"pairing": settings.pairing}
         if network not in POSENETS:
-            described |= {"unlabelled": settings.unlabelled} if settings.unlabelled != "left_out" else {}
+            described |= (
+                {"unlabelled": settings.unlabelled} if settings.unlabelled != "left_out" else {}
+            )
         elif settings.direct_taps != "none":
             described |= {"direct_taps": settings.direct_taps}
     return described

@@ -58,22 +58,35 @@ def pin_unshear_task(
         named = {"supervised": supervise(found, batch["canonical_pins"], off)}
         if watch:
             named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
-        return weighed(named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch)
+        return weighed(
+            named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
+        )
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:
-        alike = batch.get(SWAPPED, batch["canonical_pins"]) if training.agreement_weight and net.shear_code else None
+        alike = (
+            batch.get(SWAPPED, batch["canonical_pins"])
+            if training.agreement_weight and net.shear_code
+            else None
+        )
         other = batch.get(OTHER) if training.swap_weight else None
         return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
 
     def unsheared(variables: Tree, pins: Array, key: Array, number: int) -> Array:
-        return pinnets.unshear(net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number)))
+        return pinnets.unshear(
+            net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number))
+        )
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         named = named_of(variables, batch, decoded(variables, batch, key))
         if TAPS in batch:
-            named["tap"] = pinnets.distance(unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables)
+            named["tap"] = pinnets.distance(
+                unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables
+            )
         if ONE in batch:
-            one, another = unsheared(variables, batch[ONE], key, 3), unsheared(variables, batch[ANOTHER], key, 4)
+            one, another = (
+                unsheared(variables, batch[ONE], key, 3),
+                unsheared(variables, batch[ANOTHER], key, 4),
+            )
             named["alike"] = pinnets.distance(one, another, variables)
         return named, variables["batch_stats"]
 
@@ -81,7 +94,17 @@ def pin_unshear_task(
         return named_of(variables, batch, decoded(variables, batch))
 
     init = partial(pinnets.init, net, rest, spread)
-    return Task("pin_unshear", net, targets, init, terms, weights_of(training), validate, "supervised", slides)
+    return Task(
+        "pin_unshear",
+        net,
+        targets,
+        init,
+        terms,
+        weights_of(training),
+        validate,
+        "supervised",
+        slides,
+    )
 
 
 def pin_posenet_task(
@@ -105,13 +128,19 @@ def pin_posenet_task(
         wanted, angle = posenet.pose_targets(batch, targets), jnp.zeros(())
         if turns is not None:
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
-            pins, wanted, angle = turned(turns, k, pins), turned_outputs(turns, k, wanted, targets), turns.radians[k]
+            pins, wanted, angle = (
+                turned(turns, k, pins),
+                turned_outputs(turns, k, wanted, targets),
+                turns.radians[k],
+            )
         loss = losses.absolute_pose(pinnets.predict(net, variables, pins, angle), wanted, weights)
         named = weighed({"pose": loss}, batch)
         if render is not None:
             drawn = posenet.drawn_outputs(targets, len(pins), jax.random.fold_in(key, 3))
             rendered = pinnets.spoilt(net, render(drawn), jax.random.fold_in(key, 4))
-            named["rendered"] = losses.absolute_pose(pinnets.predict(net, variables, rendered), drawn, weights)
+            named["rendered"] = losses.absolute_pose(
+                pinnets.predict(net, variables, rendered), drawn, weights
+            )
         return named, variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
@@ -120,10 +149,14 @@ def pin_posenet_task(
         return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
 
     init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
-    return Task("pin_posenet", net, targets, init, terms, {"pose": 1.0, "rendered": 1.0}, validate, "pose")
+    return Task(
+        "pin_posenet", net, targets, init, terms, {"pose": 1.0, "rendered": 1.0}, validate, "pose"
+    )
 
 
-def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
+def renderer_task(
+    net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float
+) -> Task:
     """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
@@ -140,4 +173,6 @@ def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: 
 def _drawn_turn(share: float, key: Array) -> Array:
     """One angle for a batch: none, or with the chance `share` any of them."""
     chance_key, angle_key = jax.random.split(key)
-    return jnp.where(jax.random.uniform(chance_key) < share, jax.random.randint(angle_key, (), 0, ANGLES), 0)
+    return jnp.where(
+        jax.random.uniform(chance_key) < share, jax.random.randint(angle_key, (), 0, ANGLES), 0
+    )

@@ -32,9 +32,14 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
         return None
     folder = model_folder(Path(model)) / network
     if not (folder / "model.json").is_file():
-        raise UserError(f"start: {folder.parent} holds no {network}: name a run or released weights that have it")
+        raise UserError(
+            f"start: {folder.parent} holds no {network}: name a run or released weights that have it"
+        )
     tests = {fingerprint(test, experiment.sensor) for test in further_tests(experiment).values()}
-    check_unseen(folder, folders_in(paired.digest) if isinstance(paired := experiment.paired, Recorded) else tests)
+    check_unseen(
+        folder,
+        folders_in(paired.digest) if isinstance(paired := experiment.paired, Recorded) else tests,
+    )
     return folder
 
 
@@ -68,7 +73,12 @@ def begin_from(fresh: Json, start: Json) -> Json:
     own = leaves_of(fresh)
     modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel
     kept = {name: leaf for name, leaf in leaves_of(start).items() if name.split(".")[1] in modules}
-    wrong = next((name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape), None)
+    wrong = next(
+        (name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape),
+        None,
+    )
     if wrong or not kept:
-        raise UserError(f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings")
+        raise UserError(
+            f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings"
+        )
     return tree.unflatten(tree.structure(fresh), (own | kept).values())

@@ -23,7 +23,9 @@ class State(NamedTuple):
     params: Tree
     batch_stats: Tree
     optimiser: Tree
-    average: dict[str, Tree]  # moving averages of both: the variables that are validated, kept and used
+    average: dict[
+        str, Tree
+    ]  # moving averages of both: the variables that are validated, kept and used
 
 
 def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
@@ -40,12 +42,16 @@ def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> opt
     )
 
 
-def optimiser_of(training: Training, steps: int, steps_per_epoch: float) -> optax.GradientTransformation:
+def optimiser_of(
+    training: Training, steps: int, steps_per_epoch: float
+) -> optax.GradientTransformation:
     """Adam or Muon with the schedule of `training`. Raises UserError for another name."""
     kinds = {"adam": optax.adam, "muon": muon}
     if training.optimiser not in kinds:
         raise UserError(f'optimiser: "{training.optimiser}" is unknown; use "adam" or "muon"')
-    return kinds[training.optimiser](learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
+    return kinds[training.optimiser](
+        learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2
+    )
 
 
 def fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
@@ -63,7 +69,9 @@ def make_step(
     def loss(
         params: Tree, batch_stats: Tree, batch: Batch, step_key: Array
     ) -> tuple[Array, tuple[dict[str, Array], Tree]]:
-        terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
+        terms, batch_stats = task.terms(
+            {"params": params, "batch_stats": batch_stats}, batch, step_key
+        )
         metrics = {name: jnp.mean(values) for name, values in terms.items()}
         kernels = losses.regularisation(params, training.l1, training.l2, training.kernels)
         total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
@@ -72,7 +80,9 @@ def make_step(
     def step(state: State, batch: Batch) -> tuple[State, dict[str, Float[Array, ""]]]:
         step_key = jax.random.fold_in(key, state.step)
         gradient_of = jax.grad(loss, has_aux=True)
-        gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch, step_key)
+        gradient, (metrics, batch_stats) = gradient_of(
+            state.params, state.batch_stats, batch, step_key
+        )
         updates, moments = optimiser.update(gradient, state.optimiser, state.params)
         params = optax.apply_updates(state.params, updates)
         # averages start short, else the first weights would linger in them

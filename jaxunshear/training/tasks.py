@@ -32,7 +32,9 @@ class Task:
     net: Net  # the network's settings
     targets: Targets
     init: Callable[[Array], Tree]
-    terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
+    terms: Callable[
+        [Tree, Batch, Array], tuple[dict[str, Array], Tree]
+    ]  # variables, batch, key -> terms, batch_stats
     weights: dict[str, float]
     validate: Callable[[Tree, Batch], dict[str, Array]]
     rank: str  # the validation term that the best model is chosen by
@@ -71,8 +73,12 @@ def unshear_task(
         image = jax.nn.sigmoid(found.canonical)
         named = {"supervised": supervise(found, canonical, _off_image)}
         if training.patch_weight:
-            corners = losses.random_corners(key, len(image), training.crops, net.size, training.crop_px)
-            named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, training.crop_px))
+            corners = losses.random_corners(
+                key, len(image), training.crops, net.size, training.crop_px
+            )
+            named["patch"] = losses.patch(
+                image, canonical, losses.coverage(corners, net.size, training.crop_px)
+            )
         if watch:
             named["pose"] = watch(image, canonical, batch)
         return weighed(named | of_codes(found, batch=batch), batch), batch_stats
@@ -93,7 +99,9 @@ def unshear_task(
             named["pose"] = watch(image, canonical, batch)
         return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
-    return Task(kind, net, targets, init, terms, weights_of(training), validate, "supervised", slides)
+    return Task(
+        kind, net, targets, init, terms, weights_of(training), validate, "supervised", slides
+    )
 
 
 def _decoded(
@@ -102,7 +110,11 @@ def _decoded(
     if isinstance(net, networks.UNet):
         return unet.reconstruct(net, variables, batch["sheared"])
     parted = net.disentangled and net.apart
-    alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if parted and training.agreement_weight else None
+    alike = (
+        batch.get(SWAPPED_IMAGE, batch["canonical"])
+        if parted and training.agreement_weight
+        else None
+    )
     other = batch[OTHER_IMAGE] if parted and training.swap_weight else None
     return unshearnet.reconstruct(net, variables, batch["sheared"], alike, other)
 
@@ -117,7 +129,11 @@ def supervise(found: Decoded, canonical: Array, off: Callable[[Array, Array], Ar
 
 
 def code_terms(
-    found: Decoded, fields: tuple[str, str], off: Callable[[Array, Array], Array], batch: Batch, slides: Targets
+    found: Decoded,
+    fields: tuple[str, str],
+    off: Callable[[Array, Array], Array],
+    batch: Batch,
+    slides: Targets,
 ) -> dict[str, Array]:
     """What DS makes of codes, and what these should be, (B,) each. `fields` of a batch: the slide, and what exchanged codes should draw;
     `off`: how far what DS draws lies from such a field (B,)."""
@@ -147,7 +163,9 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         images = _unit(batch["image"])
         outputs, batch_stats = posenet.predict_training(net, variables, images)
-        return {"pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)}, batch_stats
+        return {
+            "pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+        }, batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
@@ -176,9 +194,13 @@ def weights_of(training: Training) -> dict[str, float]:
 
 def _check_crops(net: networks.UnshearNet | networks.UNet, training: Training) -> None:
     if not 0 < training.crop_px <= net.size:
-        raise UserError(f"crop_px: crops of {training.crop_px} px do not fit images of {net.size} px")
+        raise UserError(
+            f"crop_px: crops of {training.crop_px} px do not fit images of {net.size} px"
+        )
     if training.patch_weight and training.crops < 1:
-        raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
+        raise UserError(
+            f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0"
+        )
 
 
 def watcher(
@@ -192,13 +214,19 @@ def watcher(
     if not training.pose_weight:
         return None
     if teacher is None:
-        raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
+        raise UserError(
+            "pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0"
+        )
     if not targets:
         raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
     weights = posenet.output_weights(targets)
 
     def watched(unsheared: Array, canonical: Array, batch: Batch) -> Array:
-        wanted = posenet.pose_targets(batch, targets) if training.pose_target == "label" else teacher(canonical)
+        wanted = (
+            posenet.pose_targets(batch, targets)
+            if training.pose_target == "label"
+            else teacher(canonical)
+        )
         return loss(teacher(unsheared), wanted, weights)
 
     return watched
@@ -208,7 +236,10 @@ def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
     apart = {name: true[name] - got[name] for name in got}
-    return {name: jnp.abs(wrap_degrees(off) if name.endswith("_deg") else off) for name, off in apart.items()}
+    return {
+        name: jnp.abs(wrap_degrees(off) if name.endswith("_deg") else off)
+        for name, off in apart.items()
+    }
 
 
 def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
@@ -227,4 +258,6 @@ def _as_floats(batch: Batch) -> Batch:
 
 def _unit(images: Array) -> Array:
     """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
-    return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
+    return (
+        images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
+    )

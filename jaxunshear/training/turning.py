@@ -55,17 +55,24 @@ def turns_of(rest: Float[np.ndarray, "P 2"], sense: int) -> Turns:
 def turned(turns: Turns, k: ArrayLike, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
     """Pins px after a turn by angle `k`; pins that are not seen count as untouched."""
     motion = jnp.where(jnp.isfinite(pins), pins - turns.rest[None], 0)
-    return turns.rest[None] + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
+    return turns.rest[None] + jnp.einsum(
+        "pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k]
+    )
 
 
-def turned_outputs(turns: Turns, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets) -> Float[Array, "B K"]:
+def turned_outputs(
+    turns: Turns, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets
+) -> Float[Array, "B K"]:
     """PoseNet's outputs in [0, 1] of the pose after that turn: of all targets only the twist changes."""
     angle, column, columns = turns.sense * turns.radians[k], 0, []
     for target in targets:
         here = outputs[:, column : column + target.outputs]
         if target.name == TWIST:
             cosine, sine = 2 * here[:, 0] - 1, 2 * here[:, 1] - 1
-            after = (cosine * jnp.cos(angle) - sine * jnp.sin(angle), sine * jnp.cos(angle) + cosine * jnp.sin(angle))
+            after = (
+                cosine * jnp.cos(angle) - sine * jnp.sin(angle),
+                sine * jnp.cos(angle) + cosine * jnp.sin(angle),
+            )
             here = (1 + jnp.stack(after, -1)) / 2
         columns.append(here)
         column += target.outputs
@@ -84,7 +91,9 @@ def sense_of(
     target over the full circle, and where neither resembles what was recorded: then what is touched does not turn with its label.
     """
     if not any(target.name == TWIST and target.circle for target in targets):
-        raise UserError(f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0")
+        raise UserError(
+            f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0"
+        )
     rows = np.random.default_rng(0).choice(len(pins), min(TRIED, len(pins)), replace=False)
     motion = np.where(np.isfinite(pins), pins - rest, 0)
     apart = {}
@@ -96,7 +105,9 @@ def sense_of(
             wanted[:, 5] += sense * 360 * k / ANGLES
             near, _ = pairing.nearest(targets, wanted, poses)
             difference = np.asarray(turned(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
-            scores.append(np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2)))
+            scores.append(
+                np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2))
+            )
         apart[sense] = float(np.median(scores))
     sense = min(apart, key=apart.__getitem__)
     if not apart[sense] < ALIKE:

@@ -12,4 +12,6 @@ def test_both_kinds_of_networks_have_a_row():
     for row in rows:
         assert row["ratio_low"] <= row["ratio"] <= row["ratio_high"]
         assert set(row) == set(COLUMNS)
-        assert row["ms_there"] > 0 and row["ms_drawn"] > 0 and 0.5 < row["ratio"] <= row["ratio_p95"]
+        assert (
+            row["ms_there"] > 0 and row["ms_drawn"] > 0 and 0.5 < row["ratio"] <= row["ratio_p95"]
+        )

@@ -35,13 +35,24 @@ def test_multiplications_are_those_of_plain_convolutions(net, training):
     expected += sum(params[name]["kernel"].size * side**2 for name in codes)
     for decoder in ["DC"] + (["DS"] if net.disentangled and training else []):
         names = [f"Up_{i}" for i in range(len(net.widths) - 1)] + ["Last_0"]
-        expected += sum(params[decoder][name]["kernel"].size * (side * 2**i) ** 2 for i, name in enumerate(names))
+        expected += sum(
+            params[decoder][name]["kernel"].size * (side * 2**i) ** 2
+            for i, name in enumerate(names)
+        )
     assert multiplications(net, training) == expected
 
 
 def test_posenet_s_multiplications_are_those_of_its_layers():
     params = jax.eval_shape(lambda: posenet.init(POSENET, 5, jax.random.key(0)))["params"]
-    places = {"First_0": 16, "Down_0": 8, "Same_0": 4, "Same_1": 4, "Same_2": 2, "Dense_0": 1, "Dense_1": 1}
+    places = {
+        "First_0": 16,
+        "Down_0": 8,
+        "Same_0": 4,
+        "Same_1": 4,
+        "Same_2": 2,
+        "Dense_0": 1,
+        "Dense_1": 1,
+    }
     expected = sum(params[name]["kernel"].size * side**2 for name, side in places.items())
     assert pose_multiplications(POSENET) == expected
 
@@ -56,7 +67,10 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
     ids=["train", "infer", "stream"],
 )
 def test_rows(bench, monkeypatch):
-    for name, net in (("UnshearNet", SMALL), ("PoseNet", POSENET)):  # the default widths take long to compile
+    for name, net in (
+        ("UnshearNet", SMALL),
+        ("PoseNet", POSENET),
+    ):  # the default widths take long to compile
         monkeypatch.setattr(bench_networks, name, functools.partial(dataclasses.replace, net))
     rows = bench()
     ours = rows[0]
@@ -76,9 +90,15 @@ def test_what_is_not_installed_has_not_failed():
     def broken():
         raise RuntimeError("no")
 
-    sides = iter([("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)])
+    sides = iter(
+        [("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)]
+    )
     said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, (1, 0.0)))
-    assert "torch is not installed" in said and said.count("FAILED") == 1 and "FAILED: RuntimeError: no" in said
+    assert (
+        "torch is not installed" in said
+        and said.count("FAILED") == 1
+        and "FAILED: RuntimeError: no" in said
+    )
 
 
 @pytest.mark.parametrize(("size", "batch"), [(100, 1), (128, 0)])
@@ -95,12 +115,16 @@ def test_the_twin_computes_the_same(net):
     variables = unshearnet.init(net, jax.random.key(0))
     twin = torch_twin.Twin(net)
     twin.load(variables)
-    canonical, sheared = np.random.default_rng(0).integers(0, 2, (2, 3, 32, 32, 1)).astype(np.float32)
+    canonical, sheared = (
+        np.random.default_rng(0).integers(0, 2, (2, 3, 32, 32, 1)).astype(np.float32)
+    )
     theirs = [torch.from_numpy(x.transpose(0, 3, 1, 2).copy()) for x in (canonical, sheared)]
     twin.eval()
     with torch.no_grad():
         out = twin.unshear(theirs[1]).numpy()[:, 0]
-    np.testing.assert_allclose(out, unshearnet.unshear(net, variables, jnp.asarray(sheared))[..., 0], atol=1e-5)
+    np.testing.assert_allclose(
+        out, unshearnet.unshear(net, variables, jnp.asarray(sheared))[..., 0], atol=1e-5
+    )
 
     training = Training(patch_weight=0.0, l1=1e-4, l2=1e-3, reconstruction_weight=0.5)
     task = unshear_task(net, training)
@@ -108,7 +132,9 @@ def test_the_twin_computes_the_same(net):
     def loss(params):
         full = {"params": params, "batch_stats": variables["batch_stats"]}
         terms, _ = task.terms(full, {"canonical": canonical, "sheared": sheared}, jax.random.key(0))
-        return sum(task.weights[k] * jnp.mean(v) for k, v in terms.items()) + regularisation(params, 1e-4, 1e-3)
+        return sum(task.weights[k] * jnp.mean(v) for k, v in terms.items()) + regularisation(
+            params, 1e-4, 1e-3
+        )
 
     value, slopes = jax.value_and_grad(loss)(variables["params"])
     twin.train()
@@ -136,4 +162,6 @@ def test_posenet_s_twin_computes_the_same():
     twin.load(variables)
     with torch.no_grad():
         theirs = twin(torch.from_numpy(images.transpose(0, 3, 1, 2).copy())).numpy()
-    np.testing.assert_allclose(theirs, posenet.predict(POSENET, variables, jnp.asarray(images)), atol=1e-5)
+    np.testing.assert_allclose(
+        theirs, posenet.predict(POSENET, variables, jnp.asarray(images)), atol=1e-5
+    )

@@ -9,7 +9,12 @@ from tests.image.test_measuring import LATTICE, picture, slid
 def test_errors_identities_and_times():
     true = np.stack([slid(), slid() + np.array([0.5, 0])])
     row = bench_pins.compare(LATTICE, np.stack([picture(each) for each in true]), true)
-    assert row["frames"] == 2 and row["sure"] == 1 and row["wrong"] == 0 and row["missed"] == row["extra"] == 0
+    assert (
+        row["frames"] == 2
+        and row["sure"] == 1
+        and row["wrong"] == 0
+        and row["missed"] == row["extra"] == 0
+    )
     assert 0 < row["rms_px"] < 0.15
     assert row["find_ms"] > 0 and row["follow_ms"] > 0 and row["ms"] <= row["ms_p95"]
 

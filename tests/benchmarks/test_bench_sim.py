@@ -31,7 +31,18 @@ FIELDS = {
         "ratio",
         "compile_s",
     ),
-    *("rms_px", "p95_px", "rms_mm", "p95_mm", "iterations", "converged", "nodes", "plan_ms", "failed", "against"),
+    *(
+        "rms_px",
+        "p95_px",
+        "rms_mm",
+        "p95_mm",
+        "iterations",
+        "converged",
+        "nodes",
+        "plan_ms",
+        "failed",
+        "against",
+    ),
 }
 LOOSE = replace(LEVELS["auto"], tolerance=0.3)
 
@@ -62,7 +73,9 @@ def run(*settings: Setting) -> list[dict]:
 def test_a_row_says_all_there_is_to_say():
     kept = []
     setting = Setting("auto, batch 2", "auto", LEVELS["auto"], 2)
-    rows = bench(sensor=HALF_SIZE, effort=SMALL, settings=[setting], keep=lambda rows: kept.append(len(rows)))
+    rows = bench(
+        sensor=HALF_SIZE, effort=SMALL, settings=[setting], keep=lambda rows: kept.append(len(rows))
+    )
     assert [row["kind"] for row in rows] == ["slide", "tap"] and kept == [1, 2]
     for row in rows:
         assert set(row) >= FIELDS
@@ -76,10 +89,19 @@ def test_a_row_says_all_there_is_to_say():
 @pytest.mark.long
 def test_a_solver_that_does_not_converge_fails_and_is_shown():
     impatient = Setting(
-        "impatient", "auto", replace(LEVELS["auto"], limit=5, tolerance=1e-3), 2, "projected gradient", kinds=("slide",)
+        "impatient",
+        "auto",
+        replace(LEVELS["auto"], limit=5, tolerance=1e-3),
+        2,
+        "projected gradient",
+        kinds=("slide",),
     )
     (row,) = run(impatient)
-    assert row["converged"] < 1 and "do not converge" in row["failed"] and "FAILED" in bench_sim.table([row])
+    assert (
+        row["converged"] < 1
+        and "do not converge" in row["failed"]
+        and "FAILED" in bench_sim.table([row])
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,11 +122,19 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
 
 
 @pytest.mark.parametrize(
-    "solver", ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)]
+    "solver",
+    ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)],
 )
 def test_rivals_find_the_same_contact(solver):
     (row,) = run(
-        Setting("rival", "auto", replace(LEVELS["auto"], tolerance=0.02, limit=2000), 2, solver, kinds=("slide",))
+        Setting(
+            "rival",
+            "auto",
+            replace(LEVELS["auto"], tolerance=0.02, limit=2000),
+            2,
+            solver,
+            kinds=("slide",),
+        )
     )
     assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
 
@@ -123,7 +153,9 @@ def test_what_is_chosen():
     assert {s.batch for s in bench_sim.chosen(Effort(), None, 16)} == {16}
     everything = bench_sim.chosen(Effort(), None, None)
     assert {"fast", "auto", "default", "reference", "unabridged"} <= {s.level for s in everything}
-    assert set(rivals.RIVALS) == {s.solver for s in everything} and len({s.name for s in everything}) == len(everything)
+    assert set(rivals.RIVALS) == {s.solver for s in everything} and len(
+        {s.name for s in everything}
+    ) == len(everything)
     with pytest.raises(UserError, match="--level 'best'"):
         bench_sim.chosen(Effort(), "best", None)
     with pytest.raises(UserError, match="--batch 0"):
@@ -145,7 +177,9 @@ def test_px_are_those_of_the_image():
     moved = pins + np.array([0.1, 0, 0])
     error = pin_error(HALF_SIZE, pins, moved)
     assert error.rms_mm == pytest.approx(0.1) and error.rms_px == pytest.approx(error.max_px)
-    assert error.rms_px == pytest.approx(0.1 * 256 / 33.5, rel=0.01)  # px of the frame across its width in mm
+    assert error.rms_px == pytest.approx(
+        0.1 * 256 / 33.5, rel=0.01
+    )  # px of the frame across its width in mm
     assert np.isnan(pin_error(HALF_SIZE, pins, moved * np.nan).rms_px)
 
 

@@ -43,17 +43,24 @@ def test_each_command_has_its_own_help(benchmarks):
         assert ("--size" in text) == ("size" in commands.OPTIONS.get(name, ()))
 
 
-def test_rows_are_written_with_the_command_and_the_rivals_versions(benchmarks, monkeypatch, tmp_path):
+def test_rows_are_written_with_the_command_and_the_rivals_versions(
+    benchmarks, monkeypatch, tmp_path
+):
     rows = [{"name": "one", "seconds": 1.0}]
     monkeypatch.setattr("benchmarks.bench_networks.bench_train", lambda size, batch: rows)
     monkeypatch.setattr("benchmarks.bench_networks.table", lambda rows: "a table")
     asked = []
-    monkeypatch.setattr("jaxunshear.metrics.machine.versions", lambda *more: asked.append(more) or {"python": "3"})
+    monkeypatch.setattr(
+        "jaxunshear.metrics.machine.versions", lambda *more: asked.append(more) or {"python": "3"}
+    )
     file = tmp_path / "rows.json"
     answer = benchmarks("train", "--size", "64", "--json", file)
     written = json.loads(file.read_text())
     assert (answer.code, answer.out) == (0, "a table\n")
-    assert written["rows"] == rows and written["command"] == f"python -m benchmarks train --size 64 --json {file}"
+    assert (
+        written["rows"] == rows
+        and written["command"] == f"python -m benchmarks train --size 64 --json {file}"
+    )
     assert asked == [("torch",)]
 
 

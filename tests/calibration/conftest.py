@@ -37,7 +37,9 @@ class Truth(NamedTuple):
     friction: float
 
 
-def write_recording(folder: Path, images: np.ndarray, poses: np.ndarray | None, moves: np.ndarray | None) -> None:
+def write_recording(
+    folder: Path, images: np.ndarray, poses: np.ndarray | None, moves: np.ndarray | None
+) -> None:
     """The older layout: images/, targets.csv, meta.json."""
     (folder / "images").mkdir(parents=True)
     for i, image in enumerate(images):
@@ -47,7 +49,9 @@ def write_recording(folder: Path, images: np.ndarray, poses: np.ndarray | None, 
         return
     with open(folder / "targets.csv", "w", newline="") as stream:
         write = csv.writer(stream).writerow
-        names = [f"pose_{i}" for i in range(1, 7)] + ([f"move_{i}" for i in range(1, 7)] if moves is not None else [])
+        names = [f"pose_{i}" for i in range(1, 7)] + (
+            [f"move_{i}" for i in range(1, 7)] if moves is not None else []
+        )
         write(["sensor_image", *names])
         for i, pose in enumerate(poses):
             write([f"image_{i + 1}.png", *pose, *(moves[i] if moves is not None else [])])

@@ -38,9 +38,9 @@ def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
     turn = np.stack([np.cos(yaw), np.sin(yaw)], -1)
     along = tips[:, :2] @ turn.T  # (Q, N)
     moved = np.zeros((len(end), len(tips), 3))
-    moved[..., :2] = (0.3 * end[:, DEPTH] * tips[:, :1] ** 2 + np.tanh(end[:, X] / 3) * along).T[..., None] * turn[
-        :, None
-    ]
+    moved[..., :2] = (0.3 * end[:, DEPTH] * tips[:, :1] ** 2 + np.tanh(end[:, X] / 3) * along).T[
+        ..., None
+    ] * turn[:, None]
     moved[..., :2] += 0.05 * end[:, None, TILT_X:] * (1 - tips[:, None, 2].T[..., None])
     fine = np.ones(len(end), bool)
     fine[3] = False

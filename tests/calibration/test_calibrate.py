@@ -23,7 +23,9 @@ def _quiet(text: str) -> None:
 @pytest.fixture(scope="module")
 def results(simulated, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    return calibrate(simulated.folder, out, SMALL, GUESS, held=("pin_spacing_mm", "distance_mm"), log=_quiet), out
+    return calibrate(
+        simulated.folder, out, SMALL, GUESS, held=("pin_spacing_mm", "distance_mm"), log=_quiet
+    ), out
 
 
 def _parameters(results):
@@ -33,11 +35,20 @@ def _parameters(results):
 def test_known_values_are_found(results, simulated):
     found = _parameters(results[0])
     assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
-    assert found["pin_radius_mm"]["after"] == pytest.approx(simulated.sensor.pin_radius_mm, rel=0.05)
+    assert found["pin_radius_mm"]["after"] == pytest.approx(
+        simulated.sensor.pin_radius_mm, rel=0.05
+    )
     assert found["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
-    preset, camera = results[0]["preset"], simulated.camera  # a ratio to the outermost pins, whose place is fitted too
-    edge = preset["camera"]["housing"] * outer_fraction(Camera(**preset["camera"]), Sensor(**preset["sensor"]))
-    assert edge == pytest.approx(camera.housing * outer_fraction(camera, simulated.sensor), rel=0.005)
+    preset, camera = (
+        results[0]["preset"],
+        simulated.camera,
+    )  # a ratio to the outermost pins, whose place is fitted too
+    edge = preset["camera"]["housing"] * outer_fraction(
+        Camera(**preset["camera"]), Sensor(**preset["sensor"])
+    )
+    assert edge == pytest.approx(
+        camera.housing * outer_fraction(camera, simulated.sensor), rel=0.005
+    )
     for name in ("mm_across", "friction", "skin_to_gel"):
         assert found[name]["determined"], name
     surface = next(note for note in results[0]["notes"] if "contact begins" in note)
@@ -48,12 +59,19 @@ def test_known_values_are_found(results, simulated):
 def test_after_is_nearer_than_before(results):
     assert results[0]["ring_error_px"]["after"] < 0.25 * results[0]["ring_error_px"]["before"]
     rows = {row["name"]: row for row in results[0]["rows"]}
-    for name in ("pin spacing", "pin diameter", "white share of pins", "outermost ring, share of width"):
+    for name in (
+        "pin spacing",
+        "pin diameter",
+        "white share of pins",
+        "outermost ring, share of width",
+    ):
         row = rows[name]
         assert abs(row["after"] - row["real"]) < 0.5 * abs(row["before"] - row["real"]), name
         assert row["after"] == pytest.approx(row["real"], rel=0.02), name
     slid = rows["central pins left behind, slide 0 to 1 mm"]
-    assert slid["images"] > 3 and slid["after"] == pytest.approx(slid["real"], abs=0.1 * slid["real"])
+    assert slid["images"] > 3 and slid["after"] == pytest.approx(
+        slid["real"], abs=0.1 * slid["real"]
+    )
 
 
 def test_files(results):
@@ -73,8 +91,13 @@ def test_unlabelled_images_give_framing_and_pins_only(simulated, tmp_path):
     shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")
     results = calibrate(tmp_path / "bare", None, SMALL, GUESS, images=12, log=_quiet)
     found = _parameters(results)
-    assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.05)  # touches widen the rings
-    assert found["friction"]["after"] == found["friction"]["before"] and not found["friction"]["determined"]
+    assert found["mm_across"]["after"] == pytest.approx(
+        simulated.camera.mm_across, rel=0.05
+    )  # touches widen the rings
+    assert (
+        found["friction"]["after"] == found["friction"]["before"]
+        and not found["friction"]["determined"]
+    )
     assert any("framing and pin size only" in note for note in results["notes"])
     assert any("not fitted" in note and "friction" in note for note in results["notes"])
 
@@ -94,14 +117,22 @@ def test_what_is_no_recording_is_refused(tmp_path):
 def test_an_image_whose_slide_cannot_be_read_is_no_tap():
     moves = np.ones((20, 6))
     moves[4] = np.nan
-    part = Recorded("one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves)
+    part = Recorded(
+        "one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves
+    )
     np.testing.assert_array_equal(part.labelled, np.arange(20) != 4)
-    unmoved = replace(part, moves=np.full((20, 6), np.nan))  # no move is known: which are taps is not
+    unmoved = replace(
+        part, moves=np.full((20, 6), np.nan)
+    )  # no move is known: which are taps is not
     assert unmoved.labelled.all()
 
 
 def test_what_was_held_is_not_called_undetermined(results):
     held = _parameters(results[0])["pin_spacing_mm"]
     assert held["held"] and held["after"] == held["before"] and held["low"] is None
-    line = next(line for line in (results[1] / "calibration.txt").read_text().splitlines() if "pin_spacing_mm" in line)
+    line = next(
+        line
+        for line in (results[1] / "calibration.txt").read_text().splitlines()
+        if "pin_spacing_mm" in line
+    )
     assert "held" in line and "not determined" not in line

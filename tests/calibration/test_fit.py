@@ -8,7 +8,9 @@ from jaxunshear.calibration.fit import DETERMINED, PRIOR_PX, _bootstrap
 PRIOR = np.array([0.3, 2.0])  # standard deviations
 
 
-@pytest.mark.parametrize(("slope", "known"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)])
+@pytest.mark.parametrize(
+    ("slope", "known"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)]
+)
 @pytest.mark.parametrize("noise", [0.15, 0.3])
 def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, known, noise):
     generator = np.random.default_rng(1)

@@ -9,7 +9,9 @@ from jaxunshear.settings.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
 # x y z mm, Rx Ry Rz deg: the work frame's z points into the object
-POSES = np.array([[0, -2.0, 4.0, 0, 0, 30.0], [0, 1.0, 3.5, 10.0, -15.0, -20.0], [0, 5.0, 3.0, 0, 0, 170.0]])
+POSES = np.array(
+    [[0, -2.0, 4.0, 0, 0, 30.0], [0, 1.0, 3.5, 10.0, -15.0, -20.0], [0, 5.0, 3.0, 0, 0, 170.0]]
+)
 MOVES = np.array([[1.0, 2.0, 0, 0, 0, 3.0], [-1.0, 0.5, 0, 4.0, -2.0, 0], [0, 0, 0, 0, 0, 40.0]])
 
 
@@ -22,12 +24,20 @@ def _work_to_scene() -> np.ndarray:
 def test_points_hold_the_undeformed_dome(side):
     """The lowest point of a sphere that stands as the labels say has the path's depth and place."""
     paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=1.0, side=side, friction=0.3)
-    polar, around = np.meshgrid(np.radians(np.arange(0, 40, 0.05)), np.radians(np.arange(0, 360, 0.5)), indexing="ij")
-    cap = RADIUS * np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), 1 - np.cos(polar)], -1)
+    polar, around = np.meshgrid(
+        np.radians(np.arange(0, 40, 0.05)), np.radians(np.arange(0, 360, 0.5)), indexing="ij"
+    )
+    cap = RADIUS * np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), 1 - np.cos(polar)], -1
+    )
     basis = np.diag([side, side, 1]) @ _work_to_scene()
     for i in range(len(POSES)):
         for point, label in ((1, POSES[i] - MOVES[i]), (2, POSES[i])):
-            turn = basis @ Rotation.from_euler("xyz", label[3:], degrees=True).as_matrix() @ _work_to_scene().T
+            turn = (
+                basis
+                @ Rotation.from_euler("xyz", label[3:], degrees=True).as_matrix()
+                @ _work_to_scene().T
+            )
             skin = basis @ label[:3] + cap.reshape(-1, 3) @ turn.T
             lowest = skin[np.argmin(skin[:, 2])]
             x, y, _, depth = paths.points[i, point, :4]
@@ -39,9 +49,13 @@ def test_yaw_and_tilt_make_up_the_turn():
     paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=0.0, side=1, friction=0.3)
     for i in range(len(POSES)):
         yaw, _, tilt_x, tilt_y = paths.points[i, 2, 2:]
-        turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_rotvec([tilt_x, tilt_y, 0], degrees=True)
+        turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_rotvec(
+            [tilt_x, tilt_y, 0], degrees=True
+        )
         basis = _work_to_scene()
-        expected = basis @ Rotation.from_euler("xyz", POSES[i, 3:], degrees=True).as_matrix() @ basis.T
+        expected = (
+            basis @ Rotation.from_euler("xyz", POSES[i, 3:], degrees=True).as_matrix() @ basis.T
+        )
         np.testing.assert_allclose(turn.as_matrix(), expected, atol=1e-12)
 
 

@@ -38,7 +38,14 @@ def _problem(group, lost):
         converged[LOST] = not lost(friction)
         return moved, converged
 
-    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, FRICTION, skin_to_gel(SMALL), (0.0,))
+    start = Values(
+        GUESS.mm_across,
+        GUESS.distance_mm,
+        SMALL.pin_spacing_mm,
+        FRICTION,
+        skin_to_gel(SMALL),
+        (0.0,),
+    )
     held = ("mm_across", "distance_mm", "pin_spacing_mm")
     made = Problem([group], SMALL, start, held, lambda contacts: None, displacements)
     return made, made.place(start)
@@ -63,7 +70,14 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, at_start):
 
 def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(group):
     """Touches widen the rings by 0 to 8 per cent; which of them are in a sample is chance."""
-    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, FRICTION, skin_to_gel(SMALL), (0.0,))
+    start = Values(
+        GUESS.mm_across,
+        GUESS.distance_mm,
+        SMALL.pin_spacing_mm,
+        FRICTION,
+        skin_to_gel(SMALL),
+        (0.0,),
+    )
     generator = np.random.default_rng(0)
     found, half = [], []
     for _ in range(12):
@@ -77,7 +91,14 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
 
 @pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED, SMALL])
 def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
-    start = Values(GUESS.mm_across, GUESS.distance_mm, sensor.pin_spacing_mm, FRICTION, skin_to_gel(sensor), (0.0,))
+    start = Values(
+        GUESS.mm_across,
+        GUESS.distance_mm,
+        sensor.pin_spacing_mm,
+        FRICTION,
+        skin_to_gel(sensor),
+        (0.0,),
+    )
     made = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)
     for bound in made.bounds():
         check_sensor(made.values(bound).sensor(sensor))

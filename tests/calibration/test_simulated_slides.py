@@ -26,7 +26,9 @@ def _at(moved):
 
 def _moved(poses, moves, friction):
     values = KNOWN.values
-    moved, converged = displacements(SMALL, motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel)
+    moved, converged = displacements(
+        SMALL, motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel
+    )
     assert converged.all()
     return moved
 
@@ -43,7 +45,9 @@ def taps():
 
 @pytest.fixture(scope="module")
 def lattice(taps):
-    return make_lattice(_at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], shells(SMALL))
+    return make_lattice(
+        _at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], shells(SMALL)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,9 @@ from jaxunshear.settings.sensor import TACTIP_331
 @pytest.fixture(scope="module")
 def images():
     """Two of undisturbed pins, 128 px."""
-    return render(Camera(frame_px=128), TACTIP_331, np.repeat(pin_tips(TACTIP_331)[None], 2, axis=0))
+    return render(
+        Camera(frame_px=128), TACTIP_331, np.repeat(pin_tips(TACTIP_331)[None], 2, axis=0)
+    )
 
 
 def _means(images):
@@ -38,7 +40,9 @@ def _means(images):
 def test_known_lattice(images):
     means = _means(images)
     assert means["pins found"] == 331
-    assert means["outermost ring, share of width"] == pytest.approx(outer_fraction(Camera(), TACTIP_331), rel=0.005)
+    assert means["outermost ring, share of width"] == pytest.approx(
+        outer_fraction(Camera(), TACTIP_331), rel=0.005
+    )
     tips = pin_tips(TACTIP_331)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (Camera().distance_mm - tips[:, 2])
     ring = [radius[1 + 3 * k * (k - 1)] for k in range(1, 11)]
@@ -75,14 +79,21 @@ def test_turned_is_a_turn_of_the_image(images):
     assert off.max() < 0.1
     transposed = observe(np.swapaxes(images[:1], 1, 2), TACTIP_331)
     flipped = seen.turned(True, np.pi / 2)
-    off = np.min(np.linalg.norm(transposed.place[0][:, None] - flipped.place[0][None], axis=-1), axis=1)
+    off = np.min(
+        np.linalg.norm(transposed.place[0][:, None] - flipped.place[0][None], axis=-1), axis=1
+    )
     assert off.max() < 0.1
 
 
 def test_diameters():
     rows, columns = np.indices((64, 64))
     image = np.zeros((64, 64), np.uint8)
-    for row, column, radius in ((16, 16, 4.0), (16, 44, 6.0), (44, 20, 5.0), (44, 30, 5.0)):  # the last two touch
+    for row, column, radius in (
+        (16, 16, 4.0),
+        (16, 44, 6.0),
+        (44, 20, 5.0),
+        (44, 30, 5.0),
+    ):  # the last two touch
         image[np.hypot(rows - row, columns - column) <= radius] = 255
     pins = np.array([[16, 16], [44, 16], [20, 44], [30, 44]], float)
     np.testing.assert_allclose(pin_diameters(image, pins), [8, 12, 10, 10], rtol=0.04)
@@ -98,7 +109,9 @@ def test_left_behind():
     across = stays * 1j
     np.testing.assert_allclose(left_behind(across, slide, yaw), 0, atol=1e-12)
     assert np.isnan(left_behind(np.zeros(1, complex), np.zeros((1, 2)), np.zeros(1)))[0]
-    np.testing.assert_array_equal(slide_bin(np.array([[0, 0], [0.5, 0], [0, -1.5], [6, 3]])), [-1, 0, 1, 5])
+    np.testing.assert_array_equal(
+        slide_bin(np.array([[0, 0], [0.5, 0], [0, -1.5], [6, 3]])), [-1, 0, 1, 5]
+    )
 
 
 def test_central_pins_weigh_alike():
@@ -118,14 +131,17 @@ def test_missing_pins_move_no_ring(images):
     place[0, -8:] = np.nan
     full = ring_motion(shell, seen.place - seen.rest)
     np.testing.assert_allclose(ring_motion(shell, place - seen.rest), full, atol=0.05)
-    np.testing.assert_allclose(ring_radii(shell, place, seen.rest), ring_radii(shell, seen.place, seen.rest), atol=0.05)
+    np.testing.assert_allclose(
+        ring_radii(shell, place, seen.rest), ring_radii(shell, seen.place, seen.rest), atol=0.05
+    )
 
 
 def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
     seen = observe(images, TACTIP_331)
     contacts = motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
     reported = {
-        row.name: row.values for row in summaries_of(Group("one", seen, contacts), seen, np.array([True, False]))
+        row.name: row.values
+        for row in summaries_of(Group("one", seen, contacts), seen, np.array([True, False]))
     }
     assert all(np.isnan(values[1]) for values in reported.values())
     assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331

@@ -68,7 +68,9 @@ def test_images_of_the_calibration_are_not_compared(tmp_path):
     other, _ = split_folders(tmp_path / "all", 12, 1, used)
     assert again[0].scored.names == a.scored.names != other[0].scored.names
     with pytest.raises(UserError, match="compare with others"):
-        split_folders(tmp_path / "all" / "a", None, 0, {f"images/image_{i}.png" for i in range(1, 31)})
+        split_folders(
+            tmp_path / "all" / "a", None, 0, {f"images/image_{i}.png" for i in range(1, 31)}
+        )
 
 
 def test_names_from_higher_up_and_lower_down():
@@ -90,7 +92,10 @@ def test_what_the_preset_was_fitted_to(tmp_path):
     used = _used(tmp_path / "edge_2d", SHIPPED, notes)
     assert len(used) == 6 and not any("other" in name for name in used)
     assert _used(tmp_path / "new" / "train", SHIPPED, notes) == ()
-    assert _used(tmp_path / "edge_2d", replace(SHIPPED, used=("x.png",)), notes) == ("x.png",) and not notes
+    assert (
+        _used(tmp_path / "edge_2d", replace(SHIPPED, used=("x.png",)), notes) == ("x.png",)
+        and not notes
+    )
 
 
 def test_a_calibration_is_read(tmp_path):
@@ -98,7 +103,12 @@ def test_a_calibration_is_read(tmp_path):
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps({"preset": preset, "image_names": ["a/b.png"]}))
     found = read_calibration(file)
-    assert (found.sensor, found.camera, found.friction, found.used) == (SHIPPED.sensor, Camera(), 0.5, ("a/b.png",))
+    assert (found.sensor, found.camera, found.friction, found.used) == (
+        SHIPPED.sensor,
+        Camera(),
+        0.5,
+        ("a/b.png",),
+    )
     assert found.values.skin_to_gel == pytest.approx(1 / 0.00702)
 
 
@@ -109,7 +119,10 @@ def test_a_calibration_is_read(tmp_path):
         ("validate {folder} --contacts -1", "--contacts -1"),
         ("validate {folder} --seed -1", "--seed -1"),
         ("validate {folder} --calibration {folder}/none.json", "none.json"),
-        ("validate {folder} --calibration {folder}/other.json", "calibration.json of `jaxunshear calibrate --out`"),
+        (
+            "validate {folder} --calibration {folder}/other.json",
+            "calibration.json of `jaxunshear calibrate --out`",
+        ),
         ("validate {folder} --out {folder}/images", "lies among the recordings"),
         ("validate {folder}/bare", "pins are found"),
     ],
@@ -119,6 +132,8 @@ def test_what_cannot_be_is_refused_in_one_line(words, said, tmp_path, command):
     (tmp_path / "images").mkdir()
     (tmp_path / "bare").mkdir()
     for i in range(3):
-        Image.fromarray(np.eye(130, dtype=np.uint8) * 255).save(tmp_path / "bare" / f"image_{i}.png")
+        Image.fromarray(np.eye(130, dtype=np.uint8) * 255).save(
+            tmp_path / "bare" / f"image_{i}.png"
+        )
     answer = command(*words.format(folder=tmp_path).split())
     assert answer.code == 2 and said in answer.err and answer.err.strip().count("\n") == 0

@@ -7,7 +7,16 @@ from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
 from jaxunshear.calibration.validate import explained_by_labels
 from jaxunshear.calibration.validate_figure import validate_figure
-from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
+from jaxunshear.calibration.validation import (
+    Compared,
+    centred,
+    mm_per_px,
+    places,
+    r2,
+    rows_of,
+    settled,
+    stand,
+)
 from jaxunshear.image.lattice import shells
 from jaxunshear.scene.pins import pin_lattice, pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
@@ -21,7 +30,9 @@ def _moved(count: int = 30) -> np.ndarray:
     """Smooth displacements (N, Q, 3) mm of the probe's pins."""
     rng = np.random.default_rng(0)
     tips = pin_tips(probe(SENSOR, VALUES.skin_to_gel)) / 20
-    basis = np.concatenate([np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1)
+    basis = np.concatenate(
+        [np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1
+    )
     return np.einsum("qk,nkx->nqx", basis, rng.normal(0, 0.3, (count, basis.shape[1], 3)))
 
 
@@ -29,7 +40,9 @@ def _compared(noise_px: float = 0.0, count: int = 30) -> Compared:
     place, rest = place_of(VALUES, SENSOR, 128, _moved(count))
     recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
     one, other = centred(recorded, place)
-    return Compared("a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), np.arange(count) % 2 > 0)
+    return Compared(
+        "a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), np.arange(count) % 2 > 0
+    )
 
 
 def _value(rows, name):
@@ -54,7 +67,10 @@ def test_rings_with_phases_of_their_own_are_followed():
     turn = 0.3 + 0.05 * shells(SENSOR)
     flat = pin_lattice(SENSOR)
     flat = np.stack(
-        [np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1], np.sin(turn) * flat[:, 0] + np.cos(turn) * flat[:, 1]],
+        [
+            np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1],
+            np.sin(turn) * flat[:, 0] + np.cos(turn) * flat[:, 1],
+        ],
         -1,
     )
     recorded = places(VALUES, SENSOR, 128, flat, moved)
@@ -99,7 +115,14 @@ def test_half_the_motion_explains_three_quarters():
 
 def test_rows_of_taps_and_slides_and_by_ring():
     names = {row["name"] for row in rows_of([_compared(NOISE_PX)])}
-    assert {"r2.tap", "r2.slide", "residual_px.tap", "residual_mm.tap", "ceiling_r2.tap", "r2.tap.ring.10"} <= names
+    assert {
+        "r2.tap",
+        "r2.slide",
+        "residual_px.tap",
+        "residual_mm.tap",
+        "ceiling_r2.tap",
+        "r2.tap.ring.10",
+    } <= names
 
 
 def test_scale_at_the_height_of_a_pin():
@@ -115,9 +138,15 @@ def test_scale_at_the_height_of_a_pin():
 def test_labels_that_give_all_and_nothing():
     rng = np.random.default_rng(0)
     poses, moves = np.zeros((200, 6)), np.zeros((200, 6))
-    poses[:, 1], poses[:, 2], poses[:, 5] = rng.uniform(-3, 3, 200), rng.uniform(3, 5, 200), rng.uniform(-90, 90, 200)
+    poses[:, 1], poses[:, 2], poses[:, 5] = (
+        rng.uniform(-3, 3, 200),
+        rng.uniform(3, 5, 200),
+        rng.uniform(-90, 90, 200),
+    )
     moves[:, :2] = rng.uniform(-2, 2, (200, 2))
-    reported = np.stack([poses[:, 1] * np.cos(np.radians(poses[:, 5])), poses[:, 2] ** 2], -1)[:, None]
+    reported = np.stack([poses[:, 1] * np.cos(np.radians(poses[:, 5])), poses[:, 2] ** 2], -1)[
+        :, None
+    ]
     reported = reported - reported.mean(axis=0)
     contacts = motions(poses, moves)
     assert r2(reported, explained_by_labels(contacts, reported)) > 0.9

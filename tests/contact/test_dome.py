@@ -22,7 +22,13 @@ from jaxunshear.settings.reach import contact_angle, deepest_mm, reach_mm, ring_
 from jaxunshear.settings.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 
 SMALL = Sensor(
-    name="small", dome_radius_mm=6.0, skin_mm=0.5, rings=3, pin_spacing_mm=1.0, pin_radius_mm=0.3, pin_length_mm=0.5
+    name="small",
+    dome_radius_mm=6.0,
+    skin_mm=0.5,
+    rings=3,
+    pin_spacing_mm=1.0,
+    pin_radius_mm=0.3,
+    pin_length_mm=0.5,
 )
 
 
@@ -65,7 +71,10 @@ def test_nodes_and_pins_stand_on_the_dome(small):
     stands = pin_tips(SMALL) - pin_levers(SMALL)
     np.testing.assert_allclose(np.linalg.norm(stands - centre, axis=-1), 5.5)
     np.testing.assert_allclose(np.linalg.norm(pin_levers(SMALL), axis=-1), 0.5)
-    assert small.w.shape == (3 * len(small.nodes),) * 2 and small.g.shape == (3 * SMALL.pins, 3 * len(small.nodes))
+    assert small.w.shape == (3 * len(small.nodes),) * 2 and small.g.shape == (
+        3 * SMALL.pins,
+        3 * len(small.nodes),
+    )
 
 
 @pytest.mark.parametrize("layout", ["rings", "hexagonal"])
@@ -93,7 +102,13 @@ def test_extreme_materials_leave_it_positive_definite(ratio, poisson):
 
 
 def with_modulus(ratio, poisson, gel=0.1):
-    return replace(SMALL, skin_modulus_mpa=ratio * gel, gel_modulus_mpa=gel, skin_poisson=poisson, gel_poisson=poisson)
+    return replace(
+        SMALL,
+        skin_modulus_mpa=ratio * gel,
+        gel_modulus_mpa=gel,
+        skin_poisson=poisson,
+        gel_poisson=poisson,
+    )
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -114,13 +129,21 @@ def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
     dw, dg = sensitivity(SMALL)
     step = 1e-3
     up, down = (
-        compute_dome(replace(SMALL, skin_modulus_mpa=SMALL.skin_modulus_mpa * np.exp(s))) for s in (step, -step)
+        compute_dome(replace(SMALL, skin_modulus_mpa=SMALL.skin_modulus_mpa * np.exp(s)))
+        for s in (step, -step)
     )
     for exact, above, below in ((dw, up.w, down.w), (dg, up.g, down.g)):
-        np.testing.assert_allclose(exact, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(exact).max())
-    step_gel = (compute_dome(replace(SMALL, gel_modulus_mpa=SMALL.gel_modulus_mpa * np.exp(s))) for s in (step, -step))
+        np.testing.assert_allclose(
+            exact, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(exact).max()
+        )
+    step_gel = (
+        compute_dome(replace(SMALL, gel_modulus_mpa=SMALL.gel_modulus_mpa * np.exp(s)))
+        for s in (step, -step)
+    )
     above, below = (made.g for made in step_gel)
-    np.testing.assert_allclose(-small.g - dg, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(dg).max())
+    np.testing.assert_allclose(
+        -small.g - dg, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(dg).max()
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,7 +201,9 @@ def _store(path, contents):
 def test_a_full_cache_file_is_used(stored, small, capsys):
     for name in ("w", "g", "nodes", "pins"):
         np.testing.assert_array_equal(getattr(dome(SMALL), name), getattr(small, name))
-    _store(stored, {**_contents(stored), "rings": 2 * _contents(stored)["rings"]})  # which nobody would make again
+    _store(
+        stored, {**_contents(stored), "rings": 2 * _contents(stored)["rings"]}
+    )  # which nobody would make again
     np.testing.assert_allclose(dome(SMALL).w, 2 * small.w, rtol=1e-12)
     assert capsys.readouterr().err == ""
 
@@ -219,7 +244,9 @@ def _without(path):
         (_without, "fields"),
     ],
 )
-def test_a_cache_file_that_is_not_right_is_reported_and_made_again(stored, small, capsys, damage, said):
+def test_a_cache_file_that_is_not_right_is_reported_and_made_again(
+    stored, small, capsys, damage, said
+):
     full = stored.read_bytes()
     damage(stored)
     capsys.readouterr()
@@ -242,7 +269,9 @@ def test_two_processes_at_once_do_each_other_no_harm(cache, small, tmp_path):
     code = f"from jaxunshear.settings.sensor import Sensor; from jaxunshear.contact.dome import dome; print(dome({SMALL!r}).w.sum())"
     environment = {**os.environ, "JAXUNSHEAR_CACHE": str(cache)}
     running = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment)
+        subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
+        )
         for _ in range(2)
     ]
     for process in running:

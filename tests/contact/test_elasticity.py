@@ -30,7 +30,9 @@ def test_the_dome_is_a_hemisphere(dome):
 
 def test_the_half_space_is_a_half_ball():
     mesh = half_space_mesh(1.0, 0.25)
-    assert volume(mesh) == pytest.approx(2 / 3 * np.pi * np.hypot(*mesh.nodes.T).max() ** 3, rel=1e-3)
+    assert volume(mesh) == pytest.approx(
+        2 / 3 * np.pi * np.hypot(*mesh.nodes.T).max() ** 3, rel=1e-3
+    )
 
 
 def fields(mesh):
@@ -67,9 +69,9 @@ def test_patch(dome, name):
     r, z = dome.nodes.T
     inside = (np.hypot(r, 20 - z) < 20 - 1e-6) & (z < 20 - 1e-6)
     # curved mid-sides and reduced integration leave a little; a wrong strain term leaves forces of order one
-    assert np.abs(force[inside]).max() < (1e-9 if name.startswith(("translation", "rotation")) else 2e-2) * max(
-        1, np.abs(force).max()
-    )
+    assert np.abs(force[inside]).max() < (
+        1e-9 if name.startswith(("translation", "rotation")) else 2e-2
+    ) * max(1, np.abs(force).max())
 
 
 def test_rings_carry_one_newton_and_stand_on_the_sphere():
@@ -77,7 +79,9 @@ def test_rings_carry_one_newton_and_stand_on_the_sphere():
     loads, places = ring_loads(fine, np.arange(9) * 2.5)
     np.testing.assert_allclose(loads.sum(0), 1, rtol=1e-12)
     angle = np.arange(8) * 2.5 / 20
-    np.testing.assert_allclose(places, 20 * np.stack([np.sin(angle), 1 - np.cos(angle)], -1), atol=3e-4)
+    np.testing.assert_allclose(
+        places, 20 * np.stack([np.sin(angle), 1 - np.cos(angle)], -1), atol=3e-4
+    )
     middle = loads.T @ fine.nodes  # of a hat, by area: ring k's lies a little outside of it
     assert np.all(np.abs(middle[1:] - places[1:]) < 0.5) and np.all(middle[1:, 0] > places[1:, 0])
 
@@ -86,9 +90,16 @@ def test_rings_carry_one_newton_and_stand_on_the_sphere():
 def compliance(dome):
     materials = np.where(dome.skin[:, None, None], isotropic(1.0, 0.49), isotropic(0.1, 0.49))
     angle = np.arange(6) * np.pi / 3
-    outwards = np.stack([np.sin(0.2) * np.cos(angle), np.sin(0.2) * np.sin(angle), np.full(6, -np.cos(0.2))], -1)
+    outwards = np.stack(
+        [np.sin(0.2) * np.cos(angle), np.sin(0.2) * np.sin(angle), np.full(6, -np.cos(0.2))], -1
+    )
     tips, levers = np.array([0, 0, 20.0]) + 17.5 * outwards, -1.5 * outwards
-    return condense(dome, materials, np.arange(5) * 2.5, tips, 40, levers=levers), materials, tips, levers
+    return (
+        condense(dome, materials, np.arange(5) * 2.5, tips, 40, levers=levers),
+        materials,
+        tips,
+        levers,
+    )
 
 
 def test_compliance_is_symmetric_positive_definite(compliance):
@@ -120,7 +131,9 @@ def test_turning_a_load_by_60_degrees_turns_the_answer(compliance):
     for matrix, points in ((made.w, made.nodes), (made.g, made.pins)):
         before = (matrix @ force.ravel()).reshape(-1, 3)
         after = (matrix @ turned.ravel()).reshape(-1, 3)
-        np.testing.assert_allclose(after[image_of(points)], before @ turn.T, atol=1e-9 * np.abs(before).max())
+        np.testing.assert_allclose(
+            after[image_of(points)], before @ turn.T, atol=1e-9 * np.abs(before).max()
+        )
 
 
 def test_a_push_moves_the_skin_with_it_and_reaches_the_pins(compliance):
@@ -147,11 +160,20 @@ def test_finer_meshes_agree_ever_better():
 
     truth, sizes = moved(0.25), (1.5, 0.75, 0.4)
     errors = np.array(
-        [[np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(moved(h), truth, strict=True)] for h in sizes]
+        [
+            [
+                np.linalg.norm(a - b) / np.linalg.norm(b)
+                for a, b in zip(moved(h), truth, strict=True)
+            ]
+            for h in sizes
+        ]
     )
     assert np.all(np.diff(errors, axis=0) < 0)
     order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-    assert order[0] > 1.7 and order[1] > 1.3, (order, errors)  # pins' rotations are slopes: they lag
+    assert order[0] > 1.7 and order[1] > 1.3, (
+        order,
+        errors,
+    )  # pins' rotations are slopes: they lag
 
 
 def test_flat_punch_stiffness(half_space):
@@ -159,6 +181,8 @@ def test_flat_punch_stiffness(half_space):
     nodes = half_space.compliance.nodes
     inside = np.flatnonzero(np.hypot(nodes[:, 0], nodes[:, 1]) < 0.92)
     unknowns = 3 * inside + 2
-    force = np.linalg.solve(half_space.compliance.w[np.ix_(unknowns, unknowns)], np.full(len(inside), 1e-3))
+    force = np.linalg.solve(
+        half_space.compliance.w[np.ix_(unknowns, unknowns)], np.full(len(inside), 1e-3)
+    )
     radius = 0.9 + 0.09 / 2  # the last ring's hat reaches half a spacing beyond it
     assert force.sum() == pytest.approx(2 * radius * half_space.normal_modulus * 1e-3, rel=0.05)

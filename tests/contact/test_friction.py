@@ -52,7 +52,9 @@ def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
     count = path.shape[1]
     mu = jnp.full(count, friction, jnp.float32)
     start = rest(system, path[0])
-    skin, quality = follow_path(system, FLAT, jnp.zeros(count, jnp.int32), mu, path[1:], start, 1e-3, 4000)
+    skin, quality = follow_path(
+        system, FLAT, jnp.zeros(count, jnp.int32), mu, path[1:], start, 1e-3, 4000
+    )
     assert np.all(quality.residual_mm <= quality.tolerance_mm)
     return skin
 
@@ -60,9 +62,9 @@ def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
 def test_float32_agrees_with_float64(half_space, near, system):
     poses = slides(half_space)
     single = np.asarray(follow(system, poses, FRICTION).force)
-    double = trace(half_space, half_space.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.4 * RADIUS_MM).force[-1][
-        :, near
-    ]
+    double = trace(
+        half_space, half_space.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.4 * RADIUS_MM
+    ).force[-1][:, near]
     single, double = (force / force[0, :, 2].sum() for force in (single, double))
     np.testing.assert_allclose(single.sum(1), double.sum(1), atol=5e-3)
     np.testing.assert_allclose(single, double, atol=1e-2)
@@ -70,7 +72,9 @@ def test_float32_agrees_with_float64(half_space, near, system):
 
 def test_what_sticks_what_slips_and_what_is_free(half_space, system):
     skin = follow(system, slides(half_space), FRICTION)
-    stuck, slipping, free = (np.asarray(part) for part in contact_state(skin, jnp.full(3, FRICTION)))
+    stuck, slipping, free = (
+        np.asarray(part) for part in contact_state(skin, jnp.full(3, FRICTION))
+    )
     np.testing.assert_array_equal(stuck + slipping + free, len(system.nodes))
     assert stuck[0] > 0.8 * (stuck[0] + slipping[0])  # pressed only
     assert 0 < stuck[1] < stuck[0]
@@ -86,7 +90,9 @@ def test_tiny_frictions_give_stuck_from_slipping(friction):
     level, tilted = jnp.zeros((1, 6)), jnp.zeros((1, 6)).at[:, 4].set(0.2)
 
     def found(force, pose):
-        skin = Skin(force @ level_frame(pose), force, force, pose)  # from the level frame to the sensor's
+        skin = Skin(
+            force @ level_frame(pose), force, force, pose
+        )  # from the level frame to the sensor's
         return [int(part[0]) for part in contact_state(skin, mu, pose is tilted)]
 
     assert found(held, level) == found(held, tilted) == [0, 99, 0]
@@ -100,23 +106,41 @@ def test_no_friction_no_pull(half_space, system):
 
 
 def test_no_contact_needs_no_iteration(system):
-    path = jnp.zeros((3, 2, 6)).at[:, :, 3].set(-0.01).at[:, :, 0].set(jnp.linspace(0, 5, 3)[:, None])
+    path = (
+        jnp.zeros((3, 2, 6)).at[:, :, 3].set(-0.01).at[:, :, 0].set(jnp.linspace(0, 5, 3)[:, None])
+    )
     which, mu = jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
-    skin, quality = follow_path(system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, 4000)
-    assert not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
+    skin, quality = follow_path(
+        system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, 4000
+    )
+    assert (
+        not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
+    )
 
 
 def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, system):
     """One of two cannot converge within the limit: it says so, and costs no more than the increment that failed."""
     poses = np.repeat(slides(half_space)[:, 1:2], 2, axis=1)
-    poses[1:, 1, 3] = 0.0  # the second one never touches, then is pressed hard in the first of the other's slides
+    poses[1:, 1, 3] = (
+        0.0  # the second one never touches, then is pressed hard in the first of the other's slides
+    )
     poses[2:, 1, 3] = 40 * poses[-1, 0, 3]
-    path, which, mu = jnp.asarray(poses, jnp.float32), jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
+    path, which, mu = (
+        jnp.asarray(poses, jnp.float32),
+        jnp.zeros(2, jnp.int32),
+        jnp.full(2, FRICTION),
+    )
     limit = 40
-    skin, quality = follow_path(system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, limit)
-    assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(np.isfinite(skin.force))
+    skin, quality = follow_path(
+        system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, limit
+    )
+    assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(
+        np.isfinite(skin.force)
+    )
     assert int(quality.iterations[1]) <= 2 * (limit + BETWEEN_CHECKS)
-    alone = follow_path(system, FLAT, which[:1], mu[:1], path[1:, :1], rest(system, path[0, :1]), 1e-3, limit)
+    alone = follow_path(
+        system, FLAT, which[:1], mu[:1], path[1:, :1], rest(system, path[0, :1]), 1e-3, limit
+    )
     assert bool(quality.residual_mm[0] <= quality.tolerance_mm[0])
     np.testing.assert_allclose(skin.force[0].sum(0), alone[0].force[0].sum(0), rtol=0.01, atol=1e-4)
 
@@ -127,7 +151,9 @@ def test_projection_and_jit():
     once = project(force, friction)
     np.testing.assert_allclose(project(once, friction), once, rtol=1e-6)
     np.testing.assert_allclose(jax.jit(project)(force, friction), once, rtol=1e-6)
-    assert np.all(np.linalg.norm(once[..., :2], axis=-1) <= friction[:, None] * once[..., 2] * (1 + 1e-6))
+    assert np.all(
+        np.linalg.norm(once[..., :2], axis=-1) <= friction[:, None] * once[..., 2] * (1 + 1e-6)
+    )
 
 
 @pytest.mark.parametrize("tilted", [False, True])
@@ -136,7 +162,9 @@ def test_no_product_is_left_to_the_rounding_of_a_gpu(system, tilted):
 
     def run(path, system):
         mu = jnp.ones(1, jnp.float32)
-        return follow_path(system, FLAT, jnp.zeros(1, jnp.int32), mu, path, rest(system, path[0]), 0.1, 9, tilted)
+        return follow_path(
+            system, FLAT, jnp.zeros(1, jnp.int32), mu, path, rest(system, path[0]), 0.1, 9, tilted
+        )
 
     text = jax.jit(run).lower(path, system).as_text()
     products = [line for line in text.splitlines() if "dot_general" in line]

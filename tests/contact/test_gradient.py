@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact.friction import RHO, System, rest
-from jaxunshear.contact.gradient import SWITCH_MM, compliance, path_shares, pin_gradient, pin_model, pins
+from jaxunshear.contact.gradient import (
+    SWITCH_MM,
+    compliance,
+    path_shares,
+    pin_gradient,
+    pin_model,
+    pins,
+)
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.obstacle import Obstacles
@@ -48,7 +55,9 @@ def motions(generator, count):
 
 @pytest.fixture(scope="module")
 def paths():
-    return Paths(np.zeros(len(FRICTION), int), FRICTION, motions(np.random.default_rng(3), len(FRICTION)))
+    return Paths(
+        np.zeros(len(FRICTION), int), FRICTION, motions(np.random.default_rng(3), len(FRICTION))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +84,8 @@ def difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_rati
     """Central difference of the pins along a direction."""
     ratio = float(model.log_ratio)
     sides = [
-        at(model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio) for h in (STEP, -STEP)
+        at(model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio)
+        for h in (STEP, -STEP)
     ]
     return (sides[0] - sides[1]) / (2 * STEP)
 
@@ -93,7 +103,9 @@ def test_scenes_hold_every_state_and_no_switch(paths, model, found):
     with jax.enable_x64(True):
         contacts, _ = follow(SMALL, ("disk",), paths, "reference")
     assert contacts.stuck.sum() > 9 and contacts.slipping.sum() > 20 and np.all(contacts.free > 20)
-    assert np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02  # finer increments
+    assert (
+        np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02
+    )  # finer increments
 
 
 def test_way_points_together(paths, model, found):
@@ -111,12 +123,18 @@ def test_way_points_together(paths, model, found):
 def test_way_points(paths, model, found, point, column):
     direction = np.zeros((4, 6))
     direction[point, column] = 1
-    agree(found.d_points[..., point, column], difference(model, paths.points, FRICTION, d_points=direction))
+    agree(
+        found.d_points[..., point, column],
+        difference(model, paths.points, FRICTION, d_points=direction),
+    )
 
 
 def test_friction(paths, model, found):
     moved = (FRICTION > 0).astype(float)
-    agree(found.d_friction[FRICTION > 0], difference(model, paths.points, FRICTION, d_friction=moved)[FRICTION > 0])
+    agree(
+        found.d_friction[FRICTION > 0],
+        difference(model, paths.points, FRICTION, d_friction=moved)[FRICTION > 0],
+    )
     more = at(model, paths.points, FRICTION + STEP) - at(
         model, paths.points, FRICTION
     )  # from none there is one way to go
@@ -155,11 +173,17 @@ def test_backwards_equals_forwards_under_vmap(paths, model, found):
         points, frictions = jnp.asarray(paths.points), jnp.asarray([FRICTION, 0.9 * FRICTION])
         slopes = jax.vmap(jax.grad(loss, (1, 2, 3)), (None, None, 0, None))
         back = jax.device_get(jax.jit(slopes)(model, points, frictions, model.log_ratio))
-    np.testing.assert_allclose(back[0][0], np.einsum("bpc,bpckx->bkx", weights, found.d_points), **close)
-    np.testing.assert_allclose(back[1][0], np.einsum("bpc,bpc->b", weights, found.d_friction), **close)
+    np.testing.assert_allclose(
+        back[0][0], np.einsum("bpc,bpckx->bkx", weights, found.d_points), **close
+    )
+    np.testing.assert_allclose(
+        back[1][0], np.einsum("bpc,bpc->b", weights, found.d_friction), **close
+    )
     np.testing.assert_allclose(back[2][0], np.sum(weights * found.d_log_ratio), **close)
     moved = (FRICTION > 0).astype(float)
-    expected = np.einsum("bpc,bpc->b", weights, difference(model, paths.points, 0.9 * FRICTION, d_friction=moved))
+    expected = np.einsum(
+        "bpc,bpc->b", weights, difference(model, paths.points, 0.9 * FRICTION, d_friction=moved)
+    )
     np.testing.assert_allclose(back[1][1] * moved, expected, rtol=1e-3, atol=1e-6)
 
 
@@ -169,7 +193,13 @@ def special():
     points = np.zeros((5, 3, 6))
     points[:, :, 0] = [[0, 1, 2], [0, -1, -2], [-3, -3, -2.99], [-3, -3, -2.99], [-3, -3, -3]]
     points[2:4, 2, 1] = 0.005
-    points[:, :, 3] = [[0, -0.01, -0.01], [0, -0.01, -0.01], [0, 0.3, 0.3], [0, 0.3, 0.3], [-0.1, -0.05, 0]]
+    points[:, :, 3] = [
+        [0, -0.01, -0.01],
+        [0, -0.01, -0.01],
+        [0, 0.3, 0.3],
+        [0, 0.3, 0.3],
+        [-0.1, -0.05, 0],
+    ]
     return Paths(np.zeros(5, int), np.array([0.5, 0.0, 5.0, np.inf, 0.5]), points)
 
 
@@ -188,7 +218,9 @@ def test_what_touches_nothing_answers_to_nothing(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
     assert special_found.converged.all() and not special_found.at_switch[:2].any()
-    assert special_found.margin_mm[1] == pytest.approx(0.01 / 3)  # the apex' gap after the first of three increments
+    assert special_found.margin_mm[1] == pytest.approx(
+        0.01 / 3
+    )  # the apex' gap after the first of three increments
 
 
 def test_pure_stick_does_not_answer_to_friction(special, special_found, special_model):
@@ -197,7 +229,9 @@ def test_pure_stick_does_not_answer_to_friction(special, special_found, special_
     direction[2, 0] = 1
     expected = difference(special_model, special.points, special.friction, d_points=direction)
     agree(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
-    np.testing.assert_allclose(special_found.pins[2], special_found.pins[3], atol=1e-9)  # 5 sticks as infinity does
+    np.testing.assert_allclose(
+        special_found.pins[2], special_found.pins[3], atol=1e-9
+    )  # 5 sticks as infinity does
 
 
 def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model):
@@ -253,7 +287,9 @@ def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
         for ratio, most in ((10.0, 1e-12), (14.0, 1e-3)):  # at a knot, between
             single = pin_model(replace(SMALL, skin_modulus_mpa=0.1 * ratio), ("disk",), paths)
             for ours, theirs in zip(
-                compliance(several, jnp.log(ratio)), compliance(single, single.log_ratio), strict=True
+                compliance(several, jnp.log(ratio)),
+                compliance(single, single.log_ratio),
+                strict=True,
             ):
                 assert float(jnp.abs(ours - theirs).max()) < most * float(jnp.abs(theirs).max())
     with pytest.raises(UserError, match="ratios"), jax.enable_x64(True):
@@ -269,7 +305,9 @@ def test_half_space_in_stick_and_in_slip(half_space):
     with jax.enable_x64(True):
         w = jnp.asarray(half_space.w[np.ix_(rows, rows)] / scale)
         nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
-        system = System(w, jnp.linalg.inv(w + RHO * jnp.eye(len(w))), w, jnp.asarray(nodes), jnp.zeros(()))
+        system = System(
+            w, jnp.linalg.inv(w + RHO * jnp.eye(len(w))), w, jnp.asarray(nodes), jnp.zeros(())
+        )
 
         def pull(slide, friction):
             path = (
@@ -280,11 +318,15 @@ def test_half_space_in_stick_and_in_slip(half_space):
                 .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             )
             skin, which = rest(system, path[0]), jnp.zeros(2, jnp.int32)
-            state = pin_state(system, jnp.zeros((len(w), 3)), FLAT, which, friction, path, skin, len(nodes))
+            state = pin_state(
+                system, jnp.zeros((len(w), 3)), FLAT, which, friction, path, skin, len(nodes)
+            )
             return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
 
         values = jnp.full(2, slide), jnp.array([jnp.inf, MU])
-        (by_slide, by_friction), residual = jax.device_get(jax.jit(jax.jacfwd(pull, (0, 1), has_aux=True))(*values))
+        (by_slide, by_friction), residual = jax.device_get(
+            jax.jit(jax.jacfwd(pull, (0, 1), has_aux=True))(*values)
+        )
     assert np.all(residual < GOAL_MM["float64"])
     stuck, slipping = np.diag(by_slide)
     assert stuck == pytest.approx(8 * radius * half_space.pull_modulus, rel=0.03)

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxunshear.contact.harmonics import lattice, node_to_node, node_to_point, ring_sizes, sixfold, spread_forces
+from jaxunshear.contact.harmonics import (
+    lattice,
+    node_to_node,
+    node_to_point,
+    ring_sizes,
+    sixfold,
+    spread_forces,
+)
 
 RINGS, HARMONICS, PLACES = 3, 14, 2
 FINE = 2 * np.pi * np.arange(4000) / 4000
@@ -44,7 +51,11 @@ def displacement(response: np.ndarray, source: int, direction: np.ndarray) -> np
         load = (cylindrical(direction) * hat(source) * wave).mean(-1)  # of exp(i m theta)
         load = load * np.array([1, 1j, 1])  # u_theta = -i V
         answer = response[m].reshape(-1, 3, RINGS, 3)[:, :, ring] @ load
-        total += (1 if m == 0 else 2) * (answer * np.array([1, -1j, 1]))[..., None] * np.exp(1j * m * FINE)
+        total += (
+            (1 if m == 0 else 2)
+            * (answer * np.array([1, -1j, 1]))[..., None]
+            * np.exp(1j * m * FINE)
+        )
     return total.real
 
 
@@ -58,7 +69,10 @@ def test_sums_are_integrals(made_up, source):
         around = displacement(between, source, np.eye(3)[axis])
         for target in range(19):
             seen = around[lattice(RINGS)[0][target]]
-            mean = [(cylindrical(unit) * seen * hat(target)).sum(0).mean() * 2 * np.pi for unit in np.eye(3)]
+            mean = [
+                (cylindrical(unit) * seen * hat(target)).sum(0).mean() * 2 * np.pi
+                for unit in np.eye(3)
+            ]
             np.testing.assert_allclose(w[target, :, source, axis], mean, atol=1e-4)
         around = displacement(fields, source, np.eye(3)[axis])
         for point, place in enumerate([0, 1, 1]):

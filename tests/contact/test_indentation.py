@@ -21,7 +21,9 @@ def pressed(sensor, x):
     return indentation(sensor, skins)[0]
 
 
-@pytest.mark.parametrize("name", ["tactip331", "tactip331-fitted"])  # the fitted one has pins beyond the contact nodes
+@pytest.mark.parametrize(
+    "name", ["tactip331", "tactip331-fitted"]
+)  # the fitted one has pins beyond the contact nodes
 def test_on_a_face_it_is_how_far_the_dome_would_reach_into_it(name):
     sensor = sensor_named(name)
     found = pressed(sensor, -20.0)

@@ -14,10 +14,14 @@ def dome():
 
 
 def test_interpolation_follows_linear_fields(dome):
-    points = np.array([[0.0, 2.0], [7.3, 5.1], [0.4, 1.5], [19 * np.sin(0.5), 20 - 19 * np.cos(0.5)]])
+    points = np.array(
+        [[0.0, 2.0], [7.3, 5.1], [0.4, 1.5], [19 * np.sin(0.5), 20 - 19 * np.cos(0.5)]]
+    )
     values, *slopes = interpolation(dome, points)
     np.testing.assert_allclose(values @ dome.nodes, points, atol=1e-8)
-    np.testing.assert_allclose(np.stack(slopes) @ dome.nodes, np.eye(2)[:, None].repeat(4, 1), atol=1e-8)
+    np.testing.assert_allclose(
+        np.stack(slopes) @ dome.nodes, np.eye(2)[:, None].repeat(4, 1), atol=1e-8
+    )
     with pytest.raises(UserError, match="outside the gel"):
         interpolation(dome, np.array([[25.0, 1.0]]))
 
@@ -31,7 +35,9 @@ def pins(dome):
     return Pins(stands, -2.0 * outwards, interpolation(dome, stands))
 
 
-@pytest.mark.parametrize("name", ["translation in x", "translation in z", "rotation about y", "rotation about z"])
+@pytest.mark.parametrize(
+    "name", ["translation in x", "translation in z", "rotation about y", "rotation about z"]
+)
 def test_pins_move_rigidly_with_a_rigid_body(dome, pins, name):
     def field(r, z):
         one, zero = np.ones_like(r), np.zeros_like(r)
@@ -44,7 +50,9 @@ def test_pins_move_rigidly_with_a_rigid_body(dome, pins, name):
 
     m, values = field(*dome.nodes.T)
     tips = pins.motion(np.stack(values, -1).reshape(-1, 1), m).reshape(-1, 3)
-    np.testing.assert_allclose(tips, np.stack(field(*(pins.places + pins.levers).T)[1], -1), atol=1e-9)
+    np.testing.assert_allclose(
+        tips, np.stack(field(*(pins.places + pins.levers).T)[1], -1), atol=1e-9
+    )
 
 
 def test_pins_without_length_move_with_the_face(dome, pins):
@@ -52,7 +60,8 @@ def test_pins_without_length_move_with_the_face(dome, pins):
     field = np.random.default_rng(0).normal(size=(3 * len(dome.nodes), 2))
     for m in (0, 1, 5):
         np.testing.assert_allclose(
-            short.motion(field, m).reshape(-1, 3, 2), np.tensordot(pins.at[0], field.reshape(-1, 3, 2), 1)
+            short.motion(field, m).reshape(-1, 3, 2),
+            np.tensordot(pins.at[0], field.reshape(-1, 3, 2), 1),
         )
 
 
@@ -66,7 +75,12 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
         share, height = r / 20, 1 + z / 20
         around = share ** abs(m - 1) * (1 if m else 0.4)
         return np.stack(
-            [(around + share ** (m + 1)) * height, (share ** (m + 1) - around) * height, share**m * height**2], -1
+            [
+                (around + share ** (m + 1)) * height,
+                (share ** (m + 1) - around) * height,
+                share**m * height**2,
+            ],
+            -1,
         )
 
     def moved(alpha, theta, amplitude):
@@ -76,7 +90,9 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
         )
         cos, sin = np.cos(theta), np.sin(theta)
         place = np.array([r * cos, r * sin, z])
-        return place + amplitude * np.array([cos * radial - sin * around, sin * radial + cos * around, up])
+        return place + amplitude * np.array(
+            [cos * radial - sin * around, sin * radial + cos * around, up]
+        )
 
     def tip(alpha, theta, amplitude, step=1e-4):
         first = moved(alpha + step, theta, amplitude) - moved(alpha - step, theta, amplitude)
@@ -90,7 +106,9 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
     stands = 19 * outwards + np.array([0, 20.0])
     made = Pins(stands, -2.0 * outwards, interpolation(fine, stands))
     radial, around, up = made.motion(field(*fine.nodes.T).reshape(-1, 1), m).reshape(-1, 3).T
-    wave = np.stack([np.cos(m * theta) * radial, np.sin(m * theta) * around, np.cos(m * theta) * up])
+    wave = np.stack(
+        [np.cos(m * theta) * radial, np.sin(m * theta) * around, np.cos(m * theta) * up]
+    )
     cos, sin = np.cos(theta), np.sin(theta)
     here = np.stack([cos * wave[0] - sin * wave[1], sin * wave[0] + cos * wave[1], wave[2]], -1)
     there = np.stack([(tip(a, theta, 1e-4) - tip(a, theta, -1e-4)) / 2e-4 for a in alpha])

@@ -48,7 +48,9 @@ def planned(obstacles, nodes, paths, level, batch=64):
 def test_every_path_once_and_needs_apart(obstacles, nodes):
     paths = mixed()
     batches = planned(obstacles, nodes, paths, LEVELS["auto"])
-    np.testing.assert_array_equal(np.sort(np.concatenate([part.rows for part in batches])), np.arange(200))
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([part.rows for part in batches])), np.arange(200)
+    )
     for part in batches:
         assert len(part.rows) <= 64
         assert np.all((paths.friction[part.rows] > 0) == part.friction) or not len(part.nodes)
@@ -58,7 +60,10 @@ def test_every_path_once_and_needs_apart(obstacles, nodes):
 
 def test_grouping_costs_less_than_slices(obstacles, nodes):
     def work(level):
-        return sum(len(b.rows) * b.steps * len(b.nodes) ** 2 for b in planned(obstacles, nodes, mixed(), level))
+        return sum(
+            len(b.rows) * b.steps * len(b.nodes) ** 2
+            for b in planned(obstacles, nodes, mixed(), level)
+        )
 
     auto = LEVELS["auto"]
     ungrouped = replace(auto, omit=tuple(name for name in auto.omit if name != "grouping"))
@@ -77,7 +82,9 @@ def test_turned_scenes_keep_their_own_nodes(obstacles, nodes):
 
 def test_nothing_left_out_is_everything(obstacles, nodes):
     parts = planned(obstacles, nodes, mixed(), unabridged(LEVELS["auto"]))
-    assert len(parts) == 4 and all(len(part.nodes) == len(nodes) and part.friction for part in parts)
+    assert len(parts) == 4 and all(
+        len(part.nodes) == len(nodes) and part.friction for part in parts
+    )
 
 
 def test_increments_follow_the_way_points():
@@ -106,7 +113,9 @@ def test_sampled_obstacles_agree_with_the_shapes():
     obstacles = sample(tuple(STIMULI.values()))
     for index, stimulus in enumerate(STIMULI.values()):
         exact = np.asarray(signed_distance(stimulus, jnp.asarray(points, jnp.float32)))
-        sampled = np.asarray(distance_at(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32)))
+        sampled = np.asarray(
+            distance_at(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32))
+        )
         if stimulus.name == "surface":  # has no edge within reach
             assert exact.max() < -5 and sampled.max() < -5
             continue

@@ -29,7 +29,12 @@ def scenes(count=12, depth=(1.0, 3.0), seed=0, slide=True):
 
 
 def one(depth, x=0.0, move=(0.0, 0.0), yaw=0.0, friction=0.3, y=0.0):
-    return Scenes(np.zeros(1, int), np.array([[x, y, yaw, depth]]), np.array([move], float), np.array([friction]))
+    return Scenes(
+        np.zeros(1, int),
+        np.array([[x, y, yaw, depth]]),
+        np.array([move], float),
+        np.array([friction]),
+    )
 
 
 def path(*points, friction=0.5):
@@ -58,7 +63,9 @@ def test_golden_pins_of_contacts(contacts):
     moved = contacts.pins.astype(np.float64) - REST
     found = {
         "motion of all pins, mm": make_runs.summarise([moved]),
-        "rms motion of each contact's pins, mm": np.sqrt(np.mean(np.sum(moved**2, -1), -1)).tolist(),
+        "rms motion of each contact's pins, mm": np.sqrt(
+            np.mean(np.sum(moved**2, -1), -1)
+        ).tolist(),
         "motion of a pin in each contact, mm": moved[:, 40].tolist(),
         "forces, N": contacts.force_n.astype(np.float64).tolist(),
     }
@@ -78,14 +85,23 @@ def test_auto_agrees_with_reference(contacts):
     some = np.arange(4)
     reference = simulate(TACTIP_331, TRAINING, scenes().take(some), level="reference")
     assert reference.converged.all() and reference.pins.dtype == np.float64
-    assert np.percentile(rms_mm(contacts.pins[some], reference.pins), 95) < 0.04  # mm: 0.3 px at 256
+    assert (
+        np.percentile(rms_mm(contacts.pins[some], reference.pins), 95) < 0.04
+    )  # mm: 0.3 px at 256
 
 
 @pytest.mark.long
 def test_what_is_left_out_changes_next_to_nothing():
     few = scenes(4, (2.0, 2.6))
-    fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000, omit=("nodes", "untouched", "grouping", "friction"))
-    sparing, entire = (simulate(TACTIP_331, TRAINING, few, level) for level in (fine, unabridged(fine)))
+    fine = replace(
+        LEVELS["auto"],
+        tolerance=0.02,
+        limit=3000,
+        omit=("nodes", "untouched", "grouping", "friction"),
+    )
+    sparing, entire = (
+        simulate(TACTIP_331, TRAINING, few, level) for level in (fine, unabridged(fine))
+    )
     assert np.all(sparing.nodes < 0.25 * entire.nodes)
     assert rms_mm(sparing.pins, entire.pins).max() < 2e-3
 
@@ -110,7 +126,9 @@ def test_a_slide_drags_the_skin_behind_it_and_friction_bounds_the_force():
     made = simulate(TACTIP_331, ("disk",), one(2.0, x=-15.0, move=(2.5, 0.0)))
     assert (made.pins[0] - REST)[0, 0] < -0.3
     pull = np.hypot(*made.force_n[0, :2])
-    assert pull == pytest.approx(0.3 * made.force_n[0, 2], rel=0.01)  # full slip after 2.5 mm at this depth
+    assert pull == pytest.approx(
+        0.3 * made.force_n[0, 2], rel=0.01
+    )  # full slip after 2.5 mm at this depth
     assert made.stuck[0] == 0
 
 
@@ -120,10 +138,16 @@ def test_turning_the_scene_turns_the_answer(angle):
     straight = simulate(TACTIP_331, ("disk",), one(2.0, x=-25.0, move=(1.5, 0.0)))
     turned = simulate(TACTIP_331, ("disk",), one(2.0, x=-25.0, move=(1.5, 0.0), yaw=-angle))
     back = np.radians(angle)
-    rotation = np.array([[np.cos(back), -np.sin(back), 0], [np.sin(back), np.cos(back), 0], [0, 0, 1]])
-    np.testing.assert_allclose(turned.force_n[0], rotation @ straight.force_n[0], atol=2e-3 * straight.force_n[0, 2])
+    rotation = np.array(
+        [[np.cos(back), -np.sin(back), 0], [np.sin(back), np.cos(back), 0], [0, 0, 1]]
+    )
+    np.testing.assert_allclose(
+        turned.force_n[0], rotation @ straight.force_n[0], atol=2e-3 * straight.force_n[0, 2]
+    )
     if angle == 60:
-        nearest = np.linalg.norm((straight.pins[0] @ rotation.T)[:, None] - turned.pins[0][None], axis=-1).min(1)
+        nearest = np.linalg.norm(
+            (straight.pins[0] @ rotation.T)[:, None] - turned.pins[0][None], axis=-1
+        ).min(1)
         assert nearest.max() < 5e-3
 
 
@@ -143,18 +167,26 @@ def test_friction_from_none_to_infinite():
 def test_strong_friction_needs_no_stronger_level():
     """Deep presses, where the rings that come to touch are held where they were."""
     drawn = paper_scenes("slide", 12, 1).take(np.array([0, 3]))
-    stuck = simulate(TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False)
+    stuck = simulate(
+        TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False
+    )
     assert stuck.converged.all() and not stuck.slipping.any() and stuck.iterations.max() < 600
 
 
 def test_strong_friction_is_pressed_by_short_increments_and_usual_friction_as_before():
     points = np.repeat(np.array([[[0, 0, 0, 0, 0, 0], [0, 0, 0, 6.0, 0, 0]]]), 3, axis=0)
-    _, count = increments(Paths(np.zeros(3, int), np.array([0.5, 1.0, np.inf]), points), LEVELS["auto"], 20.0)
+    _, count = increments(
+        Paths(np.zeros(3, int), np.array([0.5, 1.0, np.inf]), points), LEVELS["auto"], 20.0
+    )
     np.testing.assert_array_equal(count, [2, 2, 6])
 
 
 def test_a_motion_in_two_parts_is_the_motion():
-    start, pressed, end = [-26.0, 0, 0, 0, 0, 0], [-26.0, 0, 0, 2.5, 0, 0], [-25.0, 0.5, 10, 2.5, 3, 0]
+    start, pressed, end = (
+        [-26.0, 0, 0, 0, 0, 0],
+        [-26.0, 0, 0, 2.5, 0, 0],
+        [-25.0, 0.5, 10, 2.5, 3, 0],
+    )
     fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000)
     entire, _ = follow(TACTIP_331, ("disk",), path(start, pressed, end), fine)
     _, skins = follow(TACTIP_331, ("disk",), path(start, pressed), fine)
@@ -170,7 +202,9 @@ def test_twist_turns_the_skin_and_a_mirrored_twist_mirrors_it():
     found = {}
     for angle in (20.0, -20.0):
         made, _ = follow(
-            TACTIP_331, ("disk",), path([-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0], [-25, 0, angle, 3, 0, 0])
+            TACTIP_331,
+            ("disk",),
+            path([-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0], [-25, 0, angle, 3, 0, 0]),
         )
         assert made.converged.all()
         found[angle] = made.pins[0] - REST
@@ -188,7 +222,9 @@ def test_a_mirrored_scene_gives_the_mirrored_pins():
     pose = draw_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
     move, which = draw_moves(generator, 14, 2.5), np.arange(14) % len(shapes)
     there = simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose, move))
-    other = simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1]))
+    other = simulate(
+        TACTIP_331, shapes, make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1])
+    )
     flipped = REST * [1, -1, 1]
     twin = np.argmin(np.linalg.norm(REST[:, None] - flipped[None], axis=-1), 0)
     np.testing.assert_allclose(REST[twin], flipped, atol=1e-9)
@@ -198,14 +234,20 @@ def test_a_mirrored_scene_gives_the_mirrored_pins():
 
 def test_a_tilted_sphere_touches_elsewhere_with_nearly_the_same_force():
     level, leaning = (
-        follow(TACTIP_331, ("disk",), path([-25, 0, 0, 0, t, 0], [-25, 0, 0, 2, t, 0], friction=0.0))[0]
+        follow(
+            TACTIP_331, ("disk",), path([-25, 0, 0, 0, t, 0], [-25, 0, 0, 2, t, 0], friction=0.0)
+        )[0]
         for t in (0.0, 20.0)
     )
     assert leaning.converged.all()
     normal = np.array([0, np.sin(np.radians(20.0)), np.cos(np.radians(20.0))])
     push = leaning.force_n[0] @ normal
-    assert np.linalg.norm(leaning.force_n[0] - push * normal) < 0.02 * push  # without friction the force is normal
-    assert push == pytest.approx(level.force_n[0, 2], rel=0.1)  # the clamped base is nearer on one side
+    assert (
+        np.linalg.norm(leaning.force_n[0] - push * normal) < 0.02 * push
+    )  # without friction the force is normal
+    assert push == pytest.approx(
+        level.force_n[0, 2], rel=0.1
+    )  # the clamped base is nearer on one side
     moved = np.linalg.norm(leaning.pins[0] - REST, axis=-1)
     assert REST[moved.argmax(), 1] < -4  # the dome's lowest point lies at -R sin(20 deg) = -6.8 mm
 
@@ -272,7 +314,10 @@ def test_the_deepest_pose_of_the_paper_is_covered():
 )
 def test_a_grazing_touch_is_felt(level, x, depth):
     """No node that usually suffices is near the disk, and some that do not lie half a millimetre inside."""
-    grazed, entire = (simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each) for each in (level, "default"))
+    grazed, entire = (
+        simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each)
+        for each in (level, "default")
+    )
     assert grazed.converged.all() and entire.force_n[0, 2] > 0.1
     assert grazed.force_n[0, 2] == pytest.approx(entire.force_n[0, 2], rel=0.1)
     assert rms_mm(grazed.pins, entire.pins)[0] < 0.02
@@ -280,7 +325,11 @@ def test_a_grazing_touch_is_felt(level, x, depth):
 
 def test_no_scenes_give_no_contacts():
     contacts, skins = follow(TACTIP_331, TRAINING, path_of(one(3.0)).take(np.zeros(0, int)))
-    assert contacts.pins.shape == (0, 331, 3) and contacts.converged.shape == (0,) and len(skins.force_n) == 0
+    assert (
+        contacts.pins.shape == (0, 331, 3)
+        and contacts.converged.shape == (0,)
+        and len(skins.force_n) == 0
+    )
 
 
 def test_standing_still_in_contact_needs_a_skin_to_start_from():

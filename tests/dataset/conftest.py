@@ -16,9 +16,16 @@ SENSOR = Sensor(name="small", rings=2)
 SIZE = 32
 PINS_PER_CONTACT = 1e-3  # px by which the pins of each contact differ from those of the one before
 PAIRED = PairedData(
-    config="tiny", stimuli=("disk", "spiral_1"), poses=10, slides=3, taps=2, preprocess=Preprocess(size=SIZE)
+    config="tiny",
+    stimuli=("disk", "spiral_1"),
+    poses=10,
+    slides=3,
+    taps=2,
+    preprocess=Preprocess(size=SIZE),
 )
-POSE = PoseData(config="tiny", stimuli=("disk", "spiral_1"), poses=10, preprocess=Preprocess(size=SIZE))
+POSE = PoseData(
+    config="tiny", stimuli=("disk", "spiral_1"), poses=10, preprocess=Preprocess(size=SIZE)
+)
 
 
 def plan(sensor, names, scenes):
@@ -45,8 +52,13 @@ def simulate(sensor, names, scenes):
 
 def render(settings, sensor, tips, number, age):
     size = settings.preprocess.size
-    images = [np.random.default_rng([settings.seed, int(index)]).random((size, size)) < 0.3 for index in number]
-    pins = np.asarray(tips[..., :2] + size / 2, np.float32) + PINS_PER_CONTACT * np.reshape(number, (-1, 1, 1))
+    images = [
+        np.random.default_rng([settings.seed, int(index)]).random((size, size)) < 0.3
+        for index in number
+    ]
+    pins = np.asarray(tips[..., :2] + size / 2, np.float32) + PINS_PER_CONTACT * np.reshape(
+        number, (-1, 1, 1)
+    )
     return np.stack(images).astype(np.uint8) * np.uint8(255), pins.astype(np.float32)
 
 

@@ -26,7 +26,10 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.stimuli import Outline
 
-BUILDERS = {"tactip_paired": data_specs.tactip_paired.Builder, "tactip_pose": data_specs.tactip_pose.Builder}
+BUILDERS = {
+    "tactip_paired": data_specs.tactip_paired.Builder,
+    "tactip_pose": data_specs.tactip_pose.Builder,
+}
 
 
 def checksums(folder: Path) -> dict[str, str]:
@@ -38,7 +41,9 @@ def test_a_library_that_came_in_parts_is_one_line():
     parts = "import sys, types; sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
     words = [sys.executable, "-c", f"{parts}; import jaxunshear.dataset.builders.stored"]
     said = subprocess.run(words, check=False, capture_output=True, text=True).stderr
-    assert said.splitlines()[-1].startswith("jaxunshear.errors.UserError: tensorflow_datasets could not be imported")
+    assert said.splitlines()[-1].startswith(
+        "jaxunshear.errors.UserError: tensorflow_datasets could not be imported"
+    )
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -72,7 +77,9 @@ def test_the_data_card_and_the_citation_come_along(name):
     for word in ("simulated", "mm", "Licence", "Splits", "Limits"):
         assert word in metadata.description
     assert "Induced Shear" in metadata.citation
-    assert set(metadata.tags) <= {tag.split(" ")[0] for tag in tfds.core.dataset_metadata.valid_tags()}
+    assert set(metadata.tags) <= {
+        tag.split(" ")[0] for tag in tfds.core.dataset_metadata.valid_tags()
+    }
     card = " ".join(metadata.description.split())
     builder = BUILDERS[name](config="tiny", data_dir="/nowhere")
     for field in builder.info.features:
@@ -87,7 +94,9 @@ def test_metadata_gives_settings_and_counts(paired, sensor, engine, tmp_path):
     assert metadata["sensor"]["name"] == "small"
     assert metadata["counts"]["written"] == {"train": 36, "validation": 12, "test": 12}
     assert metadata["counts"]["dropped_scenes"] == []
-    assert metadata == json.loads((set_folder(paired, sensor, tmp_path) / "metadata.json").read_text())
+    assert metadata == json.loads(
+        (set_folder(paired, sensor, tmp_path) / "metadata.json").read_text()
+    )
 
 
 def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_path):
@@ -95,7 +104,9 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
     own = dataclasses.replace(paired, stimuli=("disk", kite))
     metadata = make_set(own, sensor, tmp_path, engine)
     assert metadata["settings"]["stimuli"][1]["points"][1] == [12, 0]
-    assert make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata  # found again
+    assert (
+        make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
+    )  # found again
     rows = tfds.builder_from_directory(set_folder(own, sensor, tmp_path)).as_data_source("test")
     assert rows.dataset_info.features["stimulus"].names == ["disk", "kite"]
     assert {int(row["stimulus"]) for row in rows} == {0, 1}
@@ -104,13 +115,17 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
 
 
 def test_both_sets_of_an_experiment(paired, pose, sensor, engine, tmp_path):
-    made = make_sets(Experiment(name="x", claim="", sensor=sensor, paired=paired, pose=pose), tmp_path, engine)
+    made = make_sets(
+        Experiment(name="x", claim="", sensor=sensor, paired=paired, pose=pose), tmp_path, engine
+    )
     assert list(made) == ["tactip_paired", "tactip_pose"]
 
 
 def test_a_set_is_made_once_and_the_same_again_elsewhere(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path / "a", engine)
-    make_set(pose, sensor, tmp_path / "a", engine._replace(simulate=None))  # would fail if it simulated
+    make_set(
+        pose, sensor, tmp_path / "a", engine._replace(simulate=None)
+    )  # would fail if it simulated
     make_set(pose, sensor, tmp_path / "b", engine)
     first, second = (checksums(set_folder(pose, sensor, tmp_path / name)) for name in "ab")
     assert first == second
@@ -123,13 +138,17 @@ def test_other_settings_in_the_same_place_are_refused_by_field(pose, sensor, eng
     folder = set_folder(other, sensor, tmp_path)
     folder.parent.mkdir()
     os.rename(set_folder(pose, sensor, tmp_path), folder)
-    with pytest.raises(UserError, match=r"another settings\.ranges\.yaw_deg, settings\.seed: delete"):
+    with pytest.raises(
+        UserError, match=r"another settings\.ranges\.yaw_deg, settings\.seed: delete"
+    ):
         make_set(other, sensor, tmp_path, engine)
     assert folder.exists()
 
 
 @pytest.mark.parametrize("stage", ["chunks", "shards"])
-def test_a_full_disk_is_reported_and_loses_nothing(stage, pose, sensor, engine, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_loses_nothing(
+    stage, pose, sensor, engine, tmp_path, monkeypatch
+):
     with monkeypatch.context() as patch:
         if stage == "chunks":
             replace = os.replace
@@ -182,19 +201,31 @@ make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"])
 
 
 def start(folder: Path, seconds: float) -> subprocess.Popen:
-    command = [sys.executable, "-c", SCRIPT, str(Path(__file__).with_name("conftest.py")), str(folder)]
+    command = [
+        sys.executable,
+        "-c",
+        SCRIPT,
+        str(Path(__file__).with_name("conftest.py")),
+        str(folder),
+    ]
     return subprocess.Popen(
         command, env={**os.environ, "FAKE_SECONDS": str(seconds)}, stderr=subprocess.PIPE, text=True
     )
 
 
-def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paired, sensor, engine, tmp_path):
+def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
+    paired, sensor, engine, tmp_path
+):
     make_set(paired, sensor, tmp_path / "full", engine)
     chunks = unfinished_folder(paired, sensor, tmp_path / "killed")
     process = start(tmp_path / "killed", 0.5)
     try:
         deadline = time.monotonic() + 60
-        while len(list(chunks.glob("*.npz"))) < 3 and time.monotonic() < deadline and process.poll() is None:
+        while (
+            len(list(chunks.glob("*.npz"))) < 3
+            and time.monotonic() < deadline
+            and process.poll() is None
+        ):
             time.sleep(0.01)
         with pytest.raises(UserError, match="another process"):
             make_set(paired, sensor, tmp_path / "killed", engine)

@@ -49,13 +49,18 @@ def test_nothing_to_do_starts_no_cluster(monkeypatch):
     [
         ("--ray-cores 2", "go with --engine ray"),
         ("--engine ray --ray-cores 0", "--ray-cores 0: use at least 1"),
-        ("--engine ray --ray-address 127.0.0.1:1", "--ray-address 127.0.0.1:1: no cluster answers there"),
+        (
+            "--engine ray --ray-address 127.0.0.1:1",
+            "--ray-address 127.0.0.1:1: no cluster answers there",
+        ),
     ],
 )
 @pytest.mark.parametrize("name", ["data", "run"])
 def test_what_cannot_be_is_refused_in_one_line(command, tmp_path, name, words, line):
     pytest.importorskip("ray")
-    answer = command(name, TINY, *words.split(), "--out", tmp_path / "out", "--data", tmp_path / "sets")
+    answer = command(
+        name, TINY, *words.split(), "--out", tmp_path / "out", "--data", tmp_path / "sets"
+    )
     assert answer.code == 2 and line in answer.err and answer.err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
@@ -63,7 +68,11 @@ def test_what_cannot_be_is_refused_in_one_line(command, tmp_path, name, words, l
 def test_without_ray_data_says_how_to_get_it(command, absent):
     absent("ray")
     answer = command("data", TINY, "--engine", "ray")
-    assert answer.code == 2 and "--engine ray needs Ray: pip install" in answer.err and "[ray]" in answer.err
+    assert (
+        answer.code == 2
+        and "--engine ray needs Ray: pip install" in answer.err
+        and "[ray]" in answer.err
+    )
 
 
 @pytest.fixture
@@ -73,7 +82,9 @@ def nodes(monkeypatch, tmp_path):
     monkeypatch.setenv("FAKE_SECONDS", "1")
     monkeypatch.setenv(MARK, str(tmp_path))
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    made = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    made = utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
     try:
         made.add_node(num_cpus=1)
         yield made
@@ -82,7 +93,9 @@ def nodes(monkeypatch, tmp_path):
 
 
 @pytest.mark.long
-def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(nodes, paired, sensor, engine, tmp_path):
+def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
+    nodes, paired, sensor, engine, tmp_path
+):
     """The same examples to the bit as on one machine, and no chunk made twice that a stopped command had kept."""
     make_set(paired, sensor, tmp_path / "serial", engine)
     chunks = unfinished_folder(paired, sensor, tmp_path / "ray")
@@ -118,7 +131,9 @@ def workers() -> set[int]:
     found, mark = set(), f"{MARK}={os.environ[MARK]}".encode()
     for path in Path("/proc").glob("[0-9]*"):
         try:
-            if (path / "cmdline").read_bytes().startswith(b"ray::_after") and mark in (path / "environ").read_bytes():
+            if (path / "cmdline").read_bytes().startswith(b"ray::_after") and mark in (
+                path / "environ"
+            ).read_bytes():
                 found.add(int(path.name))
         except OSError:
             continue

@@ -52,7 +52,9 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
         for key, example in paired_examples(paired, shots, paths, split):
             here = shots.scenes.stimulus == paired.stimuli.index(example["stimulus"])
             here &= (shots.pose_id == example["pose_id"]) & (shots.split == SPLITS.index(split))
-            slide = int(np.flatnonzero(here & shots.slid & (shots.instance == example["slide_id"]))[0])
+            slide = int(
+                np.flatnonzero(here & shots.slid & (shots.instance == example["slide_id"]))[0]
+            )
             tap = int(np.flatnonzero(here & ~shots.slid & (shots.instance == example["tap_id"]))[0])
             for name, row in (("sheared", slide), ("canonical", tap)):
                 image = np.asarray(Image.open(io.BytesIO(example[name])))
@@ -61,7 +63,9 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
                 )
             np.testing.assert_allclose(example["pose"], shots.scenes.pose[slide], rtol=1e-6)
             np.testing.assert_allclose(example["move"], shots.scenes.move[slide], rtol=1e-6)
-            np.testing.assert_allclose(example["tap_depth_mm"], shots.scenes.pose[tap, 3], rtol=1e-6)
+            np.testing.assert_allclose(
+                example["tap_depth_mm"], shots.scenes.pose[tap, 3], rtol=1e-6
+            )
             assert example["tap_id"] == example["slide_id"] % paired.taps
             seen.add(key)
     assert len(seen) == shots.slid.sum()
@@ -99,8 +103,15 @@ def test_only_missing_chunks_are_made_again(paired, sensor, engine, tmp_path):
 
 def test_chunks_of_another_plan_are_made_again(paired, sensor, engine, tmp_path):
     make(paired, sensor, tmp_path, engine)
-    shots, paths = make(paired, sensor, tmp_path, engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)]))
-    assert sorted(np.concatenate([load_chunk(path)["number"] for path in paths])) == list(range(len(shots.scenes)))
+    shots, paths = make(
+        paired,
+        sensor,
+        tmp_path,
+        engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)]),
+    )
+    assert sorted(np.concatenate([load_chunk(path)["number"] for path in paths])) == list(
+        range(len(shots.scenes))
+    )
 
 
 def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
@@ -119,7 +130,9 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
     assert (counts["retried"], counts["dropped"]) == (10, 0)
     spent = np.concatenate([load_chunk(path)["iterations"] for path in paths])
     slowest = np.concatenate([load_chunk(path)["number"] for path in paths])[spent == spent.max()]
-    assert counts["iterations"]["most"] == spent.max() and counts["iterations"]["median"] == np.median(spent)
+    assert counts["iterations"]["most"] == spent.max() and counts["iterations"][
+        "median"
+    ] == np.median(spent)
     assert counts["iterations"]["slowest_number"] in slowest
     assert sum(counts["written"].values()) == shots.slid.sum()
 
@@ -139,7 +152,9 @@ def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engin
         assert index in shots.split
 
 
-def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(paired, sensor, engine, tmp_path):
+def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(
+    paired, sensor, engine, tmp_path
+):
     shots = draw(paired)
 
     def blind(settings, sensor, tips, number, age):
@@ -150,7 +165,9 @@ def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(paired, senso
     paths = simulate_chunks(paired, sensor, shots, tmp_path, engine._replace(render=blind))
     counts = summary(paired, shots, paths)
     assert (counts["dropped"], counts["slides_without_tap"]) == (3, 3)
-    examples = dict(pair for split in SPLITS for pair in paired_examples(paired, shots, paths, split))
+    examples = dict(
+        pair for split in SPLITS for pair in paired_examples(paired, shots, paths, split)
+    )
     assert len(examples) == sum(counts["written"].values()) == shots.slid.sum() - 3
     assert {examples[f"disk_0_{slide}"]["tap_id"] for slide in range(3)} == {1}
     assert "disk_1_0" not in examples
@@ -163,7 +180,9 @@ def test_pose_examples_cover_all_taps_once(pose, sensor, engine, tmp_path):
 
 
 def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
-    settings = PoseData(config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False))
+    settings = PoseData(
+        config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False)
+    )
     from jaxunshear.scene.pins import pin_tips
 
     tips = np.repeat(pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
@@ -171,11 +190,15 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
     images, pins = chunks.render(settings, TACTIP_331, tips, number, age)
     again, _ = chunks.render(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
-    assert np.any(chunks.render(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0] != images[0])
+    assert np.any(
+        chunks.render(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0] != images[0]
+    )
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
         assert (images[row][line, col] > 0).mean() > 0.98
-    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(2.0, abs=0.1)  # 4 frame px at half size
+    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(
+        2.0, abs=0.1
+    )  # 4 frame px at half size
 
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):
@@ -184,7 +207,9 @@ def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     counts = summary(settings, shots, paths)
     assert counts["dropped"] == 0
     (_, example), *_ = paired_examples(settings, shots, paths, "train")
-    canonical, sheared = (np.asarray(Image.open(io.BytesIO(example[name]))) for name in ("canonical", "sheared"))
+    canonical, sheared = (
+        np.asarray(Image.open(io.BytesIO(example[name]))) for name in ("canonical", "sheared")
+    )
     assert canonical.shape == sheared.shape == (128, 128)
     assert 0.1 < (canonical > 0).mean() < 0.4
     assert (canonical != sheared).mean() > 0.01
@@ -194,7 +219,10 @@ def test_the_real_simulator_makes_a_few_pairs(tmp_path):
 
 def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engine, tmp_path):
     ranges = dataclasses.replace(paired.ranges, twist_deg=5.0, tilt_deg=9.0)
-    for settings, widths in ((paired, (4, 2)), (dataclasses.replace(paired, taps=1, ranges=ranges), (6, 3))):
+    for settings, widths in (
+        (paired, (4, 2)),
+        (dataclasses.replace(paired, taps=1, ranges=ranges), (6, 3)),
+    ):
         make_set(settings, sensor, tmp_path, engine)
         rows = open_set(settings, tmp_path, sensor).rows("test")
         assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths

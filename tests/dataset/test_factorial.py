@@ -82,7 +82,11 @@ def rows(dropped=()):
     shots = draw_paired(FOUR)
     here = np.flatnonzero(shots.slid & (shots.split == SPLITS.index("train")))
     here = np.delete(here, list(dropped))
-    batch = {"stimulus": shots.scenes.stimulus, "pose_id": shots.pose_id, "slide_id": shots.instance}
+    batch = {
+        "stimulus": shots.scenes.stimulus,
+        "pose_id": shots.pose_id,
+        "slide_id": shots.instance,
+    }
     return {name: value[here] for name, value in batch.items()}
 
 
@@ -98,10 +102,14 @@ def test_partners_are_what_they_are_called(dropped):
         for name in ("stimulus", "pose_id"):
             np.testing.assert_array_equal(batch[name][swapped], batch[name])
         assert np.all((batch["slide_id"][swapped] != batch["slide_id"])[changed])
-        np.testing.assert_array_equal(batch["slide_id"][swapped[changed]], batch["slide_id"][other[changed]])
+        np.testing.assert_array_equal(
+            batch["slide_id"][swapped[changed]], batch["slide_id"][other[changed]]
+        )
         assert np.all((batch["pose_id"][other] != batch["pose_id"])[changed])
         leader = np.stack([slide_leaders(FOUR, name) for name in FOUR.stimuli])
-        np.testing.assert_array_equal(*(leader[batch["stimulus"][r], batch["pose_id"][r]] for r in (other, every)))
+        np.testing.assert_array_equal(
+            *(leader[batch["stimulus"][r], batch["pose_id"][r]] for r in (other, every))
+        )
         assert np.array_equal(swapped == every, ~changed)
         assert changed.mean() > 0.8
         seen |= set(zip(every[changed].tolist(), other[changed].tolist(), strict=True))
@@ -144,7 +152,9 @@ def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shif
         for place, image, own in zip(batch[pins], batch[images], batch[FEEDS], strict=True):
             off = place - stored[FEEDS]
             steps = np.round(off[:, :1])
-            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))  # moved by full pixels
+            (row,) = np.flatnonzero(
+                np.all(np.abs(off - steps) < 1e-4, axis=(1, 2))
+            )  # moved by full pixels
             offset = steps[row, 0].astype(int)
             plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
             np.testing.assert_array_equal(shifted({IMAGE: plain}, offset[None])[IMAGE][0], image)
@@ -158,5 +168,7 @@ def test_in_evaluation_partners_stay(reader):
     one, again = (reader.take("test", np.arange(6), (OTHER, "pose")) for _ in range(2))
     np.testing.assert_array_equal(one[OTHER], again[OTHER])
     split = list(reader.split("test", 5, (FEEDS, SWAPPED)))
-    assert sum(len(batch[SWAPPED]) for batch in split) == reader.length("test") and set(split[0]) == {FEEDS, SWAPPED}
+    assert sum(len(batch[SWAPPED]) for batch in split) == reader.length("test") and set(
+        split[0]
+    ) == {FEEDS, SWAPPED}
     assert set(next(reader.split("test", 5))) >= {"pose", "sheared", "canonical_pins"}

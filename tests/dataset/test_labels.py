@@ -58,10 +58,20 @@ def replaced(row, by):
         (replaced(2, line(NAMES[0], 1, "")), 2, "pose_1 is empty", [0]),
         (replaced(3, "image_2.png,1,2"), 3, "3 cells where the heading has 14", [1]),
         (replaced(3, LINES[2] + ",5"), 3, "15 cells where the heading has 14", [1]),
-        ([*LINES, line(NAMES[1], 1, "9")], 5, "image_2.png has another row, 3, that differs: neither is used", [1]),
+        (
+            [*LINES, line(NAMES[1], 1, "9")],
+            5,
+            "image_2.png has another row, 3, that differs: neither is used",
+            [1],
+        ),
         ([*LINES, LINES[2]], 5, "image_2.png has the same row already, 3", []),
         ([*LINES, line("image_9.png")], 5, "there is no image 'image_9.png' in this folder", []),
-        ([LINES[0], "", *LINES[1:], line("b"), line("a")], 6, "no image 'b' in this folder (2 such rows)", []),
+        (
+            [LINES[0], "", *LINES[1:], line("b"), line("a")],
+            6,
+            "no image 'b' in this folder (2 such rows)",
+            [],
+        ),
         (replaced(3, line(NAMES[1], "x")), 3, "pose_id is 'x', not an integer", []),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -76,7 +86,12 @@ def test_what_is_wrong_is_named_by_row(tmp_path, lines, row, says, unknown):
 
 
 def test_a_row_of_two_lines_does_not_shift_the_count(tmp_path):
-    lines = [f"{HEADING},note", f'{LINES[1]},"two\nlines"', f"{LINES[2]},", f"{line(NAMES[2], 1, 'abc')},"]
+    lines = [
+        f"{HEADING},note",
+        f'{LINES[1]},"two\nlines"',
+        f"{LINES[2]},",
+        f"{line(NAMES[2], 1, 'abc')},",
+    ]
     _, problems = targets_of(tmp_path, lines)
     assert [problem.row for problem in problems] == [5]  # as an editor counts
 

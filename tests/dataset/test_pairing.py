@@ -18,7 +18,9 @@ SPACING = 0.375 * SIZE / 6
 
 
 def image(pins):
-    return (np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(np.uint8)[..., 0]
+    return (np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(
+        np.uint8
+    )[..., 0]
 
 
 def centroids(grey, near):
@@ -36,7 +38,9 @@ def test_pins_of_a_warped_image_stand_where_they_were_moved():
     moved = pairing.warped(image(PINS), motion[None], pairing.spread_over(PINS, SPACING, SIZE))[0]
     assert len(find_pins(moved)) == 127
     apart = np.linalg.norm(centroids(moved, PINS + motion) - (PINS + motion), axis=-1)
-    asis = np.linalg.norm(centroids(image(PINS)[0], PINS) - PINS, axis=-1)  # what drawing at full pixels costs
+    asis = np.linalg.norm(
+        centroids(image(PINS)[0], PINS) - PINS, axis=-1
+    )  # what drawing at full pixels costs
     assert np.median(apart) < np.median(asis) + 0.1 and apart.max() < 0.6
     assert np.median(np.linalg.norm(centroids(moved, PINS + motion) - PINS, axis=-1)) > 0.6
 

@@ -66,10 +66,15 @@ def test_the_label_of_most_values_is_cut_and_a_full_circle_last():
 
 @pytest.mark.parametrize(
     ("values", "complaint"),
-    [([0.0], "no label of the poses varies"), ([0.0, 1.0, 2.0, 3.0], "y_mm takes only 4 values, too few")],
+    [
+        ([0.0], "no label of the poses varies"),
+        ([0.0, 1.0, 2.0, 3.0], "y_mm takes only 4 values, too few"),
+    ],
 )
 def test_labels_that_leave_no_gap_are_refused_with_the_remedy(values, complaint):
     pose = np.zeros((100, 6))
     pose[:, 1] = np.resize(values, 100)
-    with pytest.raises(UserError, match=rf"paired\.split block: {complaint}.*--paired\.split random"):
+    with pytest.raises(
+        UserError, match=rf"paired\.split block: {complaint}.*--paired\.split random"
+    ):
         cut_block(pose, 0.1, 0.1, 0)

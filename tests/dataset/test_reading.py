@@ -42,14 +42,25 @@ def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine)
             assert batch["sheared"].dtype == np.uint8
             assert batch["sheared_pins"].shape[1:] == (19, 2)
             assert all(
-                batch[name].dtype == np.float32 for name in ("pose", "edge", "move", "friction", "canonical_pins")
+                batch[name].dtype == np.float32
+                for name in ("pose", "edge", "move", "friction", "canonical_pins")
             )
             for place in range(len(batch["pose"])):
-                here = (shots.scenes.stimulus == batch["stimulus"][place]) & (shots.pose_id == batch["pose_id"][place])
-                slide = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[0]
-                tap = np.flatnonzero(here & ~shots.slid & (shots.instance == batch["tap_id"][place]))[0]
-                np.testing.assert_array_equal(batch["sheared"][place, :, :, 0], image_of(engine, paired, slide))
-                np.testing.assert_array_equal(batch["canonical"][place, :, :, 0], image_of(engine, paired, tap))
+                here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
+                    shots.pose_id == batch["pose_id"][place]
+                )
+                slide = np.flatnonzero(
+                    here & shots.slid & (shots.instance == batch["slide_id"][place])
+                )[0]
+                tap = np.flatnonzero(
+                    here & ~shots.slid & (shots.instance == batch["tap_id"][place])
+                )[0]
+                np.testing.assert_array_equal(
+                    batch["sheared"][place, :, :, 0], image_of(engine, paired, slide)
+                )
+                np.testing.assert_array_equal(
+                    batch["canonical"][place, :, :, 0], image_of(engine, paired, tap)
+                )
                 np.testing.assert_allclose(batch["edge"][place], shots.edge[slide], rtol=1e-6)
                 assert shots.split[slide] == SPLITS.index(split)
                 seen.add(slide)
@@ -57,7 +68,10 @@ def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine)
 
 
 def test_no_pose_is_in_two_splits(made):
-    poses = [{tuple(pose) for batch in made.split(split, 100) for pose in batch["pose"]} for split in SPLITS]
+    poses = [
+        {tuple(pose) for batch in made.split(split, 100) for pose in batch["pose"]}
+        for split in SPLITS
+    ]
     assert [len(part) for part in poses] == [12, 4, 4]
     assert not poses[0] & poses[1]
     assert not poses[0] & poses[2]
@@ -77,7 +91,9 @@ def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
     slides = [
         key
         for batch in take(made.train_batches(6, 0, 0.0)(0), 12)
-        for key in zip(*(batch[name].tolist() for name in ("stimulus", "pose_id", "slide_id")), strict=True)
+        for key in zip(
+            *(batch[name].tolist() for name in ("stimulus", "pose_id", "slide_id")), strict=True
+        )
     ]
     first, second = slides[:36], slides[36:]
     assert len(set(first)) == len(first) == made.length("train") == 36
@@ -90,12 +106,16 @@ def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
     shots = draw(paired)
     met: dict[tuple, set] = {}
     for batch in take(made.train_batches(12, 0, 0.0)(0), 90):
-        for place, key in enumerate(zip(batch["stimulus"], batch["pose_id"], batch["slide_id"], strict=True)):
+        for place, key in enumerate(
+            zip(batch["stimulus"], batch["pose_id"], batch["slide_id"], strict=True)
+        ):
             tap = int(batch["tap_id"][place])
             met.setdefault(key, set()).add(tap)
             here = (shots.scenes.stimulus == key[0]) & (shots.pose_id == key[1]) & ~shots.slid
             row = np.flatnonzero(here & (shots.instance == tap))[0]
-            np.testing.assert_array_equal(batch["canonical"][place, :, :, 0], image_of(engine, paired, row))
+            np.testing.assert_array_equal(
+                batch["canonical"][place, :, :, 0], image_of(engine, paired, row)
+            )
     assert all(taps == {0, 1} for taps in met.values())
 
 
@@ -103,12 +123,20 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
     shots, offsets = draw(paired), set()
     for batch in take(made.train_batches(12, 0, 0.1)(0), 10):
         for place in range(12):
-            here = (shots.scenes.stimulus == batch["stimulus"][place]) & (shots.pose_id == batch["pose_id"][place])
-            row = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[0]
+            here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
+                shots.pose_id == batch["pose_id"][place]
+            )
+            row = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[
+                0
+            ]
             tap = np.flatnonzero(here & ~shots.slid & (shots.instance == batch["tap_id"][place]))[0]
             still = shots.scenes.pose[row, :2] + 16
-            offset = batch["sheared_pins"][place, 0] - still - 1e-3 * row  # as the stand-in places them
-            np.testing.assert_allclose(batch["canonical_pins"][place, 0] - still - 1e-3 * tap, offset, atol=1e-4)
+            offset = (
+                batch["sheared_pins"][place, 0] - still - 1e-3 * row
+            )  # as the stand-in places them
+            np.testing.assert_allclose(
+                batch["canonical_pins"][place, 0] - still - 1e-3 * tap, offset, atol=1e-4
+            )
             columns, rows = np.rint(offset).astype(int)
             offsets.add((columns, rows))
             for name, number in (("sheared", row), ("canonical", tap)):
@@ -124,14 +152,19 @@ def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
     images = np.zeros((2, 8, 8, 1), np.uint8)
     images[:, 2, 3] = 255
     pins = np.full((2, 1, 2), (3.0, 2.0), np.float32)
-    moved = shifted({"image": images, "pins": pins, "pose": np.array([7, 8])}, np.array([[2, 1], [0, -2]]))
+    moved = shifted(
+        {"image": images, "pins": pins, "pose": np.array([7, 8])}, np.array([[2, 1], [0, -2]])
+    )
     assert np.argwhere(moved["image"][..., 0]).tolist() == [[0, 3, 5], [1, 0, 3]]
     assert moved["pins"].tolist() == [[[5, 3]], [[3, 0]]]
     assert moved["pose"].tolist() == [7, 8]
 
 
 def test_only_the_named_fields_are_read(made):
-    assert set(next(made.train_batches(4, 0, 0.0, fields=("sheared", "pose"))(0))) == {"sheared", "pose"}
+    assert set(next(made.train_batches(4, 0, 0.0, fields=("sheared", "pose"))(0))) == {
+        "sheared",
+        "pose",
+    }
     assert set(next(made.split("test", 4, fields=("edge",)))) == {"edge"}
 
 
@@ -171,12 +204,18 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
         middle = len(data) // 2
         flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
         shard.write_bytes({"truncated": data[:middle], "changed": flipped, "empty": b""}[damage])
-    with pytest.raises(UserError, match=rf"{re.escape(shard.name)} is .*delete .*`jaxunshear data`"):
+    with pytest.raises(
+        UserError, match=rf"{re.escape(shard.name)} is .*delete .*`jaxunshear data`"
+    ):
         made.train_batches(4, 0, 0.0)
-    assert made.length("test") == sum(len(batch["pose"]) for batch in made.split("test", 4))  # the others still read
+    assert made.length("test") == sum(
+        len(batch["pose"]) for batch in made.split("test", 4)
+    )  # the others still read
 
 
-@pytest.mark.parametrize("name", ["metadata.json", "shards.json", "features.json", "dataset_info.json"])
+@pytest.mark.parametrize(
+    "name", ["metadata.json", "shards.json", "features.json", "dataset_info.json"]
+)
 @pytest.mark.parametrize("text", ['{"set": ', "[]", None])
 def test_broken_json_is_reported_with_the_remedy(name, text, made, paired, sensor, tmp_path):
     (made.folder / name).write_text(text) if text else (made.folder / name).unlink()
@@ -189,7 +228,9 @@ def test_a_digit_of_the_metadata_that_changed_is_reported(made, paired, sensor, 
     held = json.loads(file.read_text())
     held["counts"]["dropped"] = held["counts"].get("dropped", 0) + 1
     file.write_text(json.dumps(held))
-    with pytest.raises(UserError, match=r"is damaged \(metadata\.json\): delete .*`jaxunshear data` again"):
+    with pytest.raises(
+        UserError, match=r"is damaged \(metadata\.json\): delete .*`jaxunshear data` again"
+    ):
         open_set(paired, tmp_path, sensor)
 
 

@@ -46,12 +46,24 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     write(tmp_path / "images", grey)
     write(tmp_path / "rest", frames(sensor, [(0.0, 0.0)])[0])
     answer = command(
-        *("pins", tmp_path / "images", "--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
+        *(
+            "pins",
+            tmp_path / "images",
+            "--sensor",
+            sensor.name,
+            "--rest",
+            tmp_path / "rest",
+            "--out",
+            tmp_path / "out",
+        )
     )
     assert answer.code == 0, answer.err
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]
-    assert plain(record_of(held, PinRows, "pins.json", "run it again").rows) == rows and held["schema"] == SCHEMA
+    assert (
+        plain(record_of(held, PinRows, "pins.json", "run it again").rows) == rows
+        and held["schema"] == SCHEMA
+    )
     assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [
         (f"image_{n}.png", sensor.pins, True) for n in range(len(SHIFTS))
     ]
@@ -60,7 +72,9 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     # pins are called as in the simulator or by the lattice's symmetry, in another crop: so the farthest motions must agree
     scale = np.ptp(place[0]) / np.ptp(true[0])
     expected = np.sort(scale * np.linalg.norm(true - true[:1], axis=-1), axis=-1)
-    np.testing.assert_allclose(np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8)
+    np.testing.assert_allclose(
+        np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8
+    )
     assert Image.open(tmp_path / "out" / "pins.png").size[0] > 400
     assert f"{len(SHIFTS)} with every pin's identity sure" in answer.out
 
@@ -70,9 +84,15 @@ def test_from_python_as_arrays(tmp_path):
     write(tmp_path / "images", [*grey, np.random.default_rng(0).random((256, 256))])
     found = find_pins(tmp_path / "images", layout_of(TACTIP_127))
     assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
-    assert found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()
-    np.testing.assert_allclose(found.motion_px[:-1].mean(axis=0), 0, atol=0.8)  # from the mean place in these images
-    assert found.table.image_px == 256 and [row.matched for row in found.table.rows] == [127] * len(SHIFTS) + [0]
+    assert (
+        found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()
+    )
+    np.testing.assert_allclose(
+        found.motion_px[:-1].mean(axis=0), 0, atol=0.8
+    )  # from the mean place in these images
+    assert found.table.image_px == 256 and [row.matched for row in found.table.rows] == [127] * len(
+        SHIFTS
+    ) + [0]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]  # nothing is written
 
 

@@ -26,7 +26,9 @@ NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "R
 
 def binary(seed, size=96):
     rng = np.random.default_rng(seed)
-    return np.kron(rng.random((size // 4, size // 4)) > 0.7, np.ones((4, 4))).astype(np.uint8) * np.uint8(255)
+    return np.kron(rng.random((size // 4, size // 4)) > 0.7, np.ones((4, 4))).astype(
+        np.uint8
+    ) * np.uint8(255)
 
 
 def write_images(folder, names):
@@ -43,7 +45,12 @@ def write_targets(file, image_column, columns, names):
             writer.writerow([name, *(100 * i + np.arange(len(columns)))])
 
 
-def older(root, images="images", column="sensor_image", names=("image_1.png", "image_2.png", "image_10.png")):
+def older(
+    root,
+    images="images",
+    column="sensor_image",
+    names=("image_1.png", "image_2.png", "image_10.png"),
+):
     write_images(root / images, names)
     write_targets(root / "targets.csv", column, OLDER, names)
     (root / "meta.json").write_text('{"tap_depth": -5.0}')
@@ -68,7 +75,9 @@ def test_a_single_image(tmp_path):
 )
 def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
     recordings = read_recordings(older(tmp_path / "set", images, column, names), PREPROCESS)
-    assert recordings.names == tuple(f"{images}/{name}" for name in names)  # in the order of their numbers
+    assert recordings.names == tuple(
+        f"{images}/{name}" for name in names
+    )  # in the order of their numbers
     np.testing.assert_array_equal(recordings.poses, 100 * np.arange(3)[:, None] + np.arange(6))
     np.testing.assert_array_equal(recordings.moves, 100 * np.arange(3)[:, None] + np.arange(6, 12))
     assert recordings.notes == []
@@ -79,7 +88,9 @@ def test_the_newer_layout_with_a_broken_json(tmp_path):
     for split in ("train", "val"):
         write_images(tmp_path / split / "processed_images", ["image_1.png", "image_2.png"])
         write_images(tmp_path / split / "sensor_images", ["image_1.png"])
-        write_targets(tmp_path / split / "targets.csv", "sensor_image", NEWER, ["image_1.png", "image_2.png"])
+        write_targets(
+            tmp_path / split / "targets.csv", "sensor_image", NEWER, ["image_1.png", "image_2.png"]
+        )
         (tmp_path / split / "env_params.json").write_text('{"robot": "cr"}')
     (tmp_path / "val" / "collect_params.json").write_text('{"sort": false}}')
     recordings = read_recordings(tmp_path, PREPROCESS)
@@ -114,8 +125,14 @@ def test_a_folder_without_one_readable_image(tmp_path):
         (lambda text: text.replace("pose_4", "pose_four"), "no column pose_4"),
         (lambda text: text.replace("sensor_image", "picture"), "sensor_image or image_name"),
         (lambda text: "", "is empty"),
-        (lambda text: text.replace("image_2.png,100,", "image_2.png,abc,"), "row 3: pose_1 is 'abc', no usable number"),
-        (lambda text: text.replace("image_10.png", "image_11.png"), "no row for 1 of 3 images, the first image_10.png"),
+        (
+            lambda text: text.replace("image_2.png,100,", "image_2.png,abc,"),
+            "row 3: pose_1 is 'abc', no usable number",
+        ),
+        (
+            lambda text: text.replace("image_10.png", "image_11.png"),
+            "no row for 1 of 3 images, the first image_10.png",
+        ),
     ],
     ids=["column", "image_column", "empty", "number", "row"],
 )
@@ -134,7 +151,9 @@ def test_pose_numbers(tmp_path):
     write_images(tmp_path / "a" / "bare", ["x.png"])
     lines = (root / "targets.csv").read_text().splitlines()
     more = ["pose_id,obj_id", "7,3", ",3", "9,"]
-    (root / "targets.csv").write_text("\n".join(f"{a},{b}" for a, b in zip(lines, more, strict=True)))
+    (root / "targets.csv").write_text(
+        "\n".join(f"{a},{b}" for a, b in zip(lines, more, strict=True))
+    )
     recordings = read_recordings(tmp_path / "a", PREPROCESS)
     assert recordings.names[0] == "bare/x.png"
     assert recordings.pose_ids.dtype == np.int64
@@ -163,7 +182,9 @@ def test_a_ready_frame_takes_no_arithmetic(tmp_path, monkeypatch):
     ready = replace(PREPROCESS, size=96)
     recordings = read_recordings(root, ready)
     view = recordings.common_view()
-    long = [prepare_frame(ready, read_image(file).astype(np.uint16), view) for file in recordings.files]
+    long = [
+        prepare_frame(ready, read_image(file).astype(np.uint16), view) for file in recordings.files
+    ]
     for arithmetic in ("_both_sides", "to_grey"):
         monkeypatch.setattr(preprocess, arithmetic, None)
     np.testing.assert_array_equal([image for _, _, image in recordings.frames(view)], long)
@@ -191,7 +212,11 @@ def test_paths_that_hold_nothing(tmp_path):
 @pytest.mark.parametrize("mode", ["P", "I;16", "1", "RGBA", "LA", "CMYK"])
 def test_colour_modes(tmp_path, mode):
     image = Image.fromarray(binary(0))
-    image = Image.fromarray(binary(0).astype(np.uint16) * 257) if mode == "I;16" else image.convert(mode)
+    image = (
+        Image.fromarray(binary(0).astype(np.uint16) * 257)
+        if mode == "I;16"
+        else image.convert(mode)
+    )
     file = tmp_path / ("a.tif" if mode == "CMYK" else "a.png")
     image.save(file)
     Image.fromarray(binary(0)).save(tmp_path / "grey.png")
@@ -202,14 +227,18 @@ def test_colour_modes(tmp_path, mode):
 
 def test_real_recordings(real_recordings, tmp_path):
     subprocess.run(
-        [sys.executable, real_recordings / "unpack.py", tmp_path, "--limit", "3"], check=True, capture_output=True
+        [sys.executable, real_recordings / "unpack.py", tmp_path, "--limit", "3"],
+        check=True,
+        capture_output=True,
     )
     recordings = read_recordings(tmp_path, Preprocess(size=128))
     assert [image.shape for _, _, image in recordings.frames()] == [(128, 128)] * 12
     assert np.isfinite(recordings.poses).all()
     (note,) = recordings.notes  # broken as published
     assert "env_params.json: this JSON is broken" in note
-    np.testing.assert_array_equal(recordings.pose_ids == -1, ["franka" in name for name in recordings.names])
+    np.testing.assert_array_equal(
+        recordings.pose_ids == -1, ["franka" in name for name in recordings.names]
+    )
     raw = read_recordings(real_recordings / "raw", PREPROCESS)
     assert len(list(raw.frames())) == len(raw.poses) == 3
     newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)
@@ -230,7 +259,9 @@ def test_names_that_no_encoding_or_number_suits(tmp_path):
 def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
     """Pins that move as one stay moved: a crop of each image's own would follow them."""
     column, row = np.meshgrid(np.arange(320), np.arange(240))
-    pins = np.concatenate([9 * k * np.exp(2j * np.pi * np.arange(6 * k) / (6 * k)) for k in range(1, 11)])
+    pins = np.concatenate(
+        [9 * k * np.exp(2j * np.pi * np.arange(6 * k) / (6 * k)) for k in range(1, 11)]
+    )
     for folder, off in (("a", 0), ("b", 20)):
         (tmp_path / folder).mkdir()
         wide = narrower if folder == "b" else 0
@@ -240,7 +271,9 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
                 grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
             Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    other = recordings.common_view() if narrower else None  # one without a crop: the folders differ in size
+    other = (
+        recordings.common_view() if narrower else None
+    )  # one without a crop: the folders differ in size
     for view in (None, other):
         middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.frames(view)]
         scale = 0.375 * 128 / 90  # px of an image a px of a frame
@@ -273,7 +306,16 @@ def test_several_frames_in_one_file_are_refused_by_name(tmp_path):
 @pytest.mark.parametrize("tag", range(1, 9))
 def test_orientation_tags_are_followed(tmp_path, name, tag):
     seen = np.kron([[255, 0, 0], [0, 0, 255]], np.ones((16, 16))).astype(np.uint8)
-    turned = [seen, seen[:, ::-1], seen[::-1, ::-1], seen[::-1], seen.T, seen.T[::-1], seen[::-1, ::-1].T, seen[::-1].T]
+    turned = [
+        seen,
+        seen[:, ::-1],
+        seen[::-1, ::-1],
+        seen[::-1],
+        seen.T,
+        seen.T[::-1],
+        seen[::-1, ::-1].T,
+        seen[::-1].T,
+    ]
     tags = Image.Exif()
     tags[274] = tag
     Image.fromarray(np.ascontiguousarray(turned[tag - 1])).save(tmp_path / name, exif=tags)
@@ -292,15 +334,21 @@ def test_wide_integers_mean_what_the_file_says(tmp_path):
         signed := bytes.fromhex("5301 0300 01000000")
     )  # Pillow writes it as signed; the tag is set by hand
     (tmp_path / "a.tif").write_bytes(head + signed + b"\1" + tail[1:])
-    Image.fromarray((255 - seen).astype(np.uint16) * np.uint16(257)).save(tmp_path / "b.tif", tiffinfo={262: 0})
+    Image.fromarray((255 - seen).astype(np.uint16) * np.uint16(257)).save(
+        tmp_path / "b.tif", tiffinfo={262: 0}
+    )
     for name in ("a.tif", "b.tif"):
         read = read_image(tmp_path / name)
-        np.testing.assert_array_equal(read, seen.astype(np.int64) * (0x01010101 if name == "a.tif" else 257))
+        np.testing.assert_array_equal(
+            read, seen.astype(np.int64) * (0x01010101 if name == "a.tif" else 257)
+        )
         np.testing.assert_array_equal(to_grey(read), seen / np.float32(255))
 
 
 def test_numbers_below_zero_are_refused(tmp_path):
-    Image.frombytes("I", (96, 96), (binary(0).astype(np.int32) - 128).tobytes()).save(tmp_path / "a.tif")
+    Image.frombytes("I", (96, 96), (binary(0).astype(np.int32) - 128).tobytes()).save(
+        tmp_path / "a.tif"
+    )
     with pytest.raises(UserError, match="below zero"):
         list(read_recordings(tmp_path, PREPROCESS).frames())
 

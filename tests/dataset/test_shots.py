@@ -32,7 +32,9 @@ def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
     assert np.all(np.any(shots.scenes.move[shots.slid] != 0, axis=-1))
 
 
-@pytest.mark.parametrize(("poses", "parts"), [(5, (3, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))])
+@pytest.mark.parametrize(
+    ("poses", "parts"), [(5, (3, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))]
+)
 def test_splits_are_60_20_20_of_the_poses(poses, parts):
     shots = draw_pose(PoseData(stimuli=("disk", "clover"), poses=poses))
     for stimulus in range(2):
@@ -42,10 +44,17 @@ def test_splits_are_60_20_20_of_the_poses(poses, parts):
 
 @pytest.mark.parametrize("draw", [draw_paired, draw_pose])
 def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
-    for kind in ({"poses": 13, "stimuli": ("clover", "disk")}, {"poses": 5, "seed": 7, "stimuli": ("leaf",)}):
-        settings = dataclasses.replace(PairedData(slides=3) if draw is draw_paired else PoseData(), **kind)
+    for kind in (
+        {"poses": 13, "stimuli": ("clover", "disk")},
+        {"poses": 5, "seed": 7, "stimuli": ("leaf",)},
+    ):
+        settings = dataclasses.replace(
+            PairedData(slides=3) if draw is draw_paired else PoseData(), **kind
+        )
         shots = draw(settings)
-        for stimulus, pose, split in zip(shots.scenes.stimulus, shots.pose_id, shots.split, strict=True):
+        for stimulus, pose, split in zip(
+            shots.scenes.stimulus, shots.pose_id, shots.split, strict=True
+        ):
             assert split == split_of(settings.seed, settings.stimuli[stimulus], int(pose))
 
 
@@ -59,7 +68,9 @@ def test_ranges_are_those_of_the_paper_and_filled():
 
 
 def test_slides_are_along_x_along_y_or_along_both_a_third_each():
-    move = draw_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(1000, 4, 2)[:, 1:]
+    move = draw_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
+        1000, 4, 2
+    )[:, 1:]
     along = move.reshape(-1, 2) != 0
     for kind in ([True, False], [False, True], [True, True]):
         assert abs(np.mean(np.all(along == kind, axis=-1)) - 1 / 3) < 0.04
@@ -70,19 +81,30 @@ def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
     for known in (PAIRED, POSE):
         for name, settings in known.items():
             fitted = (sensor_of(name), settings.friction) == (TACTIP_331_FITTED, FITTED_FRICTION)
-            camera = dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px) == FITTED_CAMERA
+            camera = (
+                dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px)
+                == FITTED_CAMERA
+            )
             assert fitted == camera == (name not in ("tiny", "demo"))
-            assert not name.startswith("paper") or settings.camera.frame_px == settings.preprocess.size == 256
+            assert (
+                not name.startswith("paper")
+                or settings.camera.frame_px == settings.preprocess.size == 256
+            )
 
 
 def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
     settings = PairedData(stimuli=("disk",), poses=100, taps=4, slides=4, tap_depth_jitter_mm=1.0)
-    shots, still = draw_paired(settings), draw_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0))
+    shots, still = (
+        draw_paired(settings),
+        draw_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
+    )
     moved = shots.scenes.pose - still.scenes.pose
     assert not moved[shots.slid].any()
     assert not moved[:, :3].any()
     assert 0.9 < np.abs(moved[~shots.slid, 3]).max() <= 1
-    shallow = draw_paired(dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01)))
+    shallow = draw_paired(
+        dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01))
+    )
     assert shallow.scenes.pose[:, 3].min() == LEAST_DEPTH_MM
 
 
@@ -117,7 +139,9 @@ def test_age_runs_from_first_to_last_and_gives_nothing_of_the_shape():
 
 def test_friction_is_the_materials(paired):
     shots = draw_paired(paired)
-    disk, spiral = (set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2))
+    disk, spiral = (
+        set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2)
+    )
     assert len(disk) == len(spiral) == 1
     assert disk != spiral
     assert set(draw_paired(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
@@ -150,19 +174,37 @@ def test_impossible_settings_are_refused_by_name(change, line):
 
 def test_changed_settings_have_a_name_of_their_own():
     for known in (PAIRED, POSE):
-        assert [config_name(settings, sensor_of(name)) for name, settings in known.items()] == list(known)
-    names = ["tiny", "demo", "calibrated", "standard", "skin", "parted", "end_to_end", "twisted", "tilted"]
+        assert [config_name(settings, sensor_of(name)) for name, settings in known.items()] == list(
+            known
+        )
+    names = [
+        "tiny",
+        "demo",
+        "calibrated",
+        "standard",
+        "skin",
+        "parted",
+        "end_to_end",
+        "twisted",
+        "tilted",
+    ]
     assert list(PAIRED) == [*names, "paper_short", "paper", "paper_tenth"]
     assert set(PAIRED) - set(POSE) == {"twisted"}  # a tap does not twist
     changed = dataclasses.replace(PairedData(), poses=7)
-    names = {config_name(changed), config_name(changed, TACTIP_127), config_name(PairedData(), TACTIP_127)}
+    names = {
+        config_name(changed),
+        config_name(changed, TACTIP_127),
+        config_name(PairedData(), TACTIP_127),
+    }
     assert len(names) == 3
     assert all(name.startswith("custom-") and len(name) == 15 for name in names)
 
 
 def test_a_full_number_and_its_float_are_one_setting():
     """A file says 4, the command line 4.0."""
-    full, real = (dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0))
+    full, real = (
+        dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0)
+    )
     assert config_name(full) == config_name(real)
 
 
@@ -182,13 +224,19 @@ def ranged(settings, **ranges):
 
 
 def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
-    plain, twisted, more = (draw_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0))
+    plain, twisted, more = (
+        draw_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0)
+    )
     assert plain.move.shape[1] == 2 and twisted.move.shape[1] == 3
     np.testing.assert_array_equal(twisted.pose, plain.pose)
     np.testing.assert_array_equal(twisted.move[:, :2], plain.move)
     twist = twisted.move[:, 2]
     slid = np.any(plain.move != 0, axis=1)
-    assert not twist[~slid].any() and 4.9 < np.abs(twist).max() <= 5 and len(np.unique(twist[slid])) == slid.sum()
+    assert (
+        not twist[~slid].any()
+        and 4.9 < np.abs(twist).max() <= 5
+        and len(np.unique(twist[slid])) == slid.sum()
+    )
     np.testing.assert_allclose(more.move[:, 2], 4 * twist)  # the same draws, further
 
 

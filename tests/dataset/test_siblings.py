@@ -11,7 +11,9 @@ ALIKE = [{0, 3, 5}, {1, 4}, {2}, {0, 3, 5}, {1, 4}, {0, 3, 5}, {6}]
 
 def met(draw, times=60):
     generator, rows = np.random.default_rng(0), np.arange(7)
-    return [set(row) for row in np.stack([draw(rows, generator) for _ in range(times)], axis=1).tolist()]
+    return [
+        set(row) for row in np.stack([draw(rows, generator) for _ in range(times)], axis=1).tolist()
+    ]
 
 
 def test_groups_are_of_one_pose_of_one_stimulus():

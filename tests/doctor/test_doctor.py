@@ -27,7 +27,11 @@ def picture(sensor: Sensor, seed: int) -> np.ndarray:
     """White pins on black, each moved a little."""
     flat = pin_lattice(sensor)
     flat = flat / np.linalg.norm(flat, axis=1).max()
-    pins = (SIZE - 1) / 2 + 0.375 * SIZE * flat + np.random.default_rng(seed).normal(0, 0.3, flat.shape)
+    pins = (
+        (SIZE - 1) / 2
+        + 0.375 * SIZE * flat
+        + np.random.default_rng(seed).normal(0, 0.3, flat.shape)
+    )
     row, column = np.mgrid[:SIZE, :SIZE]
     radius = 0.25 * 0.75 * SIZE / (2 * sensor.rings + 1)
     image = np.zeros((SIZE, SIZE), np.uint8)
@@ -36,7 +40,15 @@ def picture(sensor: Sensor, seed: int) -> np.ndarray:
     return image
 
 
-def recorded(root, sensor=TACTIP_331, slide=0.0, columns=OLDER, images="images", count=3, turn=lambda image: image):
+def recorded(
+    root,
+    sensor=TACTIP_331,
+    slide=0.0,
+    columns=OLDER,
+    images="images",
+    count=3,
+    turn=lambda image: image,
+):
     (root / images).mkdir(parents=True)
     lines = [",".join(["sensor_image", "pose_id", *columns])]
     for i in range(count):
@@ -52,28 +64,40 @@ def is_parsed(command):
     return True
 
 
-@pytest.mark.parametrize(("columns", "images"), [(OLDER, "images"), (OLDER, "frames_bw"), (NEWER, "processed_images")])
+@pytest.mark.parametrize(
+    ("columns", "images"), [(OLDER, "images"), (OLDER, "frames_bw"), (NEWER, "processed_images")]
+)
 def test_taps_and_slides_of_each_layout(tmp_path, columns, images):
     root = tmp_path / "edge 2d"
     recorded(root / "tap" / "train", columns=columns, images=images)
     recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images)
     diagnosis = check_recordings(root)
-    assert [folder.name for folder in diagnosis.folders] == [f"{kind}/train" for kind in ("shear", "tap")]
+    assert [folder.name for folder in diagnosis.folders] == [
+        f"{kind}/train" for kind in ("shear", "tap")
+    ]
     for folder, taps, slides in zip(diagnosis.folders, (0, 3), (3, 0), strict=True):
         assert (folder.frames, folder.usable, folder.size) == (3, 3, (SIZE, SIZE))
-        assert (folder.pins.layout, folder.pins.median, folder.pins.followed) == ("tactip331", 331, 1)
+        assert (folder.pins.layout, folder.pins.median, folder.pins.followed) == (
+            "tactip331",
+            331,
+            1,
+        )
         assert not folder.pins.inverted
         assert (folder.labels.posed, folder.labels.taps, folder.labels.slides) == (3, taps, slides)
         assert folder.labels.ranges == {"y_mm": (-1, 1), "z_mm": (3, 5), "Rz_deg": (-100, 140)}
     assert diagnosis.problems == () and diagnosis.advice == ""
-    assert diagnosis.command == f"jaxunshear fit --taps '{root}' --slides '{root}'" and is_parsed(diagnosis.command)
+    assert diagnosis.command == f"jaxunshear fit --taps '{root}' --slides '{root}'" and is_parsed(
+        diagnosis.command
+    )
 
 
 def test_one_kind_alone_teaches_poses(tmp_path):
     for name, slide in (("tap", 0.0), ("slide", 1.0)):
         root = recorded(tmp_path / name, slide=slide)
         diagnosis = check_recordings(root)
-        assert diagnosis.command == f"jaxunshear fit --{name}s {root}" and is_parsed(diagnosis.command)
+        assert diagnosis.command == f"jaxunshear fit --{name}s {root}" and is_parsed(
+            diagnosis.command
+        )
         assert "read poses, not to unshear" in diagnosis.advice
         assert ("--paired.pairing simulated" in diagnosis.advice) == (name == "tap")
 
@@ -92,7 +116,9 @@ def test_poses_without_moves(tmp_path, count, command):
     """Twenty frames or more show where pins stand, which released weights need."""
     root = recorded(tmp_path / "set", columns=OLDER[:6], count=count)
     diagnosis = check_recordings(root)
-    assert diagnosis.command == f"jaxunshear {command.format(root)}" and is_parsed(diagnosis.command)
+    assert diagnosis.command == f"jaxunshear {command.format(root)}" and is_parsed(
+        diagnosis.command
+    )
     assert ("--like" if count < 20 else "fit --taps DIR --slides DIR") in diagnosis.advice
     assert "  labels: 3 poses, 0 taps, 0 slides" in "\n".join(describe(diagnosis)) or count > 3
 
@@ -133,7 +159,9 @@ def test_dark_pins_on_a_light_ground(tmp_path, capsys, colours):
 
 
 def test_images_without_pins_are_not_called_negatives(tmp_path):
-    Image.fromarray(np.add.outer(np.arange(64), np.arange(64)).astype(np.uint8)).save(tmp_path / "plot.png")
+    Image.fromarray(np.add.outer(np.arange(64), np.arange(64)).astype(np.uint8)).save(
+        tmp_path / "plot.png"
+    )
     diagnosis = check_recordings(tmp_path)
     assert not diagnosis.usable and diagnosis.advice.startswith("no pins are found")
 
@@ -147,7 +175,11 @@ def test_one_image(tmp_path):
 
 def test_what_holds_nothing_is_refused_in_one_line(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("hello")
-    for path, says in ((tmp_path, "no images"), (tmp_path / "notes.txt", "no image"), (tmp_path / "a", "not exist")):
+    for path, says in (
+        (tmp_path, "no images"),
+        (tmp_path / "notes.txt", "no image"),
+        (tmp_path / "a", "not exist"),
+    ):
         with pytest.raises(UserError, match=says):
             check_recordings(path)
         assert main(["doctor", str(path)]) == 2

@@ -44,7 +44,9 @@ def sound(root):
 
 def image_with(data):
     def spoil(root):
-        (root / "images" / NAMES[1]).write_bytes(data(root / "images" / NAMES[1]) if callable(data) else data)
+        (root / "images" / NAMES[1]).write_bytes(
+            data(root / "images" / NAMES[1]) if callable(data) else data
+        )
 
     return spoil
 
@@ -108,7 +110,10 @@ IMAGE, TABLE, META = NAMES[1], "targets.csv", "meta.json"
 FLAT = np.zeros((48, 48), np.uint8)
 # what is done, the file that must be named, and the row
 CASES = {
-    **{f"image cut at {n}": (image_with(lambda f, n=n: f.read_bytes()[:n]), IMAGE, None) for n in (1, 8, 20, 33, 45)},
+    **{
+        f"image cut at {n}": (image_with(lambda f, n=n: f.read_bytes()[:n]), IMAGE, None)
+        for n in (1, 8, 20, 33, 45)
+    },
     "image half": (image_with(lambda f: f.read_bytes()[: f.stat().st_size // 2]), IMAGE, None),
     "image of no bytes": (image_with(b""), IMAGE, None),
     "text named png": (image_with(b"see the other folder\n"), IMAGE, None),
@@ -119,10 +124,18 @@ CASES = {
     "another size": (drawn(dots(1, 64)), IMAGE, None),
     "folder named png": (instead(f"images/{IMAGE}", Path.mkdir), TABLE, 3),
     "no image": (instead(f"images/{IMAGE}", lambda file: None), TABLE, 3),
-    "link to nothing": (instead(f"images/{IMAGE}", lambda file: file.symlink_to("absent")), TABLE, 3),
+    "link to nothing": (
+        instead(f"images/{IMAGE}", lambda file: file.symlink_to("absent")),
+        TABLE,
+        3,
+    ),
     "link to itself": (instead(f"images/{IMAGE}", lambda file: file.symlink_to(file)), TABLE, 3),
     "queue named png": (instead(f"images/{IMAGE}", os.mkfifo), TABLE, 3),
-    "image of no row": (lambda root: Image.fromarray(dots(9)).save(root / "images" / "image_9.png"), TABLE, None),
+    "image of no row": (
+        lambda root: Image.fromarray(dots(9)).save(root / "images" / "image_9.png"),
+        TABLE,
+        None,
+    ),
     "colour": (drawn(np.repeat(dots(1)[..., None], 3, -1)), "", None),
     "16 bits": (drawn(dots(1).astype(np.uint16) * 257), "", None),
     "empty table": (table(lambda lines: b""), TABLE, None),
@@ -130,14 +143,26 @@ CASES = {
     "no heading": (table(lambda lines: lines[1:]), TABLE, 1),
     "semicolons": (table(lambda lines: [line.replace(",", ";") for line in lines]), TABLE, 1),
     "utf-16": (table(lambda lines: "\n".join(lines).encode("utf-16")), TABLE, 1),
-    "latin-1": (table(lambda lines: "\n".join(lines).replace("image_3", "bild_\xfc").encode("latin-1")), TABLE, 4),
+    "latin-1": (
+        table(lambda lines: "\n".join(lines).replace("image_3", "bild_\xfc").encode("latin-1")),
+        TABLE,
+        4,
+    ),
     "byte order mark": (table(lambda lines: "\n".join(lines).encode("utf-8-sig")), "", None),
     "carriage returns": (table(lambda lines: "\r".join(lines).encode()), "", None),
-    "NUL bytes": (table(lambda lines: "\n".join(lines).replace("0.25", "0.\x0025").encode()), TABLE, 3),
+    "NUL bytes": (
+        table(lambda lines: "\n".join(lines).replace("0.25", "0.\x0025").encode()),
+        TABLE,
+        3,
+    ),
     "noise": (table(lambda lines: np.random.default_rng(1).bytes(900)), TABLE, 1),
     "open quote": (table(lambda lines: [*lines[:2], '"' + lines[2], *lines[3:]]), TABLE, 3),
     "endless cell": (table(lambda lines: [*lines[:3], "9" * 200_000]), TABLE, 4),
-    "column twice": (table(lambda lines: [lines[0].replace("pose_2", "pose_1"), *lines[1:]]), TABLE, 1),
+    "column twice": (
+        table(lambda lines: [lines[0].replace("pose_2", "pose_1"), *lines[1:]]),
+        TABLE,
+        1,
+    ),
     "short row": (table(lambda lines: [*lines[:3], lines[3][:30], lines[4]]), TABLE, 4),
     "long row": (table(lambda lines: [*lines[:3], lines[3] + ",1,2", lines[4]]), TABLE, 4),
     "row again": (table(lambda lines: [*lines, lines[2]]), TABLE, 6),
@@ -150,7 +175,10 @@ CASES = {
         for value in ("abc", "", "nan", "inf", "1e400", "-1e308", "0x10", "--", "\u221e")
         for column in ("pose_1", "move_4")
     },
-    **{f"{value} in pose_id": (cell(2, "pose_id", value), TABLE, 2) for value in ("x", "1.5", "-7", "1e99", "nan")},
+    **{
+        f"{value} in pose_id": (cell(2, "pose_id", value), TABLE, 2)
+        for value in ("x", "1.5", "-7", "1e99", "nan")
+    },
     "name in another folder": (cell(3, "sensor_image", "elsewhere/image_77.png"), TABLE, 3),
     "no name": (cell(3, "sensor_image", ""), TABLE, 3),
     "broken JSON": (meta(b'{"a": 1}}'), META, None),
@@ -158,8 +186,16 @@ CASES = {
     "latin-1 JSON": (meta(b'{"a": "\xfc"}'), META, None),
     "folder named json": (instead(META, Path.mkdir), META, None),
     "link that leads back": (lambda root: (root / "again").symlink_to(root), "", None),
-    "unreadable table": (lambda root: (root / TABLE).chmod(0), "" if os.geteuid() == 0 else TABLE, None),
-    "unreadable image": (lambda root: (root / "images" / IMAGE).chmod(0), "" if os.geteuid() == 0 else IMAGE, None),
+    "unreadable table": (
+        lambda root: (root / TABLE).chmod(0),
+        "" if os.geteuid() == 0 else TABLE,
+        None,
+    ),
+    "unreadable image": (
+        lambda root: (root / "images" / IMAGE).chmod(0),
+        "" if os.geteuid() == 0 else IMAGE,
+        None,
+    ),
 }
 RANDOM = [
     *(("images/" + IMAGE, how, seed) for how in ("flip", "cut", "insert") for seed in range(8)),
@@ -183,7 +219,9 @@ def spoilt(data, how, seed):
 
 def contents(root):
     return {
-        path.relative_to(root): hashlib.sha1(path.read_bytes()).hexdigest() if path.is_file() else ""
+        path.relative_to(root): hashlib.sha1(path.read_bytes()).hexdigest()
+        if path.is_file()
+        else ""
         for path in sorted(root.rglob("*"))
     }
 
@@ -264,8 +302,17 @@ def all_as(data):
         (no_images, "holds no images"),
         (all_as(b""), "none of 4 images"),
         (all_as(b"text"), "none of 4 images"),
-        (lambda root: [drawn(FLAT)(root), all_as((root / "images" / IMAGE).read_bytes())(root)], "one flat grey"),
-        (lambda root: [drawn(FLAT[:1, :1])(root), all_as((root / "images" / IMAGE).read_bytes())(root)], "too small"),
+        (
+            lambda root: [drawn(FLAT)(root), all_as((root / "images" / IMAGE).read_bytes())(root)],
+            "one flat grey",
+        ),
+        (
+            lambda root: [
+                drawn(FLAT[:1, :1])(root),
+                all_as((root / "images" / IMAGE).read_bytes())(root),
+            ],
+            "too small",
+        ),
     ],
     ids=["none", "empty", "text", "black", "pixels"],
 )

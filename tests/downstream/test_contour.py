@@ -15,10 +15,14 @@ def test_a_disk_s_outline():
     middle = np.array([-50.0, 0.0])
     np.testing.assert_allclose(np.linalg.norm(line.points - middle, axis=-1), 50, atol=0.01)
     np.testing.assert_allclose(line.normal, (line.points - middle) / 50, atol=2e-3)
-    np.testing.assert_allclose(line.points[line.at(np.pi / 2 * 50)], [-50, 50], atol=0.1)  # counter-clockwise
+    np.testing.assert_allclose(
+        line.points[line.at(np.pi / 2 * 50)], [-50, 50], atol=0.1
+    )  # counter-clockwise
 
 
-@pytest.mark.parametrize("name", [pytest.param("flower", marks=pytest.mark.long), "leaf", "spiral_1"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("flower", marks=pytest.mark.long), "leaf", "spiral_1"]
+)
 def test_outlines_lie_on_the_edge_and_close(name):
     line = outline(STIMULI[name])
     assert np.abs(signed_distance(STIMULI[name], line.points.astype(np.float32))).max() < 0.02

@@ -34,7 +34,9 @@ def lattice(request):
 def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
     flat = pin_lattice(TACTIP_127)
-    untouched = make_lattice(flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127))
+    untouched = make_lattice(
+        flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127)
+    )
     pins = np.asarray(dots(np.float32(untouched.place)[None], 2.0, 128))[0, ..., 0]
     noise = np.random.default_rng(0).random((128, 128)) < 0.2
     for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
@@ -54,7 +56,9 @@ def test_an_undeformed_sensor_is_flat(lattice):
 
 
 def test_the_same_shift_of_all_pins_changes_nothing(lattice):
-    np.testing.assert_allclose(relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9)
+    np.testing.assert_allclose(
+        relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9
+    )
 
 
 def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
@@ -84,7 +88,9 @@ def test_missing_pins_follow_their_neighbours(lattice):
     motion = 0.05 * (lattice.place - lattice.middle)
     with_gaps = motion.copy()
     with_gaps[[3, 40, 90]] = np.nan
-    np.testing.assert_allclose(relative_growth(lattice, with_gaps), relative_growth(lattice, motion), atol=0.03)
+    np.testing.assert_allclose(
+        relative_growth(lattice, with_gaps), relative_growth(lattice, motion), atol=0.03
+    )
 
 
 def test_surface_passes_through_its_pins_and_is_smooth(lattice):
@@ -111,7 +117,9 @@ def test_a_shift_of_all_pins_shows_where_they_are(lattice):
     shift = np.array([0.5 * lattice.spacing, 0.0])
     heights = x / lattice.spacing
     inner = lattice.shell < lattice.shell.max() - 1
-    still, moved = (read_at(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift))
+    still, moved = (
+        read_at(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift)
+    )
     np.testing.assert_allclose(still, heights, atol=1e-6)
     np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
 
@@ -130,7 +138,9 @@ def test_a_linear_skin_is_learnt(lattice):
     shapes = generator.normal(size=(6, 2 * pins))
     rises = generator.normal(size=(6, pins))
     share = generator.normal(size=(200, 6))
-    inverse = fit_inverse(lattice, (share[:150] @ shapes).reshape(150, pins, 2), share[:150] @ rises)
+    inverse = fit_inverse(
+        lattice, (share[:150] @ shapes).reshape(150, pins, 2), share[:150] @ rises
+    )
     found = (share[150:] @ shapes) @ inverse
     np.testing.assert_allclose(found, share[150:] @ rises, atol=0.02)
 
@@ -142,7 +152,11 @@ def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):
     motion = np.zeros((4, pins, 2))
     motion[:, 0, 0] = 0.9 * FELT_MM, 1.1 * FELT_MM, np.nan, 0.0
     found = indentation_of(first, motion)
-    assert (found[[0, 3]] == 0).all() and np.allclose(found[1], 1.1 * FELT_MM) and np.isnan(found[2]).all()
+    assert (
+        (found[[0, 3]] == 0).all()
+        and np.allclose(found[1], 1.1 * FELT_MM)
+        and np.isnan(found[2]).all()
+    )
 
 
 def test_pins_of_another_sensor_are_refused():

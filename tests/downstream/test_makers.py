@@ -57,7 +57,9 @@ def test_untouched_skin_stands_as_the_dome_does(makers):
     still = np.zeros((1, *LATTICE.place.shape))
     off = np.linalg.norm(maker.place(still)[0], axis=-1)
     radius = TACTIP_331.dome_radius_mm
-    np.testing.assert_allclose(maker.value(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9)
+    np.testing.assert_allclose(
+        maker.value(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9
+    )
 
 
 def test_small_images_are_refused():

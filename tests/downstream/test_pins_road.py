@@ -44,11 +44,18 @@ def model(tmp_path_factory):
         count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
         fresh = pinnets.init(net, LATTICE.place, 2.0, jax.random.key(seed), outputs=count)
         draw = np.random.default_rng(seed).normal
-        shaken = jax.tree.map(lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"])
+        shaken = jax.tree.map(
+            lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"]
+        )
         kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
         reported = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
         checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
-        checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
+        checkpoint.save(
+            folder / name,
+            1,
+            {"average": fresh | {"params": shaken}},
+            {"history": [], "best_step": 1},
+        )
         write_json(folder / name / checkpoint.SUMMARY, {"steps": 1})
     return folder
 
@@ -59,7 +66,9 @@ def seen():
     rim = int(np.argmax(LATTICE.place[:, 0]))
     pins = LATTICE.place + np.array([AWAY, 0.0])
     pins[rim] = np.nan
-    drawn = np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size))[..., 0]
+    drawn = np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size))[
+        ..., 0
+    ]
     return np.concatenate([drawn, 0 * drawn]).astype(np.uint8) * 255, pins
 
 
@@ -68,7 +77,9 @@ def test_pins_are_followed_and_what_is_not_is_nan(seen):
     for alone in (False, True):
         found = followed(LATTICE, images, alone)
         assert found.sure.tolist() == [True, False]
-        assert np.isnan(found.motion[1]).all() and (np.isnan(found.motion[0]) == np.isnan(pins)).all()
+        assert (
+            np.isnan(found.motion[1]).all() and (np.isnan(found.motion[0]) == np.isnan(pins)).all()
+        )
         off = np.linalg.norm(LATTICE.place + found.motion[0] - pins, axis=-1)
         assert np.nanmax(off) < 0.5
     motion = motions_of(LATTICE, images)
@@ -85,7 +96,9 @@ def by_hand(model, name, pins):
 
 def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
     images, _ = seen
-    assert ways_of(model) == ("sheared", "disentangled") and unshearing_of(model) == ("disentangled",)
+    assert ways_of(model) == ("sheared", "disentangled") and unshearing_of(model) == (
+        "disentangled",
+    )
     pins = LATTICE.place + followed(LATTICE, images[:1]).motion
     after = by_hand(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
@@ -95,7 +108,9 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
         assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()
     motion = unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
-    np.testing.assert_allclose(motion[0], after[0] - LATTICE.place, atol=1e-4)  # not drawn and found again
+    np.testing.assert_allclose(
+        motion[0], after[0] - LATTICE.place, atol=1e-4
+    )  # not drawn and found again
     assert np.isnan(motion[1]).all()
 
 
@@ -103,9 +118,13 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
     unknown = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
     steps = 4 * 0.5 / outline(STIMULI["disk"]).length
     course = servo.Course("disk", starts=1, depth_mm=2.0, patience=steps)
-    walks, line = servo.follow_contour(course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz")
+    walks, line = servo.follow_contour(
+        course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz"
+    )
     steps = np.diff(walks.point[0], axis=0)
-    np.testing.assert_allclose(np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5
+    )
     np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
     row = walk_scores(walks, line, "disk")[0]
     assert row.steps == row.unfollowed == int(walks.steps) and row.seen_mean_mm is None
@@ -117,11 +136,16 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
     assert answer.code == 0, answer.err
     rows = json.loads((tmp_path / "walks" / "servo.json").read_text())["rows"]
-    assert [row["way"] for row in rows] == ["sheared", "disentangled"] and not any(row["unfollowed"] for row in rows)
+    assert [row["way"] for row in rows] == ["sheared", "disentangled"] and not any(
+        row["unfollowed"] for row in rows
+    )
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
     found = json.loads((tmp_path / "walks" / "reconstruct.json").read_text())["rows"]
-    assert {(row["way"], row["unmatched"]) for row in found} == {("sheared", 0), ("disentangled", 0)}
+    assert {(row["way"], row["unmatched"]) for row in found} == {
+        ("sheared", 0),
+        ("disentangled", 0),
+    }
 
 
 def test_frames_are_the_same_however_many_are_rendered_at_once():

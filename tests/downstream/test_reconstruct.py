@@ -73,7 +73,9 @@ def test_steps_without_pins_are_left_out():
     broken[::3] = np.nan
     wrong[::3] = 100
     some = np.arange(len(height)) % 3 != 0
-    np.testing.assert_array_equal(felt(point, broken).value, felt(np.where(some[:, None], point, np.nan), wrong).value)
+    np.testing.assert_array_equal(
+        felt(point, broken).value, felt(np.where(some[:, None], point, np.nan), wrong).value
+    )
 
 
 def test_a_turned_sensor_feels_the_same_place():
@@ -96,7 +98,9 @@ def test_heights_are_interpolated_to_the_full_object(name):
     assert np.count_nonzero(~np.isnan(full)) > np.count_nonzero(known)
 
 
-@pytest.mark.parametrize(("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)])
+@pytest.mark.parametrize(
+    ("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)]
+)
 def test_what_a_closed_ridge_surrounds_is_the_object(name, share):
     """Heights as of cells that grow over an edge: greatest on it, lower inside, lower still outside."""
     line, point, _ = walked(name, share)

@@ -7,7 +7,15 @@ import pytest
 
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import outline
-from jaxunshear.downstream.servo import CLOSED, LATE, LOST, Course, first_points, follow_contour, stored_walks
+from jaxunshear.downstream.servo import (
+    CLOSED,
+    LATE,
+    LOST,
+    Course,
+    first_points,
+    follow_contour,
+    stored_walks,
+)
 from jaxunshear.downstream.walk_scores import seen_edge, walk_scores
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI
@@ -33,7 +41,9 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(tmp_pa
     assert row.name == "disk/true" and row.closed == 0 and row.ends == {"took too long": 2}
     assert row.completed == pytest.approx(7.5 / line.length, rel=0.15)
     assert len(row.walk_mm) == 2 and min(row.walk_mm) <= row.mean_mm <= max(row.walk_mm)
-    np.testing.assert_allclose(seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3)
+    np.testing.assert_allclose(
+        seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3
+    )
 
 
 def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
@@ -43,7 +53,9 @@ def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
     def seen(images):
         """An edge that depends on all that the camera sees."""
         taken.append(1)
-        return images.mean(axis=(1, 2)) / images.max(), images[:, :64].mean(axis=(1, 2)) / images.max()
+        return images.mean(axis=(1, 2)) / images.max(), images[:, :64].mean(
+            axis=(1, 2)
+        ) / images.max()
 
     def killed(images):
         if len(taken) == 25:
@@ -61,7 +73,11 @@ def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
         np.testing.assert_array_equal(getattr(again, field), getattr(full, field), err_msg=field)
     with pytest.raises(UserError, match="other settings"):
         follow_contour(
-            dataclasses.replace(COURSE, depth_mm=3.0), TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz"
+            dataclasses.replace(COURSE, depth_mm=3.0),
+            TACTIP_331,
+            SETTINGS,
+            {"a": seen},
+            tmp_path / "disk.npz",
         )
     (tmp_path / "disk.npz").write_bytes(b"torn")
     with pytest.raises(UserError, match="delete it"):
@@ -69,7 +85,9 @@ def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
 
 
 def test_a_walk_that_is_misled_is_lost_and_reported(tmp_path):
-    astray = {"astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))}  # "go outwards"
+    astray = {
+        "astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))
+    }  # "go outwards"
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")
     assert (walks.end == LOST).all() and walks.steps < 16
     row = walk_scores(walks, line, "disk")[0]
@@ -77,12 +95,16 @@ def test_a_walk_that_is_misled_is_lost_and_reported(tmp_path):
 
 
 def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
-    course = Course(traced("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0)
+    course = Course(
+        traced("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0
+    )
     walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
     assert stored_walks(tmp_path / "coin.npz")[0] == course
     assert walks.end[0] == CLOSED and walks.way_mm[0] >= line.length
     row = walk_scores(walks, line, "coin")[0]
-    assert row.closed == 1 and row.completed == 1 and row.mean_mm < 0.5 and row.ends == {"closed": 1}
+    assert (
+        row.closed == 1 and row.completed == 1 and row.mean_mm < 0.5 and row.ends == {"closed": 1}
+    )
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():
@@ -98,7 +120,9 @@ def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(tmp_p
     file = tmp_path / "disk.npz"
     follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
     follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
-    smaller = dataclasses.replace(SETTINGS, preprocess=dataclasses.replace(SETTINGS.preprocess, size=64))
+    smaller = dataclasses.replace(
+        SETTINGS, preprocess=dataclasses.replace(SETTINGS.preprocess, size=64)
+    )
     for sensor, settings, digest in (
         (TACTIP_331, SETTINGS, "b"),
         (TACTIP_127, SETTINGS, "a"),
@@ -112,6 +136,8 @@ def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(tmp_p
 def test_walks_touch_with_the_friction_of_the_data(asked, used):
     """Coulomb's law: where skin slips its pull is the friction times the pressure, and nowhere is it more."""
     settings = dataclasses.replace(SETTINGS, friction=asked)
-    walks, _ = follow_contour(dataclasses.replace(COURSE, patience=COURSE.patience / 4), TACTIP_331, settings, WAYS)
+    walks, _ = follow_contour(
+        dataclasses.replace(COURSE, patience=COURSE.patience / 4), TACTIP_331, settings, WAYS
+    )
     x, y, pressure = walks.force_n[walks.force_n[..., 2] > 0].T
     assert (np.hypot(x, y) / pressure).max() == pytest.approx(used, rel=1e-3)

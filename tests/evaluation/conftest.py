@@ -24,18 +24,26 @@ def trained(tmp_path_factory):
     nets = {
         "disentangled": ("unshear", unshearnet.init, net),
         "entangled": ("unshear", unshearnet.init, replace(net, disentangled=False)),
-        "entangled_large": ("unshear", unshearnet.init, replace(net, widths=(8, 8), disentangled=False)),
+        "entangled_large": (
+            "unshear",
+            unshearnet.init,
+            replace(net, widths=(8, 8), disentangled=False),
+        ),
         "unet": ("unet", unet.init, UNet(size=32, widths=(4, 4, 4))),
         "posenet": ("posenet", partial(posenet.init, outputs=5), pose_net),
         "posenet_sheared": ("posenet", partial(posenet.init, outputs=5), pose_net),
     }
     for name, (kind, init, settings) in nets.items():
-        variables = jax.jit(partial(init, settings), compiler_options=run_once())(key=jax.random.key(0))
+        variables = jax.jit(partial(init, settings), compiler_options=run_once())(
+            key=jax.random.key(0)
+        )
         variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {
             "batch_stats": variables["batch_stats"]
         }
         targets = of_ranges((), Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges())
-        checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(settings), "targets": to_json(targets)})
+        checkpoint.write_settings(
+            folder / name, {"kind": kind, "net": asdict(settings), "targets": to_json(targets)}
+        )
         checkpoint.save(folder / name, 1, {"average": variables}, {"best_step": 1, "history": []})
         write_json(folder / name / "summary.json", {"steps": 1})
     return folder

@@ -25,7 +25,11 @@ NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 def drawn():
     variables = jax.tree.map(lambda x: 20 * x, init(NET, jax.random.key(0)))
     sheared = (np.random.default_rng(0).random((4, 32, 32, 1)) < 0.3).astype(np.float32)
-    return variables, sheared, draw_cells(NET, variables, sheared, SPOILT, jnp.asarray(sheared[::-1]))
+    return (
+        variables,
+        sheared,
+        draw_cells(NET, variables, sheared, SPOILT, jnp.asarray(sheared[::-1])),
+    )
 
 
 def test_every_cell_is_drawn_from_its_codes(drawn):
@@ -53,11 +57,17 @@ def test_rows_give_which_image_was_drawn(drawn):
     _, sheared, images = drawn
     tap = jnp.asarray(sheared[[1, 0, 3, 2]])
     # a decoder that draws the image whose shear code it got
-    perfect = {"DS(z_p,z_s of another)": jnp.asarray(sheared[::-1]), "DS(z_p,z_s)": jnp.asarray(sheared)}
+    perfect = {
+        "DS(z_p,z_s of another)": jnp.asarray(sheared[::-1]),
+        "DS(z_p,z_s)": jnp.asarray(sheared),
+    }
     big = lambda x: jnp.repeat(jnp.repeat(x, 4, axis=1), 4, axis=2)  # noqa: E731  MS-SSIM wants more pixels
     own, other = (big(jnp.asarray(images)) for images in (sheared, sheared[::-1]))
     scores = cell_scores(jax.tree.map(big, perfect), big(tap), own, other)
-    rows = {row["name"]: row for row in rows_of({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))}
+    rows = {
+        row["name"]: row
+        for row in rows_of({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))
+    }
     foreign, own = rows["DS(z_p,z_s of another)"], rows["DS(z_p,z_s)"]
     assert own["mse"] == 0 and own["ssim"] == pytest.approx(1, abs=1e-5)
     assert foreign["mse to the other"] == 0 and foreign["ssim"] < 0.5 < foreign["ssim to the other"]

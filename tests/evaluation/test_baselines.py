@@ -5,7 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.baselines import MOST_TAPS, baseline_images, nearest, training_taps, translated
+from jaxunshear.evaluation.baselines import (
+    MOST_TAPS,
+    baseline_images,
+    nearest,
+    training_taps,
+    translated,
+)
 
 SIZE = 32
 
@@ -59,7 +65,10 @@ def test_one_tap_of_every_pose_is_kept_and_not_too_many():
         "stimulus": np.arange(count) % 2,
         "pose_id": np.arange(count) // 4,
     }
-    halves = [{name: value[part] for name, value in batch.items()} for part in (slice(0, 99), slice(99, None))]
+    halves = [
+        {name: value[part] for name, value in batch.items()}
+        for part in (slice(0, 99), slice(99, None))
+    ]
     found = training_taps(halves).ravel()
     assert len(found) == MOST_TAPS
     assert set(found % 4) == {0, 1}  # the first of each pose and stimulus

@@ -41,7 +41,9 @@ def contacts(count=9):
         "stimulus": np.arange(count) % 3,
         "pose_id": np.arange(count) // 6,
         "pose": generator.uniform(-5, 5, (count, 4)).astype(np.float32),
-        "edge": np.stack([generator.uniform(-5, 5, count), generator.uniform(-170, 170, count)], 1).astype(np.float32),
+        "edge": np.stack(
+            [generator.uniform(-5, 5, count), generator.uniform(-170, 170, count)], 1
+        ).astype(np.float32),
         "move": np.ones((count, 2), np.float32),
         "residual_mm": np.linspace(0, 1e-3, count, dtype=np.float32),
         **{name: np.arange(count) for name in ("iterations", "stuck", "slipping", "free")},
@@ -52,7 +54,9 @@ def contacts(count=9):
 
 def batches(full, size):
     count = len(full["sheared"])
-    return [{name: value[i : i + size] for name, value in full.items()} for i in range(0, count, size)]
+    return [
+        {name: value[i : i + size] for name, value in full.items()} for i in range(0, count, size)
+    ]
 
 
 def oracle(full, sizes=None, step=4):
@@ -69,7 +73,9 @@ def oracle(full, sizes=None, step=4):
         index = np.arange(place[0], place[0] + len(tap)) % len(full["pose"])
         place[0] += step
         true = true_values(TARGETS, {name: full[name][index] for name in ("pose", "edge")})
-        poses = {kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS}
+        poses = {
+            kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS
+        }
         return Outputs(images, drawn, poses, {}), image_scores(images, drawn)
 
     return run
@@ -137,8 +143,12 @@ def test_networks_are_compared_contact_by_contact(gathered, results):
     assert found["ms_ssim"] == pytest.approx(float(apart.mean()))
     assert found["edge_mm"] == pytest.approx(-3, abs=1e-4)
     low, high = results.spread.difference["entangled"]["edge_mm"]
-    assert high - low < 1e-4 < abs(low)  # both err by a fixed amount, so nothing is uncertain about the difference
-    assert results.spread.pose_recovery["disentangled"]["edge_mm"] == pytest.approx([0.75, 0.75], abs=1e-4)
+    assert (
+        high - low < 1e-4 < abs(low)
+    )  # both err by a fixed amount, so nothing is uncertain about the difference
+    assert results.spread.pose_recovery["disentangled"]["edge_mm"] == pytest.approx(
+        [0.75, 0.75], abs=1e-4
+    )
 
 
 def test_a_test_of_its_own_has_tables_of_its_own(gathered):
@@ -156,7 +166,9 @@ def test_a_test_of_its_own_has_tables_of_its_own(gathered):
 def test_scores_are_kept_contact_by_contact(gathered):
     with np.load(io.BytesIO(every_score(gathered))) as kept:
         assert set(kept) == {*gathered.scores, "stimulus", "pose_id"}
-        np.testing.assert_array_equal(kept["ms_ssim/entangled"], gathered.scores["ms_ssim/entangled"])
+        np.testing.assert_array_equal(
+            kept["ms_ssim/entangled"], gathered.scores["ms_ssim/entangled"]
+        )
 
 
 def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
@@ -167,7 +179,11 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
     found = results_of(experiment, marks)
     assert found.counts.test_smooth == 5
     for kind, errors in found.pose_smooth.pose_mae.items():
-        assert errors == {"edge_deg": pytest.approx(gathered.scores[f"pose/{kind}/edge_deg"][:5].mean(dtype=float))}
+        assert errors == {
+            "edge_deg": pytest.approx(
+                gathered.scores[f"pose/{kind}/edge_deg"][:5].mean(dtype=float)
+            )
+        }
     assert "pose_smooth.disentangled.edge_deg" in {row.name for row in measurements(found).rows}
     assert found.pose_mae == results_of(experiment, gathered).pose_mae
     assert results_of(experiment, gathered).pose_smooth is None
@@ -176,9 +192,15 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
 
 
 def test_marks_are_of_the_contacts_poses(gathered):
-    labels = gathered.labels | {"stimulus": np.zeros(2, int), "pose": np.array([[-50.0, 0, 0, 3], [0.0, 0, 0, 3]])}
+    labels = gathered.labels | {
+        "stimulus": np.zeros(2, int),
+        "pose": np.array([[-50.0, 0, 0, 3], [0.0, 0, 0, 3]]),
+    }
     settings = PairedData(stimuli=("disk",))
-    assert marked(gathered._replace(labels=labels), settings).labels["smooth"].tolist() == [False, True]
+    assert marked(gathered._replace(labels=labels), settings).labels["smooth"].tolist() == [
+        False,
+        True,
+    ]
 
 
 def test_measurements_of_results_have_the_bars(results):

@@ -46,7 +46,12 @@ class Reader:
     def take(self, split, rows, fields):
         tap = np.repeat(LATTICE.place[None], len(MOVES), axis=0).astype(np.float32)
         slide = tap + MOVES[:, None].astype(np.float32)
-        found = {"canonical_pins": tap, "sheared_pins": slide, "canonical": drawn(tap), "sheared": drawn(slide)}
+        found = {
+            "canonical_pins": tap,
+            "sheared_pins": slide,
+            "canonical": drawn(tap),
+            "sheared": drawn(slide),
+        }
         found["sheared"][self.black] = 0
         return {name: (found | {"pose_id": np.arange(len(MOVES))})[name][rows] for name in fields}
 
@@ -56,10 +61,20 @@ FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
 
 def test_pairs_that_are_followed_are_scored_and_the_others_counted():
     found = found_pairs(Reader(black=[1]), LATTICE, FIELDS)
-    assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(found.pairs)
-    assert found.reported["sheared"]["followed"] == pytest.approx(2 / 3) and found.reported["tap"]["followed"] == 1
-    assert found.reported["tap"]["missing_per_image"] == 0 and 0 < found.reported["sheared"]["rms_px"] < 0.4
-    np.testing.assert_array_equal(found.pairs["canonical_pins"][0], LATTICE.place.astype(np.float32))  # as it is
+    assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(
+        found.pairs
+    )
+    assert (
+        found.reported["sheared"]["followed"] == pytest.approx(2 / 3)
+        and found.reported["tap"]["followed"] == 1
+    )
+    assert (
+        found.reported["tap"]["missing_per_image"] == 0
+        and 0 < found.reported["sheared"]["rms_px"] < 0.4
+    )
+    np.testing.assert_array_equal(
+        found.pairs["canonical_pins"][0], LATTICE.place.astype(np.float32)
+    )  # as it is
     np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.place, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.place, atol=0.7)
     assert [len(batch["pose_id"]) for batch in batches_of(found, 1)] == [1, 1]
@@ -67,13 +82,19 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
 
 
 def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():
-    nets = {"disentangled": PinUnshear(hidden=8, layers=1), "posenet": PinPoseNet(hidden=8, layers=1)}
+    nets = {
+        "disentangled": PinUnshear(hidden=8, layers=1),
+        "posenet": PinPoseNet(hidden=8, layers=1),
+    }
     counts = {"disentangled": 0, "posenet": posenet.outputs_of(TARGETS)}
     variables = {
         name: pinnets.init(net, LATTICE.place, 2.0, jax.random.key(1), outputs=counts[name])
         for name, net in nets.items()
     }
-    run = partial(jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.place, 1.6, SIZE))), variables)
+    run = partial(
+        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.place, 1.6, SIZE))),
+        variables,
+    )
     tap = LATTICE.place[None].astype(np.float32)
     noisy = tap + np.random.default_rng(0).normal(0, 1, tap.shape).astype(np.float32)
     (plain, true), (outputs, found) = run(tap, tap + 1), run(tap, tap + 1, noisy)
@@ -82,7 +103,9 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
         {name: float(value[0]) for name, value in true.items()}
     )
     np.testing.assert_array_equal(outputs.images["tap"], plain.images["tap"])
-    np.testing.assert_allclose(outputs.poses["tap"]["edge_mm"], of_noisy.poses["tap"]["edge_mm"], rtol=1e-5)
+    np.testing.assert_allclose(
+        outputs.poses["tap"]["edge_mm"], of_noisy.poses["tap"]["edge_mm"], rtol=1e-5
+    )
     assert np.abs(outputs.poses["tap"]["edge_mm"] - plain.poses["tap"]["edge_mm"]).max() > 1e-4
 
 

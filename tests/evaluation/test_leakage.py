@@ -40,13 +40,24 @@ EXPERIMENT = Experiment(
     networks=("disentangled",),
     sensor=SENSOR,
     paired=PairedData(
-        config="tiny", stimuli=("disk",), poses=60, slides=2, poses_a_slide=2, preprocess=Preprocess(size=SIZE)
+        config="tiny",
+        stimuli=("disk",),
+        poses=60,
+        slides=2,
+        poses_a_slide=2,
+        preprocess=Preprocess(size=SIZE),
     ),
     pose=PoseData(config="tiny", stimuli=("disk",), poses=10, preprocess=Preprocess(size=SIZE)),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
     pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True),
     train_pins=Training(
-        epochs=2, batch=8, shift=0.0, patch_weight=0.0, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0
+        epochs=2,
+        batch=8,
+        shift=0.0,
+        patch_weight=0.0,
+        swap_weight=1.0,
+        agreement_weight=0.1,
+        slide_weight=1.0,
     ),
 )
 
@@ -136,7 +147,9 @@ def test_summaries_are_means_over_what_has_a_ceiling(found):
         seen = [one for one in asked if one["ceiling"] is not None]
         assert row["r2"] == pytest.approx(np.mean([one["r2"] for one in seen]))
         assert row["quantities"] == [one["quantity"] for one in seen]
-        assert set(row["without a ceiling"]) == {one["quantity"] for one in asked if one not in seen}
+        assert set(row["without a ceiling"]) == {
+            one["quantity"] for one in asked if one not in seen
+        }
         low, high = row["r2 interval"]
         assert low <= row["r2"] <= high
 
@@ -148,7 +161,11 @@ def test_what_the_input_does_not_show_is_named_and_left_out_of_shares():
         named = {"what": "slide", "code": "z_p", "quantity": quantity, "estimate": errors}
         return named | {"r2": r2, "ceiling": ceiling}
 
-    rows = [row("slide_x_mm", 0.2, 0.8), row("slide_y_mm", -0.1, 0.5), row("slide_Rx_deg", 0.09, None)]
+    rows = [
+        row("slide_x_mm", 0.2, 0.8),
+        row("slide_y_mm", -0.1, 0.5),
+        row("slide_Rx_deg", 0.09, None),
+    ]
     found = leakage._summarise(rows, ("slide", "z_p"), np.arange(4))
     assert found["quantities"] == ["slide_x_mm", "slide_y_mm"]
     assert found["without a ceiling"] == ["slide_Rx_deg"]
@@ -199,15 +216,24 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
     # the toy's law: what two slides differ in at one pose they differ in at another
     np.testing.assert_allclose(
-        exchanged.true[0, 0] - exchanged.true[0, 1], exchanged.true[1, 0] - exchanged.true[1, 1], atol=1e-3
+        exchanged.true[0, 0] - exchanged.true[0, 1],
+        exchanged.true[1, 0] - exchanged.true[1, 1],
+        atol=1e-3,
     )
     assert leakage_figure(found, exchanged)[:4] == leakage_figure(found, None)[:4] == b"\x89PNG"
-    assert "a leak" in leakage_table.table(found) and "codes exchanged" in leakage_table.table(found)
+    assert "a leak" in leakage_table.table(found) and "codes exchanged" in leakage_table.table(
+        found
+    )
 
 
 def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
     names = {row["name"] for row in leakage_table.for_sweep(found)}
-    assert {"pose from z_s", "slide_x_mm from z_p", "DS, codes exchanged", "slide_x_mm, all"} <= names
+    assert {
+        "pose from z_s",
+        "slide_x_mm from z_p",
+        "DS, codes exchanged",
+        "slide_x_mm, all",
+    } <= names
     assert "standard scores" in names
     assert {"DS, codes exchanged, sticking", "DS, codes both of its own, slipped"} <= names
     run = folder / "runs" / "toy"
@@ -218,7 +244,9 @@ def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
 
 
 def test_a_dropped_contact_is_nobodys_partner(folder):
-    reader = leakage.open_examples(EXPERIMENT, "disentangled", folder / "data", folder / "runs" / "toy").reader
+    reader = leakage.open_examples(
+        EXPERIMENT, "disentangled", folder / "data", folder / "runs" / "toy"
+    ).reader
     assert sum(reader.length(split) for split in ("train", "validation", "test")) == 119
 
 
@@ -227,7 +255,9 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
         EXPERIMENT,
         name="plain",
         pins=dataclasses.replace(EXPERIMENT.pins, shear_code=0),
-        train_pins=dataclasses.replace(EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, slide_weight=0.0),
+        train_pins=dataclasses.replace(
+            EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, slide_weight=0.0
+        ),
     )
     run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
     with pytest.raises(UserError, match="no network with a shear code"):
@@ -236,7 +266,9 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
 
 def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
     training = dataclasses.replace(EXPERIMENT.train_pins, epochs=12, learning_rate=1e-2)
-    longer = dataclasses.replace(EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, hidden=32), train_pins=training)
+    longer = dataclasses.replace(
+        EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, hidden=32), train_pins=training
+    )
     run_stages(longer, ("disentangled",), tmp_path, folder / "data", "none")
     rows = leakage.leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
     said = {row["name"]: row["families"]["linear"] for row in rows}
@@ -252,7 +284,12 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     """In a full training: taps, and slides of one pose, are terms of it, and of no validation."""
     training = dataclasses.replace(
-        EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5, alike_weight=0.5
+        EXPERIMENT.train_pins,
+        swap_weight=0.0,
+        agreement_weight=0.0,
+        paired_share=0.1,
+        tap_weight=0.5,
+        alike_weight=0.5,
     )
     few = dataclasses.replace(EXPERIMENT, train_pins=training)
     run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
@@ -273,12 +310,16 @@ def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
 
 def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     """End to end on the toy: partners come with the batches, what DS draws is compared with images, and z_s says the slide."""
-    training = Training(epochs=1, batch=8, crop_px=8, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0)
+    training = Training(
+        epochs=1, batch=8, crop_px=8, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0
+    )
     net = UnshearNet(size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, apart=True)
     images = dataclasses.replace(EXPERIMENT, unshear=net, pins=PinNet(), train=training)
     run_stages(images, ("disentangled",), tmp_path, folder / "data", "none")
     run = tmp_path / "toy"
-    (*_, last) = [json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()]
+    (*_, last) = [
+        json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()
+    ]
     assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
     assert read_slides(run / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
     found = leakage.leakage(images, run, folder / "data", "none", controls=False)
@@ -294,5 +335,8 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
     exchanged = exchange.exchanged(images, run, folder / "data")
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
-    assert set(np.unique(exchanged.true)) == {0, 1} and 0 <= exchanged.drawn.min() <= exchanged.drawn.max() <= 1
+    assert (
+        set(np.unique(exchanged.true)) == {0, 1}
+        and 0 <= exchanged.drawn.min() <= exchanged.drawn.max() <= 1
+    )
     assert leakage_figure(found, exchanged)[:4] == b"\x89PNG"

@@ -11,7 +11,10 @@ from jaxunshear.results.stored import record_of
 def results(unsheared=0.95, sheared=0.32, ratio=0.5):
     return {
         "metric": {"ms_ssim": "ms_ssim@4"},
-        "ms_ssim": {"sheared": {"disk": 0.3, "overall": sheared}, "disentangled": {"disk": None, "overall": unsheared}},
+        "ms_ssim": {
+            "sheared": {"disk": 0.3, "overall": sheared},
+            "disentangled": {"disk": None, "overall": unsheared},
+        },
         "pose_mae": {"tap": {"x_mm": 0.4, "yaw_deg": 2.0}},
         "pose_ratio": {"disentangled": {"edge_mm": ratio, "edge_deg": ratio}},
         "pose_recovery": {"disentangled": {"edge_mm": 0.9}},
@@ -19,7 +22,9 @@ def results(unsheared=0.95, sheared=0.32, ratio=0.5):
         "tests": {},
         "ms_per_image": {"unet": {"median": 3.0, "p95": 4.0}},
         "swap": {"DC(z_p)": {"target": "tap", "mse": 0.02}},
-        "pin_error": {"tap": {"rms_px": 0.1, "rms_mm": 0.02, "missed_per_image": 0.5, "extra_per_image": 0.0}},
+        "pin_error": {
+            "tap": {"rms_px": 0.1, "rms_mm": 0.02, "missed_per_image": 0.5, "extra_per_image": 0.0}
+        },
         "time_s": {"train": 100.0},
         "machine": {"cores": 2},
         "versions": {"jax": "0"},
@@ -77,14 +82,21 @@ def test_units_and_metric():
 
 def test_readers_of_another_make_have_rows():
     reported = {"pixels": {"tap": {"edge_mm": 0.4, "edge_deg": None}}}
-    full = results() | {"readers": reported, "metric": {"ms_ssim": "ms_ssim@4", "readers": "of a kernel ridge"}}
+    full = results() | {
+        "readers": reported,
+        "metric": {"ms_ssim": "ms_ssim@4", "readers": "of a kernel ridge"},
+    }
     row = by_name(measurements(record(full)))["readers.pixels.tap.edge_mm"]
     assert (row.value, row.unit, row.metric) == (0.4, "mm", "of a kernel ridge")
 
 
 def test_reproducible_leaves_out_times_and_places_only():
     code = {"version": "1", "date": "2026-01-01", "commit": "c", "clean": True}
-    full = results() | {"trained_on": {"posenet": {"cores": 2}}, "source": code, "trained_by": {"posenet": code}}
+    full = results() | {
+        "trained_on": {"posenet": {"cores": 2}},
+        "source": code,
+        "trained_by": {"posenet": code},
+    }
     assert set(plain(record(full))) - set(reproducible(record(full))) == {
         "time_s",
         "ms_per_image",

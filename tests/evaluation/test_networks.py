@@ -52,7 +52,9 @@ def test_cells_are_fed_the_right_codes():
         assert not np.allclose(cells[right], cells[wrong], atol=1e-3)
 
 
-@pytest.mark.parametrize(("shear_channels", "cells"), [(0, {"DC(z_p)"}), (2, {"DC(z_p)", "DS(z_p,z_s)"})])
+@pytest.mark.parametrize(
+    ("shear_channels", "cells"), [(0, {"DC(z_p)"}), (2, {"DC(z_p)", "DS(z_p,z_s)"})]
+)
 def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
     net = replace(NET, shear_channels=shear_channels)
     variables = init(net, jax.random.key(0))
@@ -70,7 +72,9 @@ def test_outputs_and_scores_of_trained_networks(trained):
     np.testing.assert_array_equal(outputs.images["tap"] * 255, images())
     np.testing.assert_array_equal(outputs.images["disentangled"], outputs.cells["DC(z_p)"])
     for kind in PAPER_KINDS:
-        assert {name: value.shape for name, value in outputs.poses[kind].items()} == dict.fromkeys(QUANTITIES, (2,))
+        assert {name: value.shape for name, value in outputs.poses[kind].items()} == dict.fromkeys(
+            QUANTITIES, (2,)
+        )
     assert all(value.shape == (2,) and np.isfinite(value).all() for value in scores.values())
     assert len(scores) == 3 + 4 * 3
 
@@ -87,7 +91,9 @@ def test_rivals_and_baselines_join_in(trained):
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
     assert set(outputs.poses) == {*POSE_KINDS} - {PARTNER}
-    assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {*outputs.images} - {"tap"}
+    assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {
+        *outputs.images
+    } - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
     same, _ = networks.load(trained, ("posenet", "posenet_sheared"))(images(), images())
     twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])

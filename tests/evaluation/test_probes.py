@@ -80,11 +80,15 @@ def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
     assert scores.mean() < 0.1
     for column in (0, 1):
         one = slide[:, column : column + 1]
-        found = probe_quantity((codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT))
+        found = probe_quantity(
+            (codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT)
+        )
         assert found.r2 > 0.9
     for column in (2, 3, 4):
         one = wanted[:, column : column + 1]
-        found = probe_quantity((codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT))
+        found = probe_quantity(
+            (codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT)
+        )
         assert found.r2 < 0.05
 
 

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, learnt, of_batches, pixels, places, read, read_pins
+from jaxunshear.evaluation.readers import (
+    PIN_PLACES,
+    PIXELS,
+    learnt,
+    of_batches,
+    pixels,
+    places,
+    read,
+    read_pins,
+)
 from jaxunshear.evaluation.ridge import FEWEST, answers, fitted
 from jaxunshear.evaluation.score import Outputs
 from jaxunshear.evaluation.summary import with_readers
@@ -21,7 +30,9 @@ REST = np.stack([X, Y], axis=-1).reshape(-1, 2)
 def poses(count, seed):
     generator = np.random.default_rng(seed)
     pose, edge = generator.uniform(-4, 4, (2, count, 4)).astype(np.float32)
-    return pose, np.stack([edge[:, 0], generator.uniform(-40, 40, count)], axis=1).astype(np.float32)
+    return pose, np.stack([edge[:, 0], generator.uniform(-40, 40, count)], axis=1).astype(
+        np.float32
+    )
 
 
 def pins_of(pose, edge):
@@ -36,7 +47,8 @@ def drawn(pins):
     """(N, S, S) uint8 dots."""
     rows, columns = np.mgrid[:SIZE, :SIZE]
     images = [
-        np.hypot(columns[..., None] - each[:, 0], rows[..., None] - each[:, 1]).min(axis=-1) < 2.2 for each in pins
+        np.hypot(columns[..., None] - each[:, 0], rows[..., None] - each[:, 1]).min(axis=-1) < 2.2
+        for each in pins
     ]
     return np.where(images, 255, 0).astype(np.uint8)
 
@@ -133,7 +145,14 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     true = {"x_mm": pose[:, 0], "edge_mm": edge[:, 0], "edge_deg": edge[:, 1]}
     scores = read_pins(reader, make_lattice(REST), images, true)
     assert scores["read/pins/tap/x_mm"].max() < 0.3
-    assert np.isnan(scores["read/pins/sheared/edge_mm"]).tolist() == [False, False, True, False, False, False]
+    assert np.isnan(scores["read/pins/sheared/edge_mm"]).tolist() == [
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+    ]
     found = with_readers(Tables(), [(scores, np.arange(6))], 0)
     assert found.reader_images["pins"] == {
         "tap": {"read": 6, "left_out": 0},
@@ -144,4 +163,6 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     low, high = found.spread.readers["pins"]["sheared"]["edge_mm"]
     assert low <= error <= high
     nothing = {name: np.full(6, np.nan) for name in scores}
-    assert with_readers(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"] is None
+    assert (
+        with_readers(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"] is None
+    )

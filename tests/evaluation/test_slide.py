@@ -13,7 +13,9 @@ def made(count):
     """Codes that give a slide the less surely the larger their second number; the slide, and whether it has slipped."""
     slide = RNG.uniform(-2.5, 2.5, (count, 2))
     doubt = RNG.uniform(0, 1, (count, 1))
-    codes = np.concatenate([slide + 0.05 * (1 + 9 * doubt) * RNG.normal(size=(count, 2)), doubt], axis=1)
+    codes = np.concatenate(
+        [slide + 0.05 * (1 + 9 * doubt) * RNG.normal(size=(count, 2)), doubt], axis=1
+    )
     return codes, {"slide_x_mm": slide[:, :1], "slide_y_mm": slide[:, 1:]}, doubt[:, 0] > 0.5
 
 
@@ -21,14 +23,20 @@ def made(count):
 def rows():
     (one, known, _), (two, between, _), (three, true, slipped) = (made(count) for count in COUNTS)
     args = [one, two, three], [known, between, true], np.arange(COUNTS[0]), np.arange(COUNTS[2])
-    return {(row["name"], row["part"]): row for row in slides_read(*args, slipped)}, slides_read(*args)
+    return {(row["name"], row["part"]): row for row in slides_read(*args, slipped)}, slides_read(
+        *args
+    )
 
 
 def test_intervals_hold_95_percent_and_widen_with_doubt(rows):
     found, plain = rows
-    assert set(found) == {(f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")}
+    assert set(found) == {
+        (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")
+    }
     for axis in "xy":
-        every, sure, unsure = (found[f"slide_{axis}_mm", part] for part in ("all", "sticking", "slipped"))
+        every, sure, unsure = (
+            found[f"slide_{axis}_mm", part] for part in ("all", "sticking", "slipped")
+        )
         assert 0.93 < every["coverage"] < 0.97
         assert sure["coverage"] > 0.9 and unsure["coverage"] > 0.9
         assert unsure["half_width"] > 1.5 * sure["half_width"] and unsure["mae"] > 1.5 * sure["mae"]
@@ -44,7 +52,11 @@ def test_what_no_code_gives_is_covered_all_the_same():
     codes = [RNG.normal(size=(count, 3)) for count in COUNTS]
     reported = [{"slide_x_mm": RNG.uniform(-1, 1, (count, 1))} for count in COUNTS]
     (row,) = slides_read(codes, reported, np.arange(COUNTS[0]), np.arange(COUNTS[2]))
-    assert 0.92 < row["coverage"] < 0.98 and row["half_width"] > 0.85 and row["mae"] == pytest.approx(0.5, abs=0.06)
+    assert (
+        0.92 < row["coverage"] < 0.98
+        and row["half_width"] > 0.85
+        and row["mae"] == pytest.approx(0.5, abs=0.06)
+    )
 
 
 def test_slipped_is_where_all_that_touches_slips():

@@ -40,14 +40,22 @@ class Reader:
         """Of the taps of the pose set."""
         assert split == "train"  # whoever learns from them sees no other
         full = next(self.split(split, self.length(split), ("canonical", "pose", "edge")))
-        pins = np.random.default_rng(1).normal(SIZE / 2, 5, (self.length(split), TACTIP_331.pins, 2))
+        pins = np.random.default_rng(1).normal(
+            SIZE / 2, 5, (self.length(split), TACTIP_331.pins, 2)
+        )
         full |= {"image": full["canonical"], "pins": pins}
         return {field: full[field][rows] for field in fields}
 
     def split(self, name, batch, fields):
         generator = np.random.default_rng(0)
-        images = (generator.random((2, self.length(name), SIZE, SIZE, 1)) < 0.2).astype(np.uint8) * 255
-        pins = np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
+        images = (generator.random((2, self.length(name), SIZE, SIZE, 1)) < 0.2).astype(
+            np.uint8
+        ) * 255
+        pins = (
+            np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1)
+            .reshape(-1, 2)
+            .astype(np.float32)
+        )
         count = self.length(name)
         full = {
             "canonical": images[0],
@@ -59,21 +67,28 @@ class Reader:
             "pose": generator.normal(size=(count, 4)).astype(np.float32),
             "edge": generator.normal(size=(count, 2)).astype(np.float32),
             "move": np.ones((count, 2), np.float32),
-        } | {name: np.ones(count) for name in ("residual_mm", "iterations", "stuck", "slipping", "free")}
+        } | {
+            name: np.ones(count)
+            for name in ("residual_mm", "iterations", "stuck", "slipping", "free")
+        }
         for start in range(0, count, batch):
             yield {field: full[field][start : start + batch] for field in fields}
 
 
 def _opens(monkeypatch, count):
     for module in (STAGE, examples):
-        monkeypatch.setattr(module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count))
+        monkeypatch.setattr(
+            module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
+        )
     monkeypatch.setattr(STAGE, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata)
 
 
 @pytest.fixture
 def experiment():
     full = Experiment(name="small", claim="that the stage works")
-    return replace(full, paired=replace(full.paired, preprocess=replace(full.paired.preprocess, size=SIZE)))
+    return replace(
+        full, paired=replace(full.paired, preprocess=replace(full.paired.preprocess, size=SIZE))
+    )
 
 
 @pytest.fixture
@@ -103,7 +118,10 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     assert set(results.readers["pixels"]) == {"tap", "sheared", "entangled", "disentangled"}
     assert results.readers["pixels"]["disentangled"]["edge_mm"] > 0
     assert results.reader_images["pixels"]["tap"] == {"read": COUNT, "left_out": 0}
-    assert results.reader_images["pins"]["tap"] == {"read": 0, "left_out": COUNT}  # random dots are no pins
+    assert results.reader_images["pins"]["tap"] == {
+        "read": 0,
+        "left_out": COUNT,
+    }  # random dots are no pins
     assert results.readers["pins"]["tap"]["edge_mm"] is None
     assert results.ms_ssim["disentangled"]["teardrop"] is None
     for name in (
@@ -123,12 +141,21 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     montage = (run_dir / "montage.npz").read_bytes()
     again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert reproducible(again) == reproducible(results)
-    assert list(results.ms_ssim) == ["sheared", "mean_tap", "nearest_tap", "translated", "entangled", "disentangled"]
+    assert list(results.ms_ssim) == [
+        "sheared",
+        "mean_tap",
+        "nearest_tap",
+        "translated",
+        "entangled",
+        "disentangled",
+    ]
     assert (run_dir / "montage.npz").read_bytes() == montage
 
 
 def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experiment, tmp_path):
-    further = replace(experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS)
+    further = replace(
+        experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS
+    )
     further = replace(further, other_twists_deg=(5.0,))
     results = evaluate(further, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert list(results.tests) == ["unseen", "depth_0.5mm", "twist_5deg"]
@@ -137,7 +164,11 @@ def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experim
     assert test.contacts == 18 + 6 + COUNT
     assert test.ms_ssim["unet"]["leaf"] > 0
     assert test.pose_mae["sheared_learnt"]["edge_mm"] > 0
-    assert list(test.readers) == ["pixels"] and set(test.readers["pixels"]) == {"tap", "sheared", *UNSHEARING}
+    assert list(test.readers) == ["pixels"] and set(test.readers["pixels"]) == {
+        "tap",
+        "sheared",
+        *UNSHEARING,
+    }
     assert (run_dir / "scores-unseen.npz").exists()
 
 
@@ -157,6 +188,9 @@ def test_a_damaged_summary_is_reported_before_the_work(run_dir, experiment, tmp_
 
 def test_a_half_trained_network_is_not_scored(run_dir, experiment, tmp_path):
     (run_dir / "posenet" / "summary.json").unlink()
-    with pytest.raises(UserError, match=r"posenet was not finished: .*`jaxunshear train FILE --network posenet --out"):
+    with pytest.raises(
+        UserError,
+        match=r"posenet was not finished: .*`jaxunshear train FILE --network posenet --out",
+    ):
         evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert not (run_dir / "results.json").exists()

@@ -16,9 +16,20 @@ POSES = numbered_poses(STIMULUS, np.array([0, 0, 1, 1, 0, 1]))
 
 def made_up(error_by_kind=None):
     errors = error_by_kind or {"tap": 1.0, "sheared": 5.0, "entangled": 3.0, "disentangled": 2.0}
-    scores = {f"ms_ssim/{kind}": np.array([0.1, 0.2, 0.3, 0.4, 0.9, 0.7], np.float32) for kind in KINDS[1:]}
-    scores |= {f"pose/{kind}/{name}": np.full(6, errors[kind], np.float32) for kind in KINDS for name in QUANTITIES}
-    scores |= {f"swap/{cell}/{metric}": np.full(6, 0.5) for cell in CELLS for metric in ("mse", "ssim", "ms_ssim")}
+    scores = {
+        f"ms_ssim/{kind}": np.array([0.1, 0.2, 0.3, 0.4, 0.9, 0.7], np.float32)
+        for kind in KINDS[1:]
+    }
+    scores |= {
+        f"pose/{kind}/{name}": np.full(6, errors[kind], np.float32)
+        for kind in KINDS
+        for name in QUANTITIES
+    }
+    scores |= {
+        f"swap/{cell}/{metric}": np.full(6, 0.5)
+        for cell in CELLS
+        for metric in ("mse", "ssim", "ms_ssim")
+    }
     return scores
 
 
@@ -56,14 +67,22 @@ def test_poses_of_each_stimulus_are_those_of_its_contacts_alone():
     assert found["disk"].spread.pose_recovery["disentangled"]["x_mm"] == pytest.approx([0.75, 1.0])
     assert found["clover"].pose_ratio["disentangled"]["x_mm"] == pytest.approx(0.9)
     assert found["teardrop"] is None
-    alone = tables({name: score[:4] for name, score in scores.items()}, ("disk",), STIMULUS[:4], POSES[:4], seed=0)
+    alone = tables(
+        {name: score[:4] for name, score in scores.items()},
+        ("disk",),
+        STIMULUS[:4],
+        POSES[:4],
+        seed=0,
+    )
     assert found["disk"].spread.pose_mae == alone.spread.pose_mae
 
 
 def test_poses_of_each_depth_are_those_of_its_contacts_alone():
     scores = made_up()
     scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
-    depth = np.array([1.0, 1.5, 2.9, 2.6, 3.0, 2.0])  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
+    depth = np.array(
+        [1.0, 1.5, 2.9, 2.6, 3.0, 2.0]
+    )  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
     found = pose_by_size(scores, depth, 1.0, 4.0, POSES, seed=0)
     assert list(found) == ["1.0-2.0 mm", "2.0-3.0 mm", "3.0-4.0 mm"]
     error = {name: part.pose_mae["disentangled"]["x_mm"] for name, part in found.items()}
@@ -90,7 +109,9 @@ def test_narrow_depths_have_names_of_their_own():
 
 def test_no_recovery_where_the_slide_does_no_damage():
     same = dict.fromkeys(KINDS, 2.0)
-    assert tables(made_up(same), NAMES, STIMULUS, POSES, 0).pose_recovery["entangled"]["x_mm"] is None
+    assert (
+        tables(made_up(same), NAMES, STIMULUS, POSES, 0).pose_recovery["entangled"]["x_mm"] is None
+    )
     none = dict.fromkeys(KINDS, 0.0)
     assert tables(made_up(none), NAMES, STIMULUS, POSES, 0).pose_ratio["entangled"]["x_mm"] is None
 
@@ -102,13 +123,22 @@ def test_tables_hold_the_networks_that_there_are():
     assert list(found.pose_mae) == ["tap", "sheared", "disentangled"]
     images_only = {name: score for name, score in scores.items() if not name.startswith("pose/")}
     assert tables(images_only, NAMES, STIMULUS, POSES, seed=0).pose_recovery == {}
-    learnt = images_only | {f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES}
-    found = tables(learnt, NAMES, STIMULUS, POSES, seed=0)  # a PoseNet that learnt slides, and none that learnt taps
-    assert found.pose_mae == {"sheared_learnt": dict.fromkeys(QUANTITIES, 1)} and found.pose_recovery == {}
+    learnt = images_only | {
+        f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES
+    }
+    found = tables(
+        learnt, NAMES, STIMULUS, POSES, seed=0
+    )  # a PoseNet that learnt slides, and none that learnt taps
+    assert (
+        found.pose_mae == {"sheared_learnt": dict.fromkeys(QUANTITIES, 1)}
+        and found.pose_recovery == {}
+    )
 
 
 def test_cells_that_could_not_be_drawn_are_left_out():
-    scores = {name: value for name, value in made_up().items() if not name.startswith("swap/DC(z_s)")}
+    scores = {
+        name: value for name, value in made_up().items() if not name.startswith("swap/DC(z_s)")
+    }
     assert set(tables(scores, NAMES, STIMULUS, POSES, 0).swap) == set(CELLS) - {"DC(z_s)"}
 
 
@@ -148,7 +178,9 @@ def test_the_same_pose_number_of_two_stimuli_is_two_poses():
 
 def test_contact_quality_known_answer():
     found = contact_quality({"residual_mm": np.array([1.0, 2, 3, 10])})
-    assert found == {"residual_mm": {"mean": 4, "median": 2.5, "p95": pytest.approx(8.95), "max": 10}}
+    assert found == {
+        "residual_mm": {"mean": 4, "median": 2.5, "p95": pytest.approx(8.95), "max": 10}
+    }
 
 
 def test_typical_shows_low_middling_and_high_of_each_stimulus():

@@ -8,22 +8,33 @@ import pytest
 
 from jaxunshear.evaluation.within import ELSEWHERE, FEWEST, HELD_ELSEWHERE, coverage, half_widths
 
-LOCKED = Path(__file__).resolve().parents[2] / "docs" / "results" / "locked" / "recorded_pins_seed0.json"
+LOCKED = (
+    Path(__file__).resolve().parents[2] / "docs" / "results" / "locked" / "recorded_pins_seed0.json"
+)
 
 
 def test_of_evenly_spread_errors_the_width_is_the_conformal_one():
     errors = {"pose/tap/y_mm": np.random.default_rng(0).permutation(np.arange(1, 101) / 100)}
-    assert half_widths(errors) == {"tap": {"y_mm": pytest.approx(0.96)}}  # the ceil(101 * .95)-th of 100
+    assert half_widths(errors) == {
+        "tap": {"y_mm": pytest.approx(0.96)}
+    }  # the ceil(101 * .95)-th of 100
 
 
 def test_the_share_that_is_held_is_of_the_other_contacts():
     widths = {"tap": {"y_mm": 0.5}, "sheared": {"y_mm": 1.0}}
-    others = {"pose/tap/y_mm": np.array([0.1, 0.5, 0.51, 2.0]), "pose/tap/z_mm": np.ones(3), "pins/sheared": np.ones(3)}
+    others = {
+        "pose/tap/y_mm": np.array([0.1, 0.5, 0.51, 2.0]),
+        "pose/tap/z_mm": np.ones(3),
+        "pins/sheared": np.ones(3),
+    }
     assert coverage(widths, others) == {"tap": {"y_mm": 0.5}}
 
 
 def test_of_a_few_contacts_no_width_is_known():
-    errors = {f"pose/tap/{name}": np.ones(count) for name, count in (("y_mm", FEWEST - 1), ("z_mm", FEWEST))}
+    errors = {
+        f"pose/tap/{name}": np.ones(count)
+        for name, count in (("y_mm", FEWEST - 1), ("z_mm", FEWEST))
+    }
     assert half_widths(errors) == {"tap": {"z_mm": 1.0}}
 
 

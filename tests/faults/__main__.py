@@ -25,13 +25,20 @@ def main() -> int:
         return _again_with_the_shim()
     from tests.faults.places import make  # what is measured is imported behind the shim alone
 
-    size = Size(*(getattr(arguments, name) for name in ("seed", "bits", "writes", "moments", "cases", "seconds")))
+    size = Size(
+        *(
+            getattr(arguments, name)
+            for name in ("seed", "bits", "writes", "moments", "cases", "seconds")
+        )
+    )
     root = arguments.keep or Path(tempfile.mkdtemp(prefix="faults-"))
     root.mkdir(parents=True, exist_ok=True)
     places, rows = make(root.resolve()), list[Row]()
     for part in arguments.only:
         with tempfile.TemporaryDirectory(prefix=f"{part}-") as scratch:
-            for row in import_module(f"tests.faults.{part}").rows(places, size, Path(scratch).resolve()):
+            for row in import_module(f"tests.faults.{part}").rows(
+                places, size, Path(scratch).resolve()
+            ):
                 rows.append(row)
                 print(asdict(row), flush=True)
                 _write(arguments.json, rows)
@@ -41,7 +48,9 @@ def main() -> int:
 def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--keep", type=Path, help="where runs to be damaged are made, or lie already")
+    parser.add_argument(
+        "--keep", type=Path, help="where runs to be damaged are made, or lie already"
+    )
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bits", type=int, default=500)
@@ -71,7 +80,10 @@ def _again_with_the_shim() -> int:
     with tempfile.TemporaryDirectory(prefix="shim-") as folder:
         library = shim.build(Path(folder))
         more = {"LD_PRELOAD": str(library), "FAULTS": str(library), "MPLBACKEND": "Agg"}
-        more.setdefault("JAX_COMPILATION_CACHE_DIR", os.environ.get("JAX_COMPILATION_CACHE_DIR", f"{folder}/compiled"))
+        more.setdefault(
+            "JAX_COMPILATION_CACHE_DIR",
+            os.environ.get("JAX_COMPILATION_CACHE_DIR", f"{folder}/compiled"),
+        )
         more["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
         words = [sys.executable, "-m", "tests.faults", *sys.argv[1:]]
         return os.spawnve(os.P_WAIT, sys.executable, words, os.environ | more)

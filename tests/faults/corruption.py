@@ -44,23 +44,43 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
     yield _flip("JSON of a run", "all that read it", _files(run, ".json"), _json(run), size, 10)
     networks = [file for file in run.rglob("*") if file.is_file() and file.parent != run]
     inputs = [file for file in networks if file.suffix != ".jsonl" and file.name != "summary.json"]
-    yield _flip("checkpoints", "release", [*inputs, run / "experiment.json"], _release(run, scratch / "out"), size)
+    yield _flip(
+        "checkpoints",
+        "release",
+        [*inputs, run / "experiment.json"],
+        _release(run, scratch / "out"),
+        size,
+    )
     yield _flip("checkpoints", "networks as all read them", inputs, _networks(run), size)
     weights = shutil.copytree(places.weights, scratch / "weights")
-    yield _flip("weights", "all that load a model", _files(weights, ".json", ".npz"), _model(weights), size)
+    yield _flip(
+        "weights", "all that load a model", _files(weights, ".json", ".npz"), _model(weights), size
+    )
     data = shutil.copytree(places.data, scratch / "datasets")
     tiny, pins = load_experiment(TINY), from_json(read_json(places.pins / "experiment.json"))
     for settings, experiment in ((tiny.paired, tiny), (pins.paired, pins)):
         folder = set_folder(settings, experiment.sensor, data)
         act = _set(settings, experiment, data)
-        yield _flip(f"stored set {set_name(settings)}", "run", [f for f in folder.iterdir() if f.is_file()], act, size)
-    yield _flip("contacts made so far", "data", *_unfinished(tiny.pose, scratch / "unfinished"), size)
+        yield _flip(
+            f"stored set {set_name(settings)}",
+            "run",
+            [f for f in folder.iterdir() if f.is_file()],
+            act,
+            size,
+        )
+    yield _flip(
+        "contacts made so far", "data", *_unfinished(tiny.pose, scratch / "unfinished"), size
+    )
     images = shutil.copytree(places.frames, scratch / "few")
-    yield _flip("recorded PNG", "all that read images", _files(images, ".png"), _images(images), size)
+    yield _flip(
+        "recorded PNG", "all that read images", _files(images, ".png"), _images(images), size
+    )
     yield _cache(scratch / "cache", size)
 
 
-def _flip(fault: str, command: str, files: Sequence[Path], act: Act, size: Size, times: int = 1) -> Row:
+def _flip(
+    fault: str, command: str, files: Sequence[Path], act: Act, size: Size, times: int = 1
+) -> Row:
     row = Row(f"a bit flipped: {fault}", command, size.seed)
     began, draw = time.monotonic(), random.Random(size.seed)
     right = act()
@@ -188,7 +208,9 @@ def _images(folder: Path) -> Act:
             try:
                 found.append(bits(read_image(file)))
             except UserError as error:
-                raise UserError(f"{file.name}: {error}") from None  # readers of folders add the name
+                raise UserError(
+                    f"{file.name}: {error}"
+                ) from None  # readers of folders add the name
         return found
 
     return act

@@ -26,9 +26,31 @@ from tests.faults.outcome import Row, Size
 from tests.faults.places import Places, flipped
 
 FORMATS = ("PNG", "TIFF", "BMP", "JPEG", "WEBP")
-NAMES = ("sensor_image", "obj_id", "pose_id", *(f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)))
+NAMES = (
+    "sensor_image",
+    "obj_id",
+    "pose_id",
+    *(f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)),
+)
 WORDS = st.sampled_from(
-    ("", "0", "-1", "1e308", "nan", "inf", "1_0", "0x1", "None", "True", "()", "1,2", "٣", "a", "../x", "\x00")
+    (
+        "",
+        "0",
+        "-1",
+        "1e308",
+        "nan",
+        "inf",
+        "1_0",
+        "0x1",
+        "None",
+        "True",
+        "()",
+        "1,2",
+        "٣",
+        "a",
+        "../x",
+        "\x00",
+    )
 )
 CELLS = st.one_of(WORDS, st.integers(-10, 10).map(str), st.floats().map(repr), st.text(max_size=8))
 SHARES = {"settings": 0.45, "csv": 0.35, "images": 0.15, "layouts": 0.05}
@@ -83,13 +105,17 @@ def _of(kind: str, drawn: st.SearchStrategy[Any], act: Callable[[Any], object], 
 
 def _settings() -> st.SearchStrategy[Any]:
     names = st.sampled_from([name for name, _ in field_types()])
-    pair = st.tuples(st.one_of(names, names.map(lambda name: name[:-1]), st.text(max_size=6)), CELLS)
+    pair = st.tuples(
+        st.one_of(names, names.map(lambda name: name[:-1]), st.text(max_size=6)), CELLS
+    )
     return st.lists(pair, min_size=1, max_size=3)
 
 
 def _parsed(pairs: list[tuple[str, str]]) -> bool:
     """What is taken is kept as it is in experiment.json."""
-    experiment = override(Experiment(name="fuzz", claim="none"), [f"--{name}={text}" for name, text in pairs])
+    experiment = override(
+        Experiment(name="fuzz", claim="none"), [f"--{name}={text}" for name, text in pairs]
+    )
     check_types(experiment)
     return from_json(to_json(experiment)) == experiment
 
@@ -97,9 +123,15 @@ def _parsed(pairs: list[tuple[str, str]]) -> bool:
 def _tables() -> st.SearchStrategy[Any]:
     heading = st.lists(st.one_of(st.sampled_from(NAMES), CELLS), max_size=16)
     lines = st.lists(st.lists(CELLS, max_size=16), max_size=5)
-    full = st.tuples(st.just(list(NAMES)), st.lists(st.lists(CELLS, min_size=15, max_size=15), max_size=4))
+    full = st.tuples(
+        st.just(list(NAMES)), st.lists(st.lists(CELLS, min_size=15, max_size=15), max_size=4)
+    )
     table = st.one_of(st.tuples(heading, lines), full)
-    return table.map(lambda rows: "\n".join(",".join(row) for row in [rows[0], *rows[1]]).encode("utf-8", "replace"))
+    return table.map(
+        lambda rows: "\n".join(",".join(row) for row in [rows[0], *rows[1]]).encode(
+            "utf-8", "replace"
+        )
+    )
 
 
 def _labels(file: Path) -> Callable[[bytes], bool]:
@@ -121,7 +153,9 @@ def _labels(file: Path) -> Callable[[bytes], bool]:
 
 def _images() -> st.SearchStrategy[Any]:
     """Bytes; or the file of an image with a few bits flipped, or cut short."""
-    kind = st.tuples(st.sampled_from(FORMATS), st.integers(0, 2**32 - 1), st.integers(0, 4), st.booleans())
+    kind = st.tuples(
+        st.sampled_from(FORMATS), st.integers(0, 2**32 - 1), st.integers(0, 4), st.booleans()
+    )
     return st.one_of(st.binary(max_size=100), kind.map(_damaged))
 
 
@@ -149,11 +183,24 @@ def _image(file: Path) -> Callable[[bytes], bool]:
 
 def _layouts() -> st.SearchStrategy[Any]:
     """Files by place: folders within folders, images, tables, and what is neither."""
-    part = st.sampled_from(("images", "frames_bw", "processed_images", "tap", "csv_train", "a", "é", " ", ".x"))
-    name = st.sampled_from(
-        ("image_1.png", "image_2.png", "x.PNG", "targets.csv", "meta.json", "pairs.csv", "y.jpg", "none")
+    part = st.sampled_from(
+        ("images", "frames_bw", "processed_images", "tap", "csv_train", "a", "é", " ", ".x")
     )
-    content = st.one_of(st.just("image"), st.just("table"), st.just("empty"), st.just("folder"), st.just("link"))
+    name = st.sampled_from(
+        (
+            "image_1.png",
+            "image_2.png",
+            "x.PNG",
+            "targets.csv",
+            "meta.json",
+            "pairs.csv",
+            "y.jpg",
+            "none",
+        )
+    )
+    content = st.one_of(
+        st.just("image"), st.just("table"), st.just("empty"), st.just("folder"), st.just("link")
+    )
     return st.lists(st.tuples(st.lists(part, max_size=3), name, content), max_size=6)
 
 
@@ -172,7 +219,11 @@ def _folder(root: Path) -> Callable[[list], bool]:
         folder.mkdir(parents=True)
         for parts, name, kind in files:
             place = folder.joinpath(*parts, name)
-            if any(above.is_file() for above in place.parents) or place.is_symlink() or place.exists():
+            if (
+                any(above.is_file() for above in place.parents)
+                or place.is_symlink()
+                or place.exists()
+            ):
                 continue
             place.parent.mkdir(parents=True, exist_ok=True)
             if kind == "folder":

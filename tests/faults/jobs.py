@@ -62,14 +62,30 @@ def jobs(places: Places) -> dict[str, Job]:
     made = [
         Job("data", lambda work: ("data", TINY, "--data", work / "d", "--out", work), _rows),
         Job("train", lambda work: ("train", TINY, *TAPE, "--data", data, "--out", work), trained),
-        Job("evaluate", lambda work: ("evaluate", TINY, "--data", data, "--out", work), scored("tiny"), of_run),
+        Job(
+            "evaluate",
+            lambda work: ("evaluate", TINY, "--data", data, "--out", work),
+            scored("tiny"),
+            of_run,
+        ),
         Job("report", lambda work: ("report", work / "tiny"), _page, of_run),
         Job("release", lambda work: ("release", run, "--out", work / "w"), _files("w")),
-        Job("unshear", lambda work: ("unshear", frames, "--force", "--model", run, "--out", work / "u"), _files("u")),
-        Job("compare", lambda work: ("compare", run, work / "other", "--out", work / "c"), _count("c"), other),
+        Job(
+            "unshear",
+            lambda work: ("unshear", frames, "--force", "--model", run, "--out", work / "u"),
+            _files("u"),
+        ),
+        Job(
+            "compare",
+            lambda work: ("compare", run, work / "other", "--out", work / "c"),
+            _count("c"),
+            other,
+        ),
         Job("stream", lambda work: _stream(places, work), answered),
         Job(
-            "run, recorded", lambda work: ("run", RECORDED, *pins, "--data", work / "d", "--out", work), scored("pins")
+            "run, recorded",
+            lambda work: ("run", RECORDED, *pins, "--data", work / "d", "--out", work),
+            scored("pins"),
         ),
         Job("servo", lambda work: _servo(work), _walks),
         Job(
@@ -102,7 +118,9 @@ def _servo(work: Path) -> tuple[object, ...]:
 
 def _rows(work: Path) -> object:
     experiment = load_experiment(TINY)
-    sets = (open_set(one, work / "d", experiment.sensor) for one in (experiment.paired, experiment.pose))
+    sets = (
+        open_set(one, work / "d", experiment.sensor) for one in (experiment.paired, experiment.pose)
+    )
     return [bits(reader.rows(split)) for reader in sets for split in SPLITS]
 
 
@@ -112,7 +130,9 @@ def _page(work: Path) -> object:
 
 def _files(name: str) -> Callable[[Path], object]:
     """All of them, by name and content."""
-    return lambda work: {file.name: digest([file]) for file in sorted((work / name).rglob("*")) if file.is_file()}
+    return lambda work: {
+        file.name: digest([file]) for file in sorted((work / name).rglob("*")) if file.is_file()
+    }
 
 
 def _count(name: str) -> Callable[[Path], object]:
@@ -124,7 +144,10 @@ def _walks(work: Path) -> object:
     from jaxunshear.downstream.servo import stored_walks
 
     walks = [vars(stored_walks(file)[1]) for file in sorted((work / "servo").rglob("*.npz"))]
-    return [bits({name: each[name] for name in each if name not in ("perceive_s", "simulate_s")}) for each in walks]
+    return [
+        bits({name: each[name] for name in each if name not in ("perceive_s", "simulate_s")})
+        for each in walks
+    ]
 
 
 def _table(work: Path) -> object:
@@ -134,7 +157,11 @@ def _table(work: Path) -> object:
 
 
 def _killed_rows(work: Path) -> bool:
-    return any("killed by signal 9" in failure.reason for cell in _swept(work).cells for failure in cell.failures)
+    return any(
+        "killed by signal 9" in failure.reason
+        for cell in _swept(work).cells
+        for failure in cell.failures
+    )
 
 
 def _swept(work: Path) -> SweepResult:

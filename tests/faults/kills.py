@@ -40,7 +40,9 @@ def _of(job: Job, size: Size, work: Path) -> Row:
             break
         if number % 2:
             nth = draw.randint(1, 200)
-            code, said = ended(started(job, work, shim.killing(Path(os.environ["FAULTS"]), work, nth)))
+            code, said = ended(
+                started(job, work, shim.killing(Path(os.environ["FAULTS"]), work, nth))
+            )
             where = f"at write {nth}"
         else:
             seconds = draw.uniform(0.2, 0.9) * long
@@ -71,10 +73,14 @@ def _compare(job: Job, work: Path, right: object, row: Row, where: str) -> None:
         row.count("silent", where)
         return
     code, said = ended(started(job, work, {}, job.again))
-    row.count("lost" if code or job.found(work) != right else "refused", f"{where}, again: {said[-200:]}")
+    row.count(
+        "lost" if code or job.found(work) != right else "refused", f"{where}, again: {said[-200:]}"
+    )
 
 
-def started(job: Job, work: Path, more: dict[str, str], again: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+def started(
+    job: Job, work: Path, more: dict[str, str], again: tuple[str, ...] = ()
+) -> subprocess.Popen[str]:
     """The command in a process and a group of its own."""
     environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"} | more
     return subprocess.Popen(

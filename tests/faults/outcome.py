@@ -30,7 +30,11 @@ def call(*words: object) -> Answer:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(word) for word in words])
-    return Answer(code, out.getvalue(), [line for line in err.getvalue().splitlines() if line.startswith(ERROR)])
+    return Answer(
+        code,
+        out.getvalue(),
+        [line for line in err.getvalue().splitlines() if line.startswith(ERROR)],
+    )
 
 
 def commanded(*words: object) -> str:
@@ -94,7 +98,9 @@ class Size:
             yield number
 
 
-def attempt(row: Row, act: Callable[[], object], right: object, where: str, names: tuple[str, ...] = ()) -> None:
+def attempt(
+    row: Row, act: Callable[[], object], right: object, where: str, names: tuple[str, ...] = ()
+) -> None:
     """Counts one case: `act` gives what is right, refuses or notes in a line that has one of `names`, or is at fault."""
     try:
         with warnings.catch_warnings(record=True) as noted:

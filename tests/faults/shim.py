@@ -14,7 +14,16 @@ SOURCE = Path(__file__).with_name("shim.c")
 def build(folder: Path) -> Path:
     """The library; needs a C compiler ($CC, or cc)."""
     library = folder / "shim.so"
-    words = [os.environ.get("CC", "cc"), "-O1", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl"]
+    words = [
+        os.environ.get("CC", "cc"),
+        "-O1",
+        "-shared",
+        "-fPIC",
+        "-o",
+        str(library),
+        str(SOURCE),
+        "-ldl",
+    ]
     subprocess.run(words, check=True)
     return library
 
@@ -35,7 +44,12 @@ def seen() -> int:
 
 def killing(library: Path, under: Path, nth: int) -> dict[str, str]:
     """The environment of a process that is to die, by SIGKILL, at its `nth` write below `under`."""
-    return {"LD_PRELOAD": str(library), "FAULT_UNDER": str(under), "FAULT_NTH": str(nth), "FAULT_ERRNO": "0"}
+    return {
+        "LD_PRELOAD": str(library),
+        "FAULT_UNDER": str(under),
+        "FAULT_NTH": str(nth),
+        "FAULT_ERRNO": "0",
+    }
 
 
 def starving(library: Path, nth: int) -> dict[str, str]:

@@ -18,7 +18,17 @@ ERRORS = {
     "EACCES": "permission lost",
     "EIO": "disk broken",
 }
-HERE = ("release", "report", "unshear", "compare", "stream", "train", "data", "evaluate", "run, recorded")
+HERE = (
+    "release",
+    "report",
+    "unshear",
+    "compare",
+    "stream",
+    "train",
+    "data",
+    "evaluate",
+    "run, recorded",
+)
 
 
 def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 
-def dots(size: int, shift: tuple[float, float] = (0.0, 0.0), radius: float = 0.012, sharp: bool = True) -> np.ndarray:
+def dots(
+    size: int, shift: tuple[float, float] = (0.0, 0.0), radius: float = 0.012, sharp: bool = True
+) -> np.ndarray:
     """(size, size) float32: a lattice of dots, bent by `shift` (fractions of the size) most in the middle."""
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     bend = np.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.08)
@@ -27,7 +29,11 @@ def pairs(size: int = 256) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     tap = dots(size)
     y, x = np.mgrid[:size, :size] / size
     wave = (0.5 + 0.5 * np.sin(37 * x + 11 * y * y)).astype(np.float32)
-    noise = (np.sin(np.arange(size * size) * 12.9898) * 43758.5453 % 1).reshape(size, size).astype(np.float32)
+    noise = (
+        (np.sin(np.arange(size * size) * 12.9898) * 43758.5453 % 1)
+        .reshape(size, size)
+        .astype(np.float32)
+    )
     return {
         "equal": (tap, tap),
         "shifted a little": (tap, dots(size, (0.004, 0.0))),
@@ -49,7 +55,10 @@ def random_pairs(count: int = 100, size: int = 256) -> tuple[np.ndarray, np.ndar
     dots that move. The bits are PCG64's own, which no version of numpy may change."""
     sides = []
     for number in range(count):
-        noise, other = ((np.random.PCG64(2 * number + k).random_raw(size * size) >> 11) * 2.0**-53 for k in (0, 1))
+        noise, other = (
+            (np.random.PCG64(2 * number + k).random_raw(size * size) >> 11) * 2.0**-53
+            for k in (0, 1)
+        )
         noise, other = noise.reshape(size, size), other.reshape(size, size)
         share = (number // 4 + 1) / 26
         if number % 4 == 0:
@@ -58,7 +67,9 @@ def random_pairs(count: int = 100, size: int = 256) -> tuple[np.ndarray, np.ndar
             a, b = noise, (1 - share) * noise + share * other
         else:
             # dots where noise is near its top, grown by a few pixels; the second image has some of them moved
-            moved = np.where(soft(other, 8) < np.quantile(soft(other, 8), share), np.roll(noise, 3, 1), noise)
+            moved = np.where(
+                soft(other, 8) < np.quantile(soft(other, 8), share), np.roll(noise, 3, 1), noise
+            )
             a, b = (soft(np.where(field > 0.985, 1.0, 0.0), 3) > 0.045 for field in (noise, moved))
             if number % 4 == 3:
                 a, b = soft(a.astype(float), 2), soft(b.astype(float), 1 + number // 20)

@@ -76,7 +76,10 @@ def _resampled(
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (Preprocess().mask_radius * len(image) - 1) / np.maximum(radius, 1))
     return _masked(
-        ndimage.map_coordinates(image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1) > 127
+        ndimage.map_coordinates(
+            image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1
+        )
+        > 127
     )
 
 
@@ -87,7 +90,9 @@ def _masked(white: np.ndarray) -> np.ndarray:
 def _dots(place: np.ndarray, size: int, radius: float) -> np.ndarray:
     """Discs of `radius` px about places (N, 2) px as (column, row)."""
     rows, columns = np.mgrid[:size, :size]
-    off = cKDTree(place).query(np.stack([columns, rows], -1).reshape(-1, 2), distance_upper_bound=radius)[0]
+    off = cKDTree(place).query(
+        np.stack([columns, rows], -1).reshape(-1, 2), distance_upper_bound=radius
+    )[0]
     return _masked(np.isfinite(off).reshape(size, size))
 
 
@@ -99,7 +104,9 @@ def _blobs(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Noise of one wavelength, of usual spacings of pins to ten times that."""
     spacing = len(image) * 0.036 * 10 ** rng.random()
     wave = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(len(image))])) * spacing
-    noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))).real
+    noise = np.fft.ifft2(
+        np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))
+    ).real
     return _masked(noise > np.quantile(noise, rng.uniform(0.65, 0.85)))
 
 
@@ -111,9 +118,17 @@ def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
     side = len(image) // int(rng.choice([8, 16, 32]))
     count = len(image) // side
     tiles = (
-        image[: count * side, : count * side].reshape(count, side, count, side).swapaxes(1, 2).reshape(-1, side, side)
+        image[: count * side, : count * side]
+        .reshape(count, side, count, side)
+        .swapaxes(1, 2)
+        .reshape(-1, side, side)
     )
-    shuffled = rng.permutation(tiles).reshape(count, count, side, side).swapaxes(1, 2).reshape(2 * (count * side,))
+    shuffled = (
+        rng.permutation(tiles)
+        .reshape(count, count, side, side)
+        .swapaxes(1, 2)
+        .reshape(2 * (count * side,))
+    )
     return np.pad(shuffled, (0, len(image) - count * side))
 
 
@@ -121,7 +136,9 @@ def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
     pins = glance(image)
     spacing = spacing_of(pins)
-    return _dots(pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing)
+    return _dots(
+        pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing
+    )
 
 
 def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
@@ -160,7 +177,11 @@ def _prepared(grey: np.ndarray) -> np.ndarray:
 
 def _blurred(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Out of focus by half a spacing and more."""
-    return _prepared(ndimage.gaussian_filter(image.astype(np.float32) / 255, len(image) * rng.uniform(0.03, 0.08)))
+    return _prepared(
+        ndimage.gaussian_filter(
+            image.astype(np.float32) / 255, len(image) * rng.uniform(0.03, 0.08)
+        )
+    )
 
 
 def _shrunk(image: np.ndarray, rng: Generator) -> np.ndarray:

@@ -15,7 +15,11 @@ LATTICE = make_lattice(PLACE, shells(TACTIP_331))
 
 def moved():
     bell = np.exp(-np.sum((PLACE - 64) ** 2, axis=-1) / (2 * 14**2))
-    return PLACE + 5 * np.stack([bell, 0.3 * bell], axis=-1) + np.random.default_rng(0).normal(0, 0.1, PLACE.shape)
+    return (
+        PLACE
+        + 5 * np.stack([bell, 0.3 * bell], axis=-1)
+        + np.random.default_rng(0).normal(0, 0.1, PLACE.shape)
+    )
 
 
 def one_place_off(place, count=6):
@@ -70,6 +74,8 @@ def test_pins_missing_on_one_side_and_left_over_on_the_other_are_not_sure():
 def test_filled_and_off_neighbours():
     flat = np.tile([1.5, -0.5], (len(PLACE), 1))
     flat[40:50] = np.nan
-    np.testing.assert_allclose(filled(LATTICE, flat), np.tile([1.5, -0.5], (len(PLACE), 1)), atol=0.02)
+    np.testing.assert_allclose(
+        filled(LATTICE, flat), np.tile([1.5, -0.5], (len(PLACE), 1)), atol=0.02
+    )
     off = off_neighbours(LATTICE, flat)
     assert off.max() < 0.01 and (off[40:50] == 0).all()

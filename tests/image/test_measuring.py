@@ -43,7 +43,9 @@ def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
     pin = 331 - 30
     outward = (PLACE[pin] - 127.5) / np.linalg.norm(PLACE[pin] - 127.5)
     glint = slid()[pin] + 4.4 * outward
-    track = follow_pins(LATTICE, detect(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))))
+    track = follow_pins(
+        LATTICE, detect(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9)))
+    )
     assert track.sure and track.seen[pin] and error(track)[pin] < 0.8
     np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
 
@@ -74,7 +76,9 @@ def test_pins_that_are_not_there_are_not_made_up():
     assert not track.seen[gone].any() and track.missed == 3
 
 
-@pytest.mark.parametrize("image", [np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)])
+@pytest.mark.parametrize(
+    "image", [np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)]
+)
 def test_nothing_to_see(image):
     track = follow_pins(LATTICE, detect(image))
     assert not track.sure and not track.seen.any()

@@ -36,9 +36,13 @@ def binarise_reference(preprocess, grey):
     """`binarise` of one (H, H) crop by scikit-image, in the order of published pipelines: what it must agree with."""
     small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
     block = 2 * round(preprocess.block * preprocess.size / 2) + 1
-    threshold = threshold_local(small, block, method="mean", offset=-preprocess.offset, mode="reflect")
+    threshold = threshold_local(
+        small, block, method="mean", offset=-preprocess.offset, mode="reflect"
+    )
     away = np.hypot(*(np.mgrid[: preprocess.size, : preprocess.size] + 0.5 - preprocess.size / 2))
-    return ((small > threshold) & (away <= preprocess.mask_radius * preprocess.size)).astype(np.uint8) * np.uint8(255)
+    return ((small > threshold) & (away <= preprocess.mask_radius * preprocess.size)).astype(
+        np.uint8
+    ) * np.uint8(255)
 
 
 def pressed(seed):
@@ -52,9 +56,13 @@ def pressed(seed):
 @pytest.fixture(scope="module")
 def frames():
     """Four undeformed and four pressed frames (8, F, F)."""
-    tips = np.stack([pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]).astype(np.float32)
+    tips = np.stack([pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]).astype(
+        np.float32
+    )
     keys = jax.random.split(jax.random.key(3), len(tips))
-    return np.asarray(jax.vmap(lambda tip, key: frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(tips, keys))
+    return np.asarray(
+        jax.vmap(lambda tip, key: frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(tips, keys)
+    )
 
 
 def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
@@ -81,7 +89,10 @@ def test_agrees_with_scikit_image_at_uneven_ratios(before, size):
     smooth = np.random.default_rng(0).random((before // 5 + 1, before // 5 + 1)).astype(np.float32)
     grey = np.kron(smooth, np.ones((5, 5), np.float32))[:before, :before]
     preprocess = Preprocess(size=size)
-    assert np.mean(np.asarray(binarise(preprocess, grey)) == binarise_reference(preprocess, grey)) >= 0.999
+    assert (
+        np.mean(np.asarray(binarise(preprocess, grey)) == binarise_reference(preprocess, grey))
+        >= 0.999
+    )
 
 
 def test_vmap_equals_a_batch_and_a_single_frame(frames):
@@ -89,7 +100,9 @@ def test_vmap_equals_a_batch_and_a_single_frame(frames):
     batch = np.asarray(binarise(preprocess, frames))
     np.testing.assert_array_equal(jax.vmap(lambda grey: binarise(preprocess, grey))(frames), batch)
     np.testing.assert_array_equal(binarise(preprocess, frames[0]), batch[0])
-    np.testing.assert_array_equal(binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))[1, 2], batch[6])
+    np.testing.assert_array_equal(
+        binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))[1, 2], batch[6]
+    )
 
 
 def test_what_is_not_square_is_refused():
@@ -120,7 +133,9 @@ def test_the_mask_blackens_what_is_outside(frames):
     np.testing.assert_array_equal(images > 0, np.hypot(rows, columns) <= 0.3 * 64)
 
 
-@pytest.mark.parametrize(("side", "top", "left"), [(400, 30, 150), (300, 120, 20), (460, 10, 90), (420, -15, 200)])
+@pytest.mark.parametrize(
+    ("side", "top", "left"), [(400, 30, 150), (300, 120, 20), (460, 10, 90), (420, -15, 200)]
+)
 @SIZES
 def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
     photo = photograph(frames[0], side=side, top=top, left=left)
@@ -163,7 +178,8 @@ def test_a_bbox_is_obeyed(frames):
 
 
 @pytest.mark.parametrize(
-    "kind", ["uint16", "twelve_bits", "float", "float_of_16_bits", "rgba", "one_channel", "grey_alpha"]
+    "kind",
+    ["uint16", "twelve_bits", "float", "float_of_16_bits", "rgba", "one_channel", "grey_alpha"],
 )
 def test_number_types_and_channels_do_not_matter(frames, kind):
     photo = photograph(frames[0])
@@ -173,7 +189,9 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
         "twelve_bits": np.round(grey * (4095 / 255)).astype(np.uint16),
         "float": grey / 255,
         "float_of_16_bits": grey * 257.0,
-        "rgba": np.concatenate([np.repeat(grey[..., None], 3, -1), np.full_like(grey, 255)[..., None]], -1),
+        "rgba": np.concatenate(
+            [np.repeat(grey[..., None], 3, -1), np.full_like(grey, 255)[..., None]], -1
+        ),
         "one_channel": grey[..., None],
         "grey_alpha": np.stack([grey, np.full_like(grey, 255)], -1),
     }[kind]
@@ -192,7 +210,10 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
         (np.full((40, 40), 1.2), 1),
         (np.full((40, 40), 200.0), 255),
         (np.where(np.arange(1600).reshape(40, 40) == 7, 2.0, 0.5), 1),
-        (np.dstack([np.full((40, 40, 3), 4000, np.uint16), np.full((40, 40), 65535, np.uint16)]), 4095),
+        (
+            np.dstack([np.full((40, 40, 3), 4000, np.uint16), np.full((40, 40), 65535, np.uint16)]),
+            4095,
+        ),
     ],
 )
 def test_white_is_the_range_that_a_camera_fills(frame, white):
@@ -203,21 +224,30 @@ def test_a_hot_pixel_changes_nothing_but_itself(frames):
     photo = np.round(1000 * to_grey(photograph(frames[0]))).astype(np.uint16)
     hot = photo.copy()
     hot[0, 0] = 4000
-    np.testing.assert_array_equal(prepare_frame(Preprocess(), hot), prepare_frame(Preprocess(), photo))
+    np.testing.assert_array_equal(
+        prepare_frame(Preprocess(), hot), prepare_frame(Preprocess(), photo)
+    )
 
 
 def test_a_grey_mask_is_a_mask(frames):
     mask = np.where(photograph(frames[0])[..., 0] > 150, 255, 0).astype(np.uint8)
-    np.testing.assert_array_equal(prepare_frame(Preprocess(), np.minimum(mask, 100)), prepare_frame(Preprocess(), mask))
+    np.testing.assert_array_equal(
+        prepare_frame(Preprocess(), np.minimum(mask, 100)), prepare_frame(Preprocess(), mask)
+    )
 
 
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     grey = to_grey(photograph(frames[0]))
-    bright, dark = (np.round(most / np.quantile(grey, 0.999) * grey).astype(np.uint16) for most in (1100, 1000))
-    shared, alone = (
-        prepare_frame(Preprocess(), dark, view) for view in (View(None, (("uint16", white_of(bright)),)), View())
+    bright, dark = (
+        np.round(most / np.quantile(grey, 0.999) * grey).astype(np.uint16) for most in (1100, 1000)
     )
-    other, off = (np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone))
+    shared, alone = (
+        prepare_frame(Preprocess(), dark, view)
+        for view in (View(None, (("uint16", white_of(bright)),)), View())
+    )
+    other, off = (
+        np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone)
+    )
     assert other < 0.5 * off, (other, off)
 
 
@@ -236,11 +266,22 @@ def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
 @pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "jpeg"])
 def test_a_binary_frame_is_not_thresholded_again(frames, kind):
     image = np.asarray(binarise(Preprocess(size=128), frames[0]))
-    other = {"uint8": image, "bool": image > 0, "zero_one": image // 255, "jpeg": np.clip(image, 8, 246)}[kind]
+    other = {
+        "uint8": image,
+        "bool": image > 0,
+        "zero_one": image // 255,
+        "jpeg": np.clip(image, 8, 246),
+    }[kind]
     np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), other), image)
 
 
-VIEWS = (View(), View((0, 0, 96, 96)), View((3, 5, 67, 69)), View((-9, 2, 80, 91)), View((-70, -70, 5, 5)))
+VIEWS = (
+    View(),
+    View((0, 0, 96, 96)),
+    View((3, 5, 67, 69)),
+    View((-9, 2, 80, 91)),
+    View((-70, -70, 5, 5)),
+)
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8])
@@ -265,7 +306,14 @@ def test_what_is_not_black_and_white_goes_the_long_way():
     """Also what is black or white all over, and too small: the long way refuses these."""
     raw = np.random.default_rng(0).integers(0, 2, (32, 32), np.uint8) * np.uint8(255)
     assert grey.white_pixels(raw) is not None
-    other = [raw.astype(np.uint16), raw.astype(float), raw[:15], raw[..., None], raw * 0, raw * 0 + np.uint8(255)]
+    other = [
+        raw.astype(np.uint16),
+        raw.astype(float),
+        raw[:15],
+        raw[..., None],
+        raw * 0,
+        raw * 0 + np.uint8(255),
+    ]
     for level in (1, 2, 127, 254):
         spoilt = raw.copy()
         spoilt[3, 4] = level
@@ -278,7 +326,9 @@ def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
     closer = image[50:-50, 50:-50]
     found = find_pins(prepare_frame(Preprocess(size=256), closer))
     assert abs(len(found) - 331) <= 1
-    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.015)
+    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(
+        outer_fraction(CAMERA, TACTIP_331), abs=0.015
+    )
 
 
 @pytest.mark.parametrize(
@@ -308,7 +358,10 @@ def test_real_frames(real_recordings, number, size):
     grey = to_grey(raw)
     square = crop(grey, find_dome(grey, preprocess.outer_pins))
     image = prepare_frame(preprocess, raw)
-    assert np.mean(np.asarray(binarise(preprocess, square)) == binarise_reference(preprocess, square)) >= 0.999
+    assert (
+        np.mean(np.asarray(binarise(preprocess, square)) == binarise_reference(preprocess, square))
+        >= 0.999
+    )
     assert np.mean(image == binarise_reference(preprocess, square)) >= 0.999
     found = find_pins(image)
     assert abs(len(found) - 331) <= 3

@@ -46,9 +46,13 @@ def test_nearest_would_be_wrong():
 
 def test_missing_and_extra_pins_are_counted():
     place = _flat(TACTIP_331)
-    found = np.concatenate([np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]])
+    found = np.concatenate(
+        [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
+    )
     track = follow_pins(make_lattice(place), Found(found))
-    assert track.missed <= 3 and track.extra >= 1  # an extra pin may stand in for a missing neighbour
+    assert (
+        track.missed <= 3 and track.extra >= 1
+    )  # an extra pin may stand in for a missing neighbour
     assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
 
 
@@ -63,7 +67,10 @@ def test_lattice_is_found_turned_and_shifted():
     """Whatever the camera's turn, the lattice is found again: each pin within a tenth of a pixel, up to the lattice's symmetry."""
     place = _flat(TACTIP_331) - 64
     turn = np.radians(17)
-    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [60.0, 66.0]
+    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [
+        60.0,
+        66.0,
+    ]
     rng = np.random.default_rng(2)
     frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
     lattice = fit_lattice(frames, layout_of(TACTIP_331))
@@ -71,7 +78,9 @@ def test_lattice_is_found_turned_and_shifted():
     assert off.max() < 0.15
     np.testing.assert_allclose(lattice.middle, [60, 66], atol=0.1)
     np.testing.assert_allclose(
-        np.linalg.norm(lattice.place - lattice.middle, axis=-1), RIM_PX / 10 * shells(TACTIP_331), atol=0.2
+        np.linalg.norm(lattice.place - lattice.middle, axis=-1),
+        RIM_PX / 10 * shells(TACTIP_331),
+        atol=0.2,
     )
 
 
@@ -91,7 +100,9 @@ def test_a_pin_without_company_counts_as_not_seen():
     assert not track.seen[rim] and track.missed == 8
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))]
+)
 @pytest.mark.parametrize("lattice", ["square", "hexagons"])
 @pytest.mark.parametrize("turn_deg", [-2.0, 0.0, 3.0])
 def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
@@ -103,6 +114,8 @@ def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
     cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     place = 46 * flat @ np.array([[cos, sin], [-sin, cos]]) + 64
     rng = np.random.default_rng(seed)
-    frames = [place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)]
+    frames = [
+        place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
+    ]
     found = fit_lattice(frames, Layout("layout", flat, shells_of(flat), 360.0))
     np.testing.assert_allclose(found.place, place, atol=0.5)

@@ -81,7 +81,9 @@ def test_the_order_of_known_images_and_strangers(sets):
 def grey():
     """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
     draw = jax.jit(frame, static_argnums=(0, 1, 2))
-    return np.asarray(draw(Camera(), TACTIP_331, Nuisance(), pin_tips(TACTIP_331), jax.random.key(0)))
+    return np.asarray(
+        draw(Camera(), TACTIP_331, Nuisance(), pin_tips(TACTIP_331), jax.random.key(0))
+    )
 
 
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
@@ -110,7 +112,12 @@ def test_a_glance_sets_touching_pins_apart():
     rows, columns = np.mgrid[:128, :128]
     place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
     place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
-    white = np.min((columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0) <= 3**2
+    white = (
+        np.min(
+            (columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0
+        )
+        <= 3**2
+    )
     found = glance(white.astype(np.uint8) * np.uint8(255))
     off = cKDTree(found).query(place)[0]
     assert len(found) == 64 and off.max() < 0.5
@@ -161,7 +168,9 @@ def test_reasons_give_another_framing(sets):
 
 def test_half_of_a_folder_is_enough(sets):
     images, expected = sets["331"].images[:4], sets["331"].expected
-    noise = np.array([STRANGERS["shuffled pixels"](image, np.random.default_rng(0)) for image in images])
+    noise = np.array(
+        [STRANGERS["shuffled pixels"](image, np.random.default_rng(0)) for image in images]
+    )
     assert verdict(np.concatenate([images, noise]), expected).ok
     assert not verdict(np.concatenate([images[:3], noise]), expected).ok
 
@@ -188,15 +197,23 @@ def test_what_cannot_be():
 
 def test_real_images(real_recordings):
     """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
-    taps, slides = (_packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear"))
-    expected = expected_of(fit_lattice([find_pins(image) for image in taps], layout_of(TACTIP_331)).place, 128)
+    taps, slides = (
+        _packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear")
+    )
+    expected = expected_of(
+        fit_lattice([find_pins(image) for image in taps], layout_of(TACTIP_331)).place, 128
+    )
     likely = np.array([plausibility(image, expected) for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
     assert verdict(slides[:20], expected).ok
     hexagonal = expected_of(undeformed(TACTIP_127, Camera(), Preprocess()).place, 128)
-    assert verdict(slides[:20], hexagonal).reason.startswith("about 331 pins are found, the model's sensor has 127")
+    assert verdict(slides[:20], hexagonal).reason.startswith(
+        "about 331 pins are found, the model's sensor has 127"
+    )
     simulated = expected_of(undeformed(TACTIP_331, Camera(), Preprocess()).place, 128)
-    assert verdict(slides[:20], simulated).ok  # a model of simulated images may be asked about real ones
+    assert verdict(
+        slides[:20], simulated
+    ).ok  # a model of simulated images may be asked about real ones
 
 
 def _packed(file, count):

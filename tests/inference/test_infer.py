@@ -33,7 +33,12 @@ POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
 TARGETS = targets.of_ranges((), Ranges())
 EXPERIMENT = Experiment(
-    "small", "none", unshear=NET, posenet=POSENET, paired=PairedData(preprocess=SEEN), pose=PoseData(preprocess=SEEN)
+    "small",
+    "none",
+    unshear=NET,
+    posenet=POSENET,
+    paired=PairedData(preprocess=SEEN),
+    pose=PoseData(preprocess=SEEN),
 )
 
 
@@ -56,7 +61,9 @@ def variables():
     rng = np.random.default_rng(0)
 
     def shaken(variables):
-        params = jax.tree.map(lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"])
+        params = jax.tree.map(
+            lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"]
+        )
         return {**variables, "params": params}
 
     return {
@@ -97,9 +104,21 @@ def rows_of(out):
         return list(csv.DictReader(file))
 
 
-def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, variables, tmp_path):
+def test_every_readable_image_is_unsheared_in_its_place(
+    command, model, folder, variables, tmp_path
+):
     out = tmp_path / "out"
-    answer = command("unshear", folder, "--force", "--model", model, "--out", out, "--json", tmp_path / "unshear.json")
+    answer = command(
+        "unshear",
+        folder,
+        "--force",
+        "--model",
+        model,
+        "--out",
+        out,
+        "--json",
+        tmp_path / "unshear.json",
+    )
     assert answer.code == 0, answer.err
     assert "38 images unsheared, 2 left out" in answer.out
     assert "simulated touches only" in answer.out
@@ -112,14 +131,19 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     assert len(rows) == 38
     for row in (rows[0], rows[5], rows[-1]):
         number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
-        assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
+        assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (
+            number,
+            -number,
+        )
         recordings = read_recordings(folder / "images" / f"image_{number}.png", SEEN)
         ((_, _, image),) = recordings.frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
         written = np.asarray(Image.open(out / row["image"]))
         np.testing.assert_allclose(written, 255 * np.asarray(expected)[0, ..., 0], atol=0.6)
-        poses = posenet.pose_from_outputs(posenet.predict(POSENET, variables["posenet"], expected), TARGETS)
+        poses = posenet.pose_from_outputs(
+            posenet.predict(POSENET, variables["posenet"], expected), TARGETS
+        )
         assert set(poses) == {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}
         for quantity, value in poses.items():
             assert float(row[quantity]) == pytest.approx(float(value[0]), abs=2e-3)
@@ -127,12 +151,17 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     measured = json.loads((tmp_path / "unshear.json").read_text())
     beside = {"machine", "versions", "source", "trained_on", "trained_by", "command", "checksum"}
     assert set(measured) == {"rows"} | beside
-    assert measured["command"].startswith("jaxunshear unshear ") and measured["source"]["version"] == __version__
+    assert (
+        measured["command"].startswith("jaxunshear unshear ")
+        and measured["source"]["version"] == __version__
+    )
     assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
 
 
 @pytest.mark.parametrize("words", [("unshear", "--out", "out"), ("pose",)])
-def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, folder, tmp_path, monkeypatch, words):
+def test_images_that_are_not_the_sensors_are_refused_by_name(
+    command, model, folder, tmp_path, monkeypatch, words
+):
     monkeypatch.chdir(tmp_path)
     answer = command(words[0], folder, "--model", model, *words[1:])
     assert (answer.code, answer.err.count("\n")) == (2, 1)
@@ -141,8 +170,12 @@ def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, fol
 
 
 @pytest.mark.parametrize("images", ["images/image_1.png", "images"])
-def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
-    monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
+def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(
+    monkeypatch, model, folder, tmp_path, images
+):
+    monkeypatch.setattr(
+        infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__)
+    )  # a second each batch
     measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", force=True)
     assert measured.rows[-1].name == "unshear.time_per_image"
     assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
@@ -166,7 +199,9 @@ def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path
     assert "simulated touches only" in answer.err
     rows = list(csv.DictReader(answer.out.splitlines()))
     assert len(rows) == 38
-    measured = {row["name"]: row for row in json.loads((tmp_path / "pose.json").read_text())["rows"]}
+    measured = {
+        row["name"]: row for row in json.loads((tmp_path / "pose.json").read_text())["rows"]
+    }
     assert len(measured) == 38 * 8 + 2 and measured["pose.left_out"]["value"] == 2
     one = measured["images/image_7.png.unsheared.edge_deg"]
     assert one["unit"] == "deg"
@@ -187,7 +222,9 @@ def test_one_file_and_names_that_differ_in_their_ending_only(command, model, fol
     assert command("unshear", one, "--force", "--model", model, "--out", tmp_path / "one").code == 0
     assert (tmp_path / "one" / "image_1.png").exists()
     Image.open(one).save(folder / "images" / "image_1.bmp")
-    assert command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "all").code == 0
+    assert (
+        command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "all").code == 0
+    )
     assert len({row["image"] for row in rows_of(tmp_path / "all")}) == 39
 
 
@@ -197,7 +234,9 @@ def test_nothing_is_written_among_the_recordings(command, model, folder, tmp_pat
     before = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
     answer = command("unshear", folder, "--model", model, "--out", tmp_path / out)
     assert (answer.code, answer.err.count("\n")) == (2, 1)
-    assert before == {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+    assert before == {
+        path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()
+    }
 
 
 def test_a_damaged_network_is_refused_by_name(command, model, folder, tmp_path):
@@ -222,11 +261,15 @@ def test_nothing_readable_is_refused(command, model, tmp_path):
 
 def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
     unpacked = tmp_path / "real"
-    subprocess.run([sys.executable, real_recordings / "unpack.py", unpacked, "--limit", "8"], check=True)
+    subprocess.run(
+        [sys.executable, real_recordings / "unpack.py", unpacked, "--limit", "8"], check=True
+    )
     answer = command("unshear", unpacked, "--force", "--model", model, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "0 left out" in answer.out
-    answer = command("unshear", real_recordings / "raw", "--force", "--model", model, "--out", tmp_path / "raw")
+    answer = command(
+        "unshear", real_recordings / "raw", "--force", "--model", model, "--out", tmp_path / "raw"
+    )
     assert answer.code == 0, answer.err
     assert len(rows_of(tmp_path / "raw")) == 3
 
@@ -243,6 +286,8 @@ def test_a_recording_is_not_taken_for_a_file_of_rows(command, model, tmp_path):
     kept = (tmp_path / "one.png").read_bytes()
     answer = command("pose", tmp_path / "one.png", "--model", model, "--json", tmp_path / "one.png")
     assert answer.code == 2 and "holds something else" in answer.err
-    answer = command("stream", tmp_path / "one.png", "--model", model, "--lines", tmp_path / "one.png")
+    answer = command(
+        "stream", tmp_path / "one.png", "--model", model, "--lines", tmp_path / "one.png"
+    )
     assert answer.code == 2 and "--lines" in answer.err
     assert (tmp_path / "one.png").read_bytes() == kept

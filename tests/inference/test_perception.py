@@ -34,7 +34,9 @@ TARGETS = of_ranges((), Ranges(lateral_mm=6))
 
 def kept(folder, kind, net, variables, targets):
     larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
-    checkpoint.write_settings(folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)})
+    checkpoint.write_settings(
+        folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)}
+    )
     checkpoint.save(folder, 1, {"average": larger}, {"best_step": 1, "history": []})
     write_json(folder / "summary.json", {"steps": 1})
 
@@ -110,7 +112,9 @@ def test_an_edge_that_is_none_is_refused(model, tmp_path):
     variables = checkpoint.load_best(model / "posenet")
     targets = of_ranges(("x_mm", "yaw_deg"), Ranges())
     kept(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
-    with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):
+    with pytest.raises(
+        UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"
+    ):
         perceptions(tmp_path / "other", Experiment("small", "none"), ("sheared",))
 
 

@@ -49,14 +49,21 @@ def test_a_hundred_random_pairs_score_as_stored(metric, random_pairs):
 def test_a_hundred_random_pairs_score_as_in_the_other_library(metric, random_pairs):
     """Values; and gradients of the first twenty, where the score is not clamped. Ours are finite in any case."""
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    theirs = pytest.importorskip("pytorch_msssim", reason="pip install pytorch-msssim to compare with it")
+    theirs = pytest.importorskip(
+        "pytorch_msssim", reason="pip install pytorch-msssim to compare with it"
+    )
     ours, score = getattr(images, metric), getattr(theirs, metric)
     a, b = random_pairs
-    values, slopes = np.asarray(ours(a, b)), np.asarray(jax.grad(lambda x: jnp.sum(ours(x, b)))(jnp.asarray(a)))
+    values, slopes = (
+        np.asarray(ours(a, b)),
+        np.asarray(jax.grad(lambda x: jnp.sum(ours(x, b)))(jnp.asarray(a))),
+    )
     assert np.isfinite(slopes).all()
     given, other = (torch.from_numpy(side.transpose(0, 3, 1, 2).copy()) for side in (a, b))
     with torch.no_grad():
-        expected = torch.cat([score(given[i : i + 20], other[i : i + 20], 1.0, False) for i in range(0, 100, 20)])
+        expected = torch.cat(
+            [score(given[i : i + 20], other[i : i + 20], 1.0, False) for i in range(0, 100, 20)]
+        )
     np.testing.assert_allclose(values, expected.numpy(), atol=1e-4)
     given = given[:20].requires_grad_()
     score(given, other[:20], 1.0, False).sum().backward()
@@ -91,13 +98,20 @@ def test_jit_and_eager_agree():
     np.testing.assert_allclose(jax.jit(images.ms_ssim, static_argnums=2)(a, b, 2), plain, atol=2e-5)
 
 
-@pytest.mark.parametrize(("size", "scales"), [(10, 0), (11, 1), (128, 4), (160, 4), (161, 5), (256, 5), (1000, 5)])
+@pytest.mark.parametrize(
+    ("size", "scales"), [(10, 0), (11, 1), (128, 4), (160, 4), (161, 5), (256, 5), (1000, 5)]
+)
 def test_scales_that_fit(size, scales):
     assert images.scales_that_fit(size) == scales
 
 
 def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
-    assert images.ms_ssim(np.ones((1, 161, 161, 1), np.float32), np.ones((1, 161, 161, 1), np.float32))[0] == 1
+    assert (
+        images.ms_ssim(
+            np.ones((1, 161, 161, 1), np.float32), np.ones((1, 161, 161, 1), np.float32)
+        )[0]
+        == 1
+    )
     with pytest.raises(ValueError, match=r"160x160.*5 scales.*4 fit"):
         images.ms_ssim(np.ones((1, 160, 160, 1), np.float32), np.ones((1, 160, 160, 1), np.float32))
 
@@ -109,7 +123,9 @@ def test_names_keep_other_sizes_apart():
 
 def test_one_scale_is_ssim():
     _, a, b = stacked(48)
-    np.testing.assert_allclose(images.ms_ssim(a, b, scales=1), np.maximum(images.ssim(a, b), 0), atol=1e-6)
+    np.testing.assert_allclose(
+        images.ms_ssim(a, b, scales=1), np.maximum(images.ssim(a, b), 0), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("size", [128, 161])
@@ -117,7 +133,9 @@ def test_equal_images_score_one_and_order_does_not_matter(size):
     _, a, b = stacked(size)
     scales = images.scales_that_fit(size)
     np.testing.assert_allclose(images.ms_ssim(a, a, scales), 1, atol=1e-5)
-    np.testing.assert_allclose(images.ms_ssim(a, b, scales), images.ms_ssim(b, a, scales), atol=1e-5)
+    np.testing.assert_allclose(
+        images.ms_ssim(a, b, scales), images.ms_ssim(b, a, scales), atol=1e-5
+    )
 
 
 def test_values_and_gradients_are_finite_everywhere():
@@ -127,7 +145,8 @@ def test_values_and_gradients_are_finite_everywhere():
     a = np.concatenate([a, np.stack([pair[0] for pair in extra])])
     b = np.concatenate([b, np.stack([pair[1] for pair in extra])])
     for metric in (lambda x, y: images.ms_ssim(x, y, 3), images.ssim, images.mse):
-        values, gradients = jax.jit(jax.value_and_grad(lambda x: jnp.sum(metric(x, b))))(jnp.asarray(a))  # noqa: B023
+        total = jax.value_and_grad(lambda x, metric=metric: jnp.sum(metric(x, b)))
+        values, gradients = jax.jit(total)(jnp.asarray(a))
         assert np.isfinite(values)
         assert np.isfinite(np.asarray(gradients)).all(), names
 
@@ -146,7 +165,9 @@ def test_matrices_are_the_window_and_the_mean():
     x = np.sin(np.arange(35.0) ** 1.5)
     offsets = np.arange(-5, 6)
     window = np.exp(-(offsets**2) / (2 * 1.5**2))
-    np.testing.assert_allclose(images._blur(35) @ x, np.convolve(x, window / window.sum(), "valid"), atol=1e-12)
+    np.testing.assert_allclose(
+        images._blur(35) @ x, np.convolve(x, window / window.sum(), "valid"), atol=1e-12
+    )
     np.testing.assert_allclose(images._halving(5) @ [1, 3, 5, 7, 9], [2, 6, 9])
 
 
@@ -171,7 +192,9 @@ def test_half_precision_is_scored_in_float32():
     _, a, b = stacked(48)
     found = images.ms_ssim(jnp.asarray(a, jnp.bfloat16), jnp.asarray(b, jnp.bfloat16), 2)
     assert found.dtype == jnp.float32
-    np.testing.assert_allclose(found[1:4], images.ms_ssim(a, b, 2)[1:4], atol=1e-5)  # dots are exact in bfloat16
+    np.testing.assert_allclose(
+        found[1:4], images.ms_ssim(a, b, 2)[1:4], atol=1e-5
+    )  # dots are exact in bfloat16
 
 
 @pytest.mark.parametrize("metric", [images.ms_ssim, images.ssim])
@@ -179,7 +202,9 @@ def test_no_pair_is_more_alike_than_equal_ones(metric):
     """Nearly flat images, bright ones most of all, and such with an edge between two flat halves."""
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(2, 60, 192, 192, 1)) * 10.0 ** rng.uniform(-6, -2, (60, 1, 1, 1))
-    level = np.where(np.arange(192)[:, None, None] < 96, 0.3, 1.0) ** rng.integers(0, 2, (60, 1, 1, 1))
+    level = np.where(np.arange(192)[:, None, None] < 96, 0.3, 1.0) ** rng.integers(
+        0, 2, (60, 1, 1, 1)
+    )
     a, b = (level * rng.uniform(0.9, 1, (60, 1, 1, 1)) + noise).astype(np.float32)
     found = np.asarray(metric(a, b))
     assert found.max() <= 1 and found.min() > 0.5
@@ -197,7 +222,9 @@ def _exact_ssim(a, b):
     mean_a, mean_b = blur(a), blur(b)
     variances = blur(a * a) - mean_a**2 + blur(b * b) - mean_b**2
     luminance = (2 * mean_a * mean_b + images.C1) / (mean_a**2 + mean_b**2 + images.C1)
-    return np.mean(luminance * (2 * (blur(a * b) - mean_a * mean_b) + images.C2) / (variances + images.C2))
+    return np.mean(
+        luminance * (2 * (blur(a * b) - mean_a * mean_b) + images.C2) / (variances + images.C2)
+    )
 
 
 @pytest.mark.parametrize("scales", [2.0, 0, 6, "2", None])

@@ -29,7 +29,9 @@ def test_centroids_are_columns_and_rows():
 
 def test_touching_pins_are_parted():
     centres = lattice(9, 256)
-    centres = np.concatenate([centres, centres[:3] - [0.0, 5.0]])  # three more, each touching one at the edge
+    centres = np.concatenate(
+        [centres, centres[:3] - [0.0, 5.0]]
+    )  # three more, each touching one at the edge
     match = match_pins(find_pins(dots(centres, 3.0, 256)), centres, 2.0)
     assert (match.missed, match.extra) == (0, 0)
 
@@ -46,7 +48,9 @@ def test_ring_specks_and_lone_dots_are_left_out():
 
 
 @pytest.mark.parametrize(
-    "image", [np.zeros((64, 64), np.uint8), np.full((64, 64), 255, np.uint8)], ids=["black", "white"]
+    "image",
+    [np.zeros((64, 64), np.uint8), np.full((64, 64), 255, np.uint8)],
+    ids=["black", "white"],
 )
 def test_images_without_pins_have_none(image):
     assert find_pins(image).shape == (0, 2)

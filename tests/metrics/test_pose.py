@@ -19,15 +19,24 @@ def test_known_errors():
         "x_mm": 2, "yaw_deg": 45, "edge_mm": 2.5, "edge_deg": 2}  # fmt: skip
 
 
-@pytest.mark.parametrize(("a", "b", "error"), [(179, -179, 2), (-180, 180, 0), (90, -90, 180), (350, 0, 10)])
+@pytest.mark.parametrize(
+    ("a", "b", "error"), [(179, -179, 2), (-180, 180, 0), (90, -90, 180), (350, 0, 10)]
+)
 def test_angles_go_the_short_way_round(a, b, error):
-    assert pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][0] == pytest.approx(error, abs=1e-4)
+    assert pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][
+        0
+    ] == pytest.approx(error, abs=1e-4)
 
 
 def test_true_values_take_the_right_columns():
     batch = {"pose": np.array([[1.0, 2, 3, 4]]), "edge": np.array([[5.0, 6]])}
     true = true_values(of_ranges((), Ranges()), batch)
-    assert {name: value[0] for name, value in true.items()} == {"x_mm": 1, "yaw_deg": 3, "edge_mm": 5, "edge_deg": 6}
+    assert {name: value[0] for name, value in true.items()} == {
+        "x_mm": 1,
+        "yaw_deg": 3,
+        "edge_mm": 5,
+        "edge_deg": 6,
+    }
 
 
 def test_errors_come_in_the_order_of_the_labels():

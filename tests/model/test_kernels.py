@@ -41,18 +41,25 @@ def put_to_use(net, variables, images):
 def everything(net, way, dtype):
     """Variables, outputs in training and in use, statistics, gradients of all parameters."""
     with kernels.using(way):
-        variables = jax.tree.map(lambda x: x.astype(dtype), jax.jit(lambda key: fresh(net, key))(jax.random.key(0)))
+        variables = jax.tree.map(
+            lambda x: x.astype(dtype), jax.jit(lambda key: fresh(net, key))(jax.random.key(0))
+        )
         images = jax.random.bernoulli(jax.random.key(1), 0.3, (3, 32, 32, 1)).astype(dtype)
 
         def loss(params):
             outputs, statistics = training_pass(net, variables | {"params": params}, images)
             leaves = jax.tree.leaves(outputs)
-            return sum(jnp.sum(jnp.sin(jnp.arange(leaf.size)).reshape(leaf.shape) * leaf) for leaf in leaves), (
+            return sum(
+                jnp.sum(jnp.sin(jnp.arange(leaf.size)).reshape(leaf.shape) * leaf)
+                for leaf in leaves
+            ), (
                 outputs,
                 statistics,
             )
 
-        gradients, (outputs, statistics) = jax.jit(jax.grad(loss, has_aux=True))(variables["params"])
+        gradients, (outputs, statistics) = jax.jit(jax.grad(loss, has_aux=True))(
+            variables["params"]
+        )
         used = jax.jit(lambda given, seen: put_to_use(net, given, seen))(variables, images)
     return jax.tree.map(np.asarray, (variables, outputs, statistics, used, gradients))
 
@@ -65,17 +72,26 @@ def close(one, other, tolerance):
         np.testing.assert_allclose(a / scale, b / scale, rtol=0, atol=tolerance, err_msg=str(path))
 
 
-@pytest.mark.parametrize("name", [pytest.param("entangled", marks=pytest.mark.long), "disentangled", "unet", "posenet"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("entangled", marks=pytest.mark.long), "disentangled", "unet", "posenet"]
+)
 def test_plain_and_fast_layers_are_one_network(name):
-    plain, fast = (everything(NETS[name], way, jnp.float32) for way in (kernels.PLAIN, kernels.FAST))
+    plain, fast = (
+        everything(NETS[name], way, jnp.float32) for way in (kernels.PLAIN, kernels.FAST)
+    )
     jax.tree.map(np.testing.assert_array_equal, plain[0], fast[0])  # one seed, the same weights
     close(plain[1:], fast[1:], 2e-5)
 
 
 @pytest.mark.parametrize("name", [pytest.param("disentangled", marks=pytest.mark.long), "posenet"])
 def test_they_are_the_same_function_in_double_precision(name):
-    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):  # Flax' statistics begin in single precision
-        plain, fast = (everything(NETS[name], way, jnp.float64) for way in (kernels.PLAIN, kernels.FAST))
+    with (
+        jax.enable_x64(True),
+        jax.numpy_dtype_promotion("standard"),
+    ):  # Flax' statistics begin in single precision
+        plain, fast = (
+            everything(NETS[name], way, jnp.float64) for way in (kernels.PLAIN, kernels.FAST)
+        )
     close(plain[1:], fast[1:], 1e-12)
 
 
@@ -85,7 +101,9 @@ def test_the_switch_is_one_variable(monkeypatch):
     monkeypatch.setenv(KERNELS, "plain")
     assert kernels.chosen() == kernels.PLAIN and kernels.pick(1, 2) == 1
     monkeypatch.setenv(KERNELS, "quick")
-    with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"):
+    with pytest.raises(
+        UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"
+    ):
         kernels.chosen()
     with pytest.raises(UserError, match=KERNELS):
         check_environment()

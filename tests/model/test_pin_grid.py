@@ -24,7 +24,9 @@ def test_the_grid_is_as_fine_as_the_pins(rings):
     assert grid.shape == (len(rest), (2 * rings) ** 2) and grid.dtype == np.float32
     inside = grid.any(axis=0)
     assert 0.6 < inside.mean() < 0.9  # a hexagon's share of the square about it
-    np.testing.assert_allclose(grid.sum(axis=0)[inside], 1, atol=1e-5)  # a shift of all pins is that shift everywhere
+    np.testing.assert_allclose(
+        grid.sum(axis=0)[inside], 1, atol=1e-5
+    )  # a shift of all pins is that shift everywhere
 
 
 def test_a_smooth_field_comes_out_at_its_places():

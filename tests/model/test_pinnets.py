@@ -23,10 +23,14 @@ def made(kind, outputs=0, **changes):
 
 
 def moved(seed=1, count=3):
-    return jnp.asarray(REST + np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape)), jnp.float32)
+    return jnp.asarray(
+        REST + np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape)), jnp.float32
+    )
 
 
-@pytest.mark.parametrize(("jit", "changes"), [(False, {}), (True, {}), (True, {"convolved": (4, 6), "apart": True})])
+@pytest.mark.parametrize(
+    ("jit", "changes"), [(False, {}), (True, {}), (True, {"convolved": (4, 6), "apart": True})]
+)
 def test_shapes_and_batches(jit, changes):
     net, variables = made(PinUnshear, **changes)
     unshear = jax.jit(pinnets.unshear, static_argnums=0) if jit else pinnets.unshear
@@ -35,13 +39,17 @@ def test_shapes_and_batches(jit, changes):
     assert (z_p.shape, z_s.shape) == ((3, 5), (3, 2))
     canonical = unshear(net, variables, pins)
     assert canonical.shape == pins.shape
-    np.testing.assert_allclose(unshear(net, variables, pins[1:2])[0], canonical[1], rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(
+        unshear(net, variables, pins[1:2])[0], canonical[1], rtol=1e-5, atol=1e-4
+    )
     assert pinnets.decode_sheared(net, variables, z_p, z_s).shape == pins.shape
 
 
 def test_released_weights_give_the_pose_code_and_say_so():
     net, variables = made(PinUnshear)
-    released = variables | {"params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS")}}
+    released = variables | {
+        "params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS")}
+    }
     with pytest.warns(Note, match="z_p alone"):
         z_p, z_s = pinnets.encode(net, released, moved())
     full, other = pinnets.encode(net, variables, moved())
@@ -59,7 +67,9 @@ def test_the_canonical_pins_do_not_know_the_shear_code():
         return pinnets.unshear(net, variables | {"params": params}, moved()).sum()
 
     slopes = jax.jit(jax.grad(total))(variables["params"])
-    assert all(np.all(leaf == 0) for part in ("shear", "DS") for leaf in jax.tree.leaves(slopes[part]))
+    assert all(
+        np.all(leaf == 0) for part in ("shear", "DS") for leaf in jax.tree.leaves(slopes[part])
+    )
     assert all(
         np.any(leaf != 0)
         for part in ("E", "pose", "DC")
@@ -86,9 +96,16 @@ def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved():
 
 def test_an_encoder_that_convolves_has_no_dense_trunk_and_sees_every_pin():
     net, variables = made(PinUnshear, convolved=(4, 6))
-    assert set(variables["params"]["E"]) == {"Conv_0", "Conv_1", "Dense_0", *(f"LayerNorm_{i}" for i in range(3))}
+    assert set(variables["params"]["E"]) == {
+        "Conv_0",
+        "Conv_1",
+        "Dense_0",
+        *(f"LayerNorm_{i}" for i in range(3)),
+    }
     assert set(variables["params"]["DC"]) == {"Trunk_0", "Dense_0"}
-    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.encode(net, variables, pins)[0])))(moved())
+    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.encode(net, variables, pins)[0])))(
+        moved()
+    )
     assert jnp.all(jnp.any(slopes != 0, axis=-1))
 
 
@@ -102,13 +119,17 @@ def test_a_posenet_that_convolves_has_no_dense_trunk_and_sees_every_pin():
     slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.predict(net, variables, pins))))(pins)
     assert jnp.all(jnp.any(slopes != 0, axis=-1))
     hidden, still = pins.at[:, 7].set(jnp.nan), pins.at[:, 7].set(REST[7])
-    np.testing.assert_array_equal(*(pinnets.predict(net, variables, each) for each in (hidden, still)))
+    np.testing.assert_array_equal(
+        *(pinnets.predict(net, variables, each) for each in (hidden, still))
+    )
 
 
 def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
     _, variables = made(PinUnshear)
     target = moved()
-    assert float(pinnets.distance(target + 3.0, target, variables)[0]) == pytest.approx(4.0, rel=1e-5)
+    assert float(pinnets.distance(target + 3.0, target, variables)[0]) == pytest.approx(
+        4.0, rel=1e-5
+    )
     holes = target.at[0, :10].set(jnp.nan)
     far = target.at[0, :10].add(100.0) + 1.5
     assert float(pinnets.distance(far, holes, variables)[0]) == pytest.approx(1.0, rel=1e-5)
@@ -145,11 +166,17 @@ def test_apart_the_sheared_pins_teach_no_code():
 
         def total(params, net=net, variables=variables):
             partners = moved(2), moved(3)
-            decoded = pinnets.reconstruct(net, variables | {"params": params}, moved(), jax.random.key(0), *partners)
+            decoded = pinnets.reconstruct(
+                net, variables | {"params": params}, moved(), jax.random.key(0), *partners
+            )
             return decoded.sheared.sum() + decoded.exchanged.sum()
 
         slopes = jax.jit(jax.grad(total))(variables["params"])
-        still = {part for part, slope in slopes.items() if all(np.all(leaf == 0) for leaf in jax.tree.leaves(slope))}
+        still = {
+            part
+            for part, slope in slopes.items()
+            if all(np.all(leaf == 0) for leaf in jax.tree.leaves(slope))
+        }
         assert still == untaught
 
 
@@ -158,7 +185,9 @@ def test_exchanged_codes_are_those_they_are_called():
     own, same_pose, same_slide = moved(1), moved(2), moved(3)
     decoded = pinnets.reconstruct(net, variables, own, None, same_pose, same_slide)
     (z_p, _), (_, z_s) = (pinnets.encode(net, variables, pins) for pins in (own, same_slide))
-    np.testing.assert_allclose(decoded.exchanged, pinnets.decode_sheared(net, variables, z_p, z_s), rtol=1e-5)
+    np.testing.assert_allclose(
+        decoded.exchanged, pinnets.decode_sheared(net, variables, z_p, z_s), rtol=1e-5
+    )
     assert np.all(pinnets.reconstruct(net, variables, own, None, own).disagreement == 0)
     assert np.all(pinnets.reconstruct(net, variables, own, None, own, own).disagreement == 0)
     assert np.all(decoded.disagreement > 0)
@@ -189,5 +218,9 @@ def test_a_difference_in_a_narrow_direction_costs_as_much_as_in_a_wide_one():
 
 def test_released_weights_of_codes_apart_give_the_pose_code():
     net, variables = made(PinUnshear, apart=True)
-    released = variables | {"params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS", "ES")}}
-    np.testing.assert_array_equal(pinnets.unshear(net, released, moved()), pinnets.unshear(net, variables, moved()))
+    released = variables | {
+        "params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS", "ES")}
+    }
+    np.testing.assert_array_equal(
+        pinnets.unshear(net, released, moved()), pinnets.unshear(net, variables, moved())
+    )

@@ -31,7 +31,9 @@ def test_targets_and_units_are_inverse():
 
 
 def test_poses_are_drawn_evenly_over_ranges_and_circles():
-    pose = posenet.pose_from_outputs(posenet.drawn_outputs(TARGETS, 4000, jax.random.key(0)), TARGETS)
+    pose = posenet.pose_from_outputs(
+        posenet.drawn_outputs(TARGETS, 4000, jax.random.key(0)), TARGETS
+    )
     for name, reach in (("x_mm", 5), ("yaw_deg", 45), ("edge_deg", 180)):
         quantiles = np.quantile(pose[name], [0.0, 0.25, 0.5, 0.75, 1.0]) / reach
         np.testing.assert_allclose(quantiles, [-1, -0.5, 0, 0.5, 1], atol=0.05)
@@ -51,7 +53,9 @@ def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, 
     assert np.all(np.isfinite(targets))
 
 
-@pytest.mark.parametrize("net", [NET, pytest.param(PoseNet(), marks=pytest.mark.long)], ids=["small", "demo"])
+@pytest.mark.parametrize(
+    "net", [NET, pytest.param(PoseNet(), marks=pytest.mark.long)], ids=["small", "demo"]
+)
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
     variables = init(net, posenet.outputs_of(TARGETS), jax.random.key(0))
@@ -61,12 +65,16 @@ def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     assert outputs.shape == (3, 5)
     assert np.all((outputs > 0) & (outputs < 1))
     np.testing.assert_allclose(predict(variables, images[1:2])[0], outputs[1], atol=1e-6)
-    trained, stats = jax.eval_shape(lambda v, x: posenet.predict_training(net, v, x), variables, images)
+    trained, stats = jax.eval_shape(
+        lambda v, x: posenet.predict_training(net, v, x), variables, images
+    )
     assert trained.shape == (3, 5)
     assert jax.tree.structure(stats) == jax.tree.structure(variables["batch_stats"])
 
 
-@pytest.mark.parametrize(("net", "field"), [(PoseNet(size=100), "size"), (PoseNet(widths=(4, 4)), "widths")])
+@pytest.mark.parametrize(
+    ("net", "field"), [(PoseNet(size=100), "size"), (PoseNet(widths=(4, 4)), "widths")]
+)
 def test_sizes_that_do_not_fit_are_refused_by_name(net, field):
     with pytest.raises(UserError, match=field):
         posenet.init(net, 5, jax.random.key(0))

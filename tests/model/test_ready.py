@@ -40,4 +40,7 @@ def test_ready_networks_answer_alike_and_take_images_alone(run, init, net):
     compiled = prepared.lower(images).compile()
     assert len(re.findall(r" parameter\(\d+\)", compiled.as_text().split("ENTRY")[1])) == 1
     # the first and last kernels, spread by einsums on every call, are no longer part of the work
-    assert compiled.cost_analysis()["flops"] < plain.lower(variables, images).compile().cost_analysis()["flops"]
+    assert (
+        compiled.cost_analysis()["flops"]
+        < plain.lower(variables, images).compile().cost_analysis()["flops"]
+    )

@@ -29,12 +29,16 @@ def test_a_seed_gives_the_kernel_that_flax_would_have() -> None:
 def test_values_and_gradients_are_those_of_flax() -> None:
     kernel = FLAX.init(jax.random.key(1), X)
     np.testing.assert_allclose(OURS.apply(kernel, X), FLAX.apply(kernel, X), atol=1e-5)
-    for ours, flax in zip(jax.tree.leaves(slopes(OURS)), jax.tree.leaves(slopes(FLAX)), strict=True):
+    for ours, flax in zip(
+        jax.tree.leaves(slopes(OURS)), jax.tree.leaves(slopes(FLAX)), strict=True
+    ):
         np.testing.assert_allclose(ours, flax, atol=1e-4)
 
 
 def test_no_convolution_of_its_gradient_is_dilated() -> None:
-    ours, flax = (jax.jit(lambda layer=layer: slopes(layer)).lower().as_text() for layer in (OURS, FLAX))
+    ours, flax = (
+        jax.jit(lambda layer=layer: slopes(layer)).lower().as_text() for layer in (OURS, FLAX)
+    )
     assert "lhs_dilate = [2, 2]" in flax
     assert "lhs_dilate = [2, 2]" not in ours
     assert "rhs_dilate = [2, 2]" not in ours

@@ -38,7 +38,9 @@ def test_images_come_out_as_large_as_they_went_in(widths):
 def test_jit_changes_nothing():
     variables = init(NET, jax.random.key(0))
     plain = unet.unshear(NET, variables, images())
-    np.testing.assert_allclose(jax.jit(unet.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6)
+    np.testing.assert_allclose(
+        jax.jit(unet.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6
+    )
 
 
 def test_skips_keep_every_pixel_in_its_place():
@@ -46,12 +48,14 @@ def test_skips_keep_every_pixel_in_its_place():
     start = init(NET, jax.random.key(1))
     variables, statistics = jax.tree.map(lambda x: 10 * x, start["params"]), start["batch_stats"]
     cut = {
-        name: jax.tree.map(jnp.zeros_like, part) if name.startswith("Up") else part for name, part in variables.items()
+        name: jax.tree.map(jnp.zeros_like, part) if name.startswith("Up") else part
+        for name, part in variables.items()
     }
     dot = jnp.zeros((1, 32, 32, 1)).at[0, 10, 20].set(1.0)
     unshear = jax.jit(unet.unshear, static_argnums=0)
     without, with_dot = (
-        unshear(NET, {"params": cut, "batch_stats": statistics}, x) for x in (jnp.zeros_like(dot), dot)
+        unshear(NET, {"params": cut, "batch_stats": statistics}, x)
+        for x in (jnp.zeros_like(dot), dot)
     )
     changed = np.argwhere(np.abs(np.asarray(with_dot - without))[0, ..., 0] > 1e-7)
     assert len(changed)
@@ -70,8 +74,12 @@ def test_the_large_entangled_network_has_as_many_parameters(widths):
     net = UnshearNet(widths=widths)
     large = unshearnet.as_large_entangled(net)
     assert not large.disentangled
-    down = [16 * a * b + 2 * b for a, b in zip((1, *large.widths), large.widths, strict=False)]  # kernel, scale, bias
+    down = [
+        16 * a * b + 2 * b for a, b in zip((1, *large.widths), large.widths, strict=False)
+    ]  # kernel, scale, bias
     up = [16 * b * a + 2 * a for a, b in zip(large.widths, large.widths[1:], strict=False)]
     assert unshearnet.parameters(large) == sum(down) + sum(up) + 16 * large.widths[0] + 1
     assert unshearnet.parameters(large) == pytest.approx(unshearnet.parameters(net), rel=0.01)
-    assert unshearnet.parameters(replace(net, disentangled=False)) < 0.6 * unshearnet.parameters(net)
+    assert unshearnet.parameters(replace(net, disentangled=False)) < 0.6 * unshearnet.parameters(
+        net
+    )

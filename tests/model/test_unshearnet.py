@@ -43,7 +43,10 @@ def test_shapes(variables, images, jit):
 
 
 def test_released_weights_give_the_pose_code_and_say_so(variables, images):
-    released = {kind: {n: v for n, v in held.items() if n not in ("shear", "DS")} for kind, held in variables.items()}
+    released = {
+        kind: {n: v for n, v in held.items() if n not in ("shear", "DS")}
+        for kind, held in variables.items()
+    }
     with pytest.warns(Note, match="no shear code, as released ones do: z_p alone is given"):
         z_p, z_s = unshearnet.encode(NET, released, images)
     assert z_s is None
@@ -76,14 +79,19 @@ def test_entangled_has_one_code_and_one_decoder(images):
 
 
 def test_unshear_needs_neither_the_shear_code_nor_its_decoder(variables, images):
-    pruned = {kind: {m: v for m, v in tree.items() if m not in ("shear", "DS")} for kind, tree in variables.items()}
+    pruned = {
+        kind: {m: v for m, v in tree.items() if m not in ("shear", "DS")}
+        for kind, tree in variables.items()
+    }
     got = unshearnet.unshear(NET, pruned, images)
     np.testing.assert_array_equal(got, unshearnet.unshear(NET, variables, images))
 
 
 def test_canonical_image_has_exactly_no_gradient_toward_the_shear_code(variables, images):
     def trained(params):
-        return jnp.sum(unshearnet.reconstruct(NET, variables | {"params": params}, images)[0].canonical ** 2)
+        return jnp.sum(
+            unshearnet.reconstruct(NET, variables | {"params": params}, images)[0].canonical ** 2
+        )
 
     def used(params):
         z_p, _ = unshearnet.encode(NET, variables | {"params": params}, images)
@@ -116,7 +124,9 @@ def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables
     for modules, weights in own.items():
         expected = gradient(variables["params"], *weights)
         for module in modules:
-            for a, b in zip(jax.tree.leaves(total[module]), jax.tree.leaves(expected[module]), strict=True):
+            for a, b in zip(
+                jax.tree.leaves(total[module]), jax.tree.leaves(expected[module]), strict=True
+            ):
                 np.testing.assert_allclose(a, b, atol=1e-6 * float(jnp.abs(b).max()) + 1e-12)
 
 
@@ -124,12 +134,18 @@ def test_inference_does_not_depend_on_the_batch(variables, images):
     unshear = jax.jit(unshearnet.unshear, static_argnums=0)
     entire = unshear(NET, variables, images)
     for one in range(5):
-        np.testing.assert_allclose(unshear(NET, variables, images[one : one + 1])[0], entire[one], atol=1e-6)
+        np.testing.assert_allclose(
+            unshear(NET, variables, images[one : one + 1])[0], entire[one], atol=1e-6
+        )
 
 
 def test_initial_weights_are_normal_with_deviation_002(variables):
     big = quick_init(UnshearNet(), jax.random.key(3))
-    kernels = [x for path, x in jax.tree_util.tree_leaves_with_path(big["params"]) if path[-1].key == "kernel"]
+    kernels = [
+        x
+        for path, x in jax.tree_util.tree_leaves_with_path(big["params"])
+        if path[-1].key == "kernel"
+    ]
     values = np.concatenate([np.ravel(kernel) for kernel in kernels])
     assert abs(values.mean()) < 1e-4
     assert abs(values.std() - 0.02) < 1e-4
@@ -188,7 +204,9 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
     slope = jax.jit(jax.grad(term), static_argnums=1)
     for name, modules in taught.items():
         reached = {
-            m for m, part in slope(variables["params"], name).items() if any(map(jnp.any, jax.tree.leaves(part)))
+            m
+            for m, part in slope(variables["params"], name).items()
+            if any(map(jnp.any, jax.tree.leaves(part)))
         }
         assert reached == modules, name
 

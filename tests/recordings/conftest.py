@@ -40,7 +40,18 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="session")
 def pins_run(recording, place):
     """A finished run over pins."""
-    words = ("run", ROOT / "experiments/recorded.py", "--recordings", recording, "--name", "pins", *SHORT)
+    words = (
+        "run",
+        ROOT / "experiments/recorded.py",
+        "--recordings",
+        recording,
+        "--name",
+        "pins",
+        *SHORT,
+    )
     words += ("--paired.validation", "0.2")  # enough contacts to find half-widths by
-    assert main([*map(str, words), "--out", str(place / "runs"), "--data", str(place / "datasets")]) == 0
+    assert (
+        main([*map(str, words), "--out", str(place / "runs"), "--data", str(place / "datasets")])
+        == 0
+    )
     return place / "runs" / "pins"

@@ -27,7 +27,9 @@ def rest_px(sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
     return (size - 1) / 2 + 0.375 * size * flat / np.linalg.norm(flat, axis=-1).max()
 
 
-def pins_px(pose: np.ndarray, move: np.ndarray, sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
+def pins_px(
+    pose: np.ndarray, move: np.ndarray, sensor: Sensor = TACTIP_127, size: int = SIZE
+) -> np.ndarray:
     """(P, 2) px of a contact: an edge at y, deep by z, turned by Rz, spreads the pins on its side; a slide drags those in touch."""
     rest = rest_px(sensor, size)
     unit = (rest - (size - 1) / 2) / (0.375 * size)
@@ -65,7 +67,9 @@ def write(
     names = [f"image_{i + 1}.png" for i in range(len(pose))]
     ids = np.arange(1, len(pose) + 1) if pose_id is None else pose_id
     for name, own, by in zip(names, pose, move, strict=True):
-        picture = _drawn(pins_px(own, by, sensor, size)[None], 0.017 * size * (127 / sensor.pins) ** 0.5, size)
+        picture = _drawn(
+            pins_px(own, by, sensor, size)[None], 0.017 * size * (127 / sensor.pins) ** 0.5, size
+        )
         Image.fromarray(picture).save(images / name)
     with open(folder / "targets.csv", "w", newline="") as file:
         rows = csv.writer(file)
@@ -79,12 +83,16 @@ def write(
         for name, own, by, number in zip(names, pose, move, ids, strict=True):
             rows.writerow([name, *([1, number] if layout == "older" else []), *own, *by])
     meta = {"pose_llims": [0] * 6} if layout == "newer" else {"tap_depth": -5.0}
-    (folder / ("collect_params.json" if layout == "newer" else "meta.json")).write_text(json.dumps(meta))
+    (folder / ("collect_params.json" if layout == "newer" else "meta.json")).write_text(
+        json.dumps(meta)
+    )
     return folder
 
 
 def _drawn(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
-    return (255 * np.asarray(DOTS(pins.astype(np.float32), radius, size))[0, ..., 0]).astype(np.uint8)
+    return (255 * np.asarray(DOTS(pins.astype(np.float32), radius, size))[0, ..., 0]).astype(
+        np.uint8
+    )
 
 
 def hide_pins(folder: Path, numbers: list[int]) -> None:
@@ -97,7 +105,9 @@ def hide_pins(folder: Path, numbers: list[int]) -> None:
         Image.fromarray(picture).save(file)
 
 
-def edge(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0, layout: str = "older") -> Path:
+def edge(
+    folder: Path, taps: int = 60, slides: int = 60, seed: int = 0, layout: str = "older"
+) -> Path:
     """Taps and slides of an edge, in two folders below one."""
     write(folder / "tap" / "csv_train", *contacts(taps, False, seed), layout)
     write(folder / "shear" / "csv_train", *contacts(slides, True, seed + 1), layout)

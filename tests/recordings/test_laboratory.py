@@ -63,14 +63,24 @@ def test_golden_figures_of_a_run_over_recordings(pins_run, place):
 def test_the_network_has_learnt(pins_run):
     results = json.loads((pins_run / "results.json").read_text())
     chance, error = results["baselines"]["pose_chance"], results["pose_mae"]
-    assert error["tap"]["Rz_deg"] < 0.35 * chance["Rz_deg"] and error["tap"]["y_mm"] < 0.5 * chance["y_mm"]
+    assert (
+        error["tap"]["Rz_deg"] < 0.35 * chance["Rz_deg"]
+        and error["tap"]["y_mm"] < 0.5 * chance["y_mm"]
+    )
     assert error["unsheared"]["Rz_deg"] < error["sheared"]["Rz_deg"]
 
 
 def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, tmp_path):
     other = made.edge(tmp_path / "other", 40, 40, seed=50)
     answer = command(
-        "evaluate", pins_run, "--recordings", other, "--data", place / "datasets", "--json", tmp_path / "o.json"
+        "evaluate",
+        pins_run,
+        "--recordings",
+        other,
+        "--data",
+        place / "datasets",
+        "--json",
+        tmp_path / "o.json",
     )
     assert answer.code == 0, answer.err
     rows = rows_of(tmp_path / "o.json")
@@ -80,7 +90,9 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
     mae = json.loads((pins_run / "results.json").read_text())["pose_mae"]
     for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
         for target in TARGETS:
-            assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
+            assert (
+                0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
+            )
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
     assert (
         "recovery" in answer.out
@@ -89,7 +101,9 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
     )
 
 
-def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pins_run, place, tmp_path):
+def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
+    command, pins_run, place, tmp_path
+):
     hidden = {"tap": [3, 11, 20], "shear": [1, 2, 17, 30, 40]}
     found = {}
     for name in ("hidden", "without"):
@@ -98,15 +112,28 @@ def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pin
             made.hide_pins(other / kind / "csv_train", numbers)
             for number in numbers if name == "without" else ():
                 (other / kind / "csv_train" / "images" / f"image_{number}.png").unlink()
-        words = ("--recordings", other, "--data", place / "datasets", "--json", tmp_path / f"{name}.json")
+        words = (
+            "--recordings",
+            other,
+            "--data",
+            place / "datasets",
+            "--json",
+            tmp_path / f"{name}.json",
+        )
         answer = command("evaluate", pins_run, *words)
         assert answer.code == 0, answer.err
-        assert "37 taps, 34 slides" in answer.out  # of one more slide the pins are not identified anyhow
+        assert (
+            "37 taps, 34 slides" in answer.out
+        )  # of one more slide the pins are not identified anyhow
         assert ("3 taps and 6 slides were not understood" in answer.out) == (name == "hidden")
         found[name] = {
-            row: value for row, value in rows_of(tmp_path / f"{name}.json").items() if row.startswith("pose")
+            row: value
+            for row, value in rows_of(tmp_path / f"{name}.json").items()
+            if row.startswith("pose")
         }
-    assert len(found["hidden"]) >= 12 and found["hidden"] == pytest.approx(found["without"], rel=1e-4)
+    assert len(found["hidden"]) >= 12 and found["hidden"] == pytest.approx(
+        found["without"], rel=1e-4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -118,23 +145,45 @@ def some_hidden(slides, tmp_path_factory):
     return folder, {f"csv_train/images/image_{number}.png" for number in numbers}
 
 
-def test_images_whose_pins_are_not_identified_have_no_pose(command, pins_run, slides, some_hidden, tmp_path):
+def test_images_whose_pins_are_not_identified_have_no_pose(
+    command, pins_run, slides, some_hidden, tmp_path
+):
     """Not in the table, not in a picture, not in the mean errors; they are counted, and half of them are no success."""
     folder, hidden = some_hidden
     whole = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "whole")
     assert whole.code == 0 and "40 images unsheared, 0 left out" in whole.out
-    answer = command("unshear", folder, "--model", pins_run, "--out", tmp_path / "out", "--json", tmp_path / "u.json")
+    answer = command(
+        "unshear",
+        folder,
+        "--model",
+        pins_run,
+        "--out",
+        tmp_path / "out",
+        "--json",
+        tmp_path / "u.json",
+    )
     assert answer.code == 1, answer.err
     assert "20 images unsheared, 20 left out" in answer.out
     assert "left out 20: its pins cannot be identified for sure" in answer.out
     known, rows = (read_csv((tmp_path / out / "poses.csv").read_text()) for out in ("whole", "out"))
-    assert rows.keys() == known.keys() and {name for name, row in rows.items() if row["left_out"]} == hidden
+    assert (
+        rows.keys() == known.keys()
+        and {name for name, row in rows.items() if row["left_out"]} == hidden
+    )
     assert len(list((tmp_path / "out").rglob("*.png"))) == 20
     for name, row in rows.items():
         poses = [row[target] for target in TARGETS]
-        assert poses == ([""] * 3 if name in hidden else [known[name][target] for target in TARGETS])
+        assert poses == (
+            [""] * 3 if name in hidden else [known[name][target] for target in TARGETS]
+        )
         assert row["image"] == ("" if name in hidden else name) and row["recorded_pose_y_mm"]
-    off = np.mean([abs(float(row["y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows.values() if row["y_mm"]])
+    off = np.mean(
+        [
+            abs(float(row["y_mm"]) - float(row["recorded_pose_y_mm"]))
+            for row in rows.values()
+            if row["y_mm"]
+        ]
+    )
     measured = rows_of(tmp_path / "u.json")
     assert measured["pose_mae.unsheared.y_mm"] == pytest.approx(off, abs=2e-3)
     assert (measured["unshear.images"], measured["unshear.left_out"]) == (20, 20)
@@ -147,19 +196,29 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
     assert "left out 20: its pins cannot be identified for sure" in answer.err
     rows = read_csv(answer.out)
     for name, row in rows.items():
-        poses = [value for cell, value in row.items() if cell.startswith(("as_recorded", "unsheared", "learnt"))]
+        poses = [
+            value
+            for cell, value in row.items()
+            if cell.startswith(("as_recorded", "unsheared", "learnt"))
+        ]
         assert len(poses) == 9 and [bool(pose) for pose in poses] == [name not in hidden] * 9
     measured = rows_of(tmp_path / "pose.json")
-    assert measured["pose.left_out"] == 20 and not [row for row in measured if row.startswith(tuple(hidden))]
+    assert measured["pose.left_out"] == 20 and not [
+        row for row in measured if row.startswith(tuple(hidden))
+    ]
 
     answer = command("stream", folder, "--model", pins_run, "--json", tmp_path / "stream.json")
     assert answer.code == 1 and "20 frames used, 20 skipped" in answer.err
     for line in map(json.loads, answer.out.splitlines()):
         if line["name"] in hidden:
-            assert line.keys() == {"frame", "name", "confidence", "error"} and line["confidence"] == 0
+            assert (
+                line.keys() == {"frame", "name", "confidence", "error"} and line["confidence"] == 0
+            )
             assert line["error"] == "its pins cannot be identified for sure"
         else:
-            assert line["y_mm"] == pytest.approx(float(rows[line["name"]]["unsheared_y_mm"]), abs=1e-3)
+            assert line["y_mm"] == pytest.approx(
+                float(rows[line["name"]]["unsheared_y_mm"]), abs=1e-3
+            )
     mae = json.loads((tmp_path / "stream.json").read_text())["pose_mae"]
     assert mae["y_mm"] == pytest.approx(measured["pose_mae.unsheared.y_mm"], abs=1e-3)
 
@@ -167,50 +226,89 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
 def test_python_says_nan_of_them_in_all_that_it_gives(pins_run, some_hidden):
     folder, hidden = some_hidden
     model, recordings = load_model(pins_run), read_recordings(folder, Preprocess(size=made.SIZE))
-    names, frames = zip(*((name, image) for _, name, image in recordings.frames(model.perceiver.view)), strict=True)
+    names, frames = zip(
+        *((name, image) for _, name, image in recordings.frames(model.perceiver.view)), strict=True
+    )
     images, known = np.stack(frames), np.array([name not in hidden for name in names])
     codes, pose = model.codes(images), model.pose(images)
-    answers = (model.unshear(images), codes.pose, codes.shear, *pose["as_recorded"].values(), *pose["learnt"].values())
-    for answer in (*answers, *pose["unsheared"].values(), *(model.slide(images).values() if model.slides else ())):
+    answers = (
+        model.unshear(images),
+        codes.pose,
+        codes.shear,
+        *pose["as_recorded"].values(),
+        *pose["learnt"].values(),
+    )
+    for answer in (
+        *answers,
+        *pose["unsheared"].values(),
+        *(model.slide(images).values() if model.slides else ()),
+    ):
         values = answer.reshape(len(known), -1)
         assert np.isfinite(values[known]).all() and np.isnan(values[~known]).all()
 
 
-def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(command, pins_run, place, tmp_path):
-    for name, slid, there, lacking in (("t", False, "tap", "sheared"), ("s", True, "unsheared", "tap")):
+def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(
+    command, pins_run, place, tmp_path
+):
+    for name, slid, there, lacking in (
+        ("t", False, "tap", "sheared"),
+        ("s", True, "unsheared", "tap"),
+    ):
         folder = made.write(tmp_path / name, *made.contacts(12, slid, 9), "newer")
         answer = command(
-            "evaluate", pins_run, "--recordings", folder, "--data", place / "datasets", "--json", tmp_path / "o.json"
+            "evaluate",
+            pins_run,
+            "--recordings",
+            folder,
+            "--data",
+            place / "datasets",
+            "--json",
+            tmp_path / "o.json",
         )
         assert answer.code == 0, answer.err
-        ways = {row.split(".")[1] for row in rows_of(tmp_path / "o.json") if row.startswith("pose_mae")}
+        ways = {
+            row.split(".")[1] for row in rows_of(tmp_path / "o.json") if row.startswith("pose_mae")
+        }
         assert there in ways and lacking not in ways
 
 
 def test_what_a_run_learnt_from_is_not_taken_for_unseen(command, pins_run, place, recording):
     answer = command("evaluate", pins_run, "--recordings", recording, "--data", place / "datasets")
     assert answer.code == 2 and "is what" in answer.err and answer.err.count("\n") == 1
-    part = command("evaluate", pins_run, "--recordings", recording / "shear", "--data", place / "datasets")
+    part = command(
+        "evaluate", pins_run, "--recordings", recording / "shear", "--data", place / "datasets"
+    )
     assert part.code == 2 and "shares its files" in part.err and part.err.count("\n") == 1
 
 
-def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(command, pins_run, place, tmp_path):
+def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(
+    command, pins_run, place, tmp_path
+):
     """Its network's model.json lists it, whatever the run's own recordings are."""
     other = made.edge(tmp_path / "other", 20, 20, seed=51)
     run = shutil.copytree(pins_run, tmp_path / "run")
     model = json.loads((run / "disentangled" / "model.json").read_text())
-    write_json(run / "disentangled" / "model.json", model | {"data": [digest_of((str(other),)), "0123456789abcdef"]})
+    write_json(
+        run / "disentangled" / "model.json",
+        model | {"data": [digest_of((str(other),)), "0123456789abcdef"]},
+    )
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
     assert answer.code == 2 and "disentangled learnt from data that are tested" in answer.err
 
 
-def test_poses_have_the_labels_names_and_their_errors_are_printed(command, pins_run, slides, tmp_path):
+def test_poses_have_the_labels_names_and_their_errors_are_printed(
+    command, pins_run, slides, tmp_path
+):
     answer = command("pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
     rows = list(csv.DictReader(answer.out.splitlines()))
     assert len(rows) == 40 and {f"unsheared_{target}" for target in TARGETS} <= rows[0].keys()
-    off = np.mean([abs(float(row["unsheared_y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows])
-    assert rows_of(tmp_path / "pose.json")["pose_mae.unsheared.y_mm"] == pytest.approx(off, abs=2e-3)
+    off = np.mean(
+        [abs(float(row["unsheared_y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows]
+    )
+    assert rows_of(tmp_path / "pose.json")["pose_mae.unsheared.y_mm"] == pytest.approx(
+        off, abs=2e-3
+    )
     assert "mean error against the labels, unsheared" in answer.err
     assert "learnt from recordings of one sensor of 127 pins" in answer.err
 
@@ -231,42 +329,62 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp
     answer = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "40 images unsheared, 0 left out" in answer.out and "mean error" in answer.out
-    answer = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    answer = command(
+        "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
+    )
     assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
-    assert len(lines) == 40 and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
+    assert (
+        len(lines) == 40
+        and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
+    )
     assert "mean error against the labels: y_mm" in answer.err
 
 
-def test_lines_that_find_no_room_end_a_stream_in_one_line(command, pins_run, slides, tmp_path, monkeypatch):
+def test_lines_that_find_no_room_end_a_stream_in_one_line(
+    command, pins_run, slides, tmp_path, monkeypatch
+):
     def write(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("jaxunshear.apps.robot.stream._write", write)
-    full = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    full = command(
+        "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
+    )
     assert full.code == 2 and "lines: the disk is full" in full.err.splitlines()[-1]
 
 
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
     for words in (("servo",), ("geometry",), ("reconstruct",)):
         answer = command(*words, "--model", pins_run)
-        assert answer.code == 2 and "learnt from recordings" in answer.err and answer.err.count("\n") == 1
+        assert (
+            answer.code == 2
+            and "learnt from recordings" in answer.err
+            and answer.err.count("\n") == 1
+        )
 
 
-def test_weights_are_released_and_used_without_the_recordings(command, pins_run, recording, slides, tmp_path):
+def test_weights_are_released_and_used_without_the_recordings(
+    command, pins_run, recording, slides, tmp_path
+):
     answer = command("release", pins_run, "--out", tmp_path / "ours")
     assert answer.code == 0, answer.err
     card = (tmp_path / "ours" / "README.md").read_text()
     assert "127 pins" in card and str(recording) not in card
     assert str(recording) not in (tmp_path / "ours" / "experiment.json").read_text()
-    both = [command("pose", slides, "--model", model).out for model in (pins_run, tmp_path / "ours")]
+    both = [
+        command("pose", slides, "--model", model).out for model in (pins_run, tmp_path / "ours")
+    ]
     first, second = (
-        np.array([float(row["unsheared_y_mm"]) for row in csv.DictReader(out.splitlines())]) for out in both
+        np.array([float(row["unsheared_y_mm"]) for row in csv.DictReader(out.splitlines())])
+        for out in both
     )
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
-def test_a_direct_posenet_that_convolves_serves_at_every_door(command, recording, slides, place, tmp_path):
+def test_a_direct_posenet_that_convolves_serves_at_every_door(
+    command, recording, slides, place, tmp_path
+):
     """It also learns from rendered taps; nothing else reads its settings."""
     pytest.importorskip("onnxruntime")
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
@@ -288,7 +406,10 @@ def test_a_direct_posenet_that_convolves_serves_at_every_door(command, recording
     assert command("release", run, "--out", tmp_path / "ours").code == 0
     both = [command("pose", slides, "--model", model) for model in (run, tmp_path / "ours")]
     assert [answer.code for answer in both] == [0, 0], both[0].err
-    first, second = ([float(row["learnt_y_mm"]) for row in csv.DictReader(answer.out.splitlines())] for answer in both)
+    first, second = (
+        [float(row["learnt_y_mm"]) for row in csv.DictReader(answer.out.splitlines())]
+        for answer in both
+    )
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
     assert np.ptp(first) > 0.1
     answer = command("stream", slides, "--model", run, "--lines", tmp_path / "lines", "--no-images")
@@ -303,36 +424,66 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     folders = ("--taps", recording / "tap", "--slides", recording / "shear")
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     few = ("--paired.labelled", "0.4", "--paired.unlabelled", "read", "--pins.turned", "0.5")
-    short = (*SHORT[:2], "--train_pins.epochs", "8", *SHORT[4:], "--networks", "disentangled,posenet")
-    answer = command("fit", *folders, *places, "--name", "ours", *short, *few, "--paired.pairing", "nearest")
+    short = (
+        *SHORT[:2],
+        "--train_pins.epochs",
+        "8",
+        *SHORT[4:],
+        "--networks",
+        "disentangled,posenet",
+    )
+    answer = command(
+        "fit", *folders, *places, "--name", "ours", *short, *few, "--paired.pairing", "nearest"
+    )
     assert answer.code == 0, answer.err
     experiment = load_experiment(tmp_path / "runs" / "ours.py")
-    assert (experiment.paired.pairing, experiment.unshear.input, experiment.train_pins.epochs) == ("nearest", "pins", 8)
+    assert (experiment.paired.pairing, experiment.unshear.input, experiment.train_pins.epochs) == (
+        "nearest",
+        "pins",
+        8,
+    )
     file = tmp_path / "runs" / "ours.py"
     answer = command("fit", *folders, *places, "--name", "ours", *short)
-    assert answer.code == 2 and f"{file} is there, and is not what" in answer.err and answer.err.count("\n") == 1
+    assert (
+        answer.code == 2
+        and f"{file} is there, and is not what" in answer.err
+        and answer.err.count("\n") == 1
+    )
     assert load_experiment(file) == experiment
     answer = command("run", file, *places)
     assert answer.code == 0, answer.err
     ours = tmp_path / "runs" / "ours"
     results = json.loads((ours / "results.json").read_text())
     assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
-    assert results["pose_mae"]["unsheared"]["Rz_deg"] < 0.8 * results["pose_mae"]["sheared"]["Rz_deg"]
+    assert (
+        results["pose_mae"]["unsheared"]["Rz_deg"] < 0.8 * results["pose_mae"]["sheared"]["Rz_deg"]
+    )
     reader, unshears = (
-        json.loads((ours / name / "model.json").read_text()) for name in ("posenet_sheared", "disentangled")
+        json.loads((ours / name / "model.json").read_text())
+        for name in ("posenet_sheared", "disentangled")
     )
     assert reader["net"]["turned"] == 0.5 and reader["origin"]["labelled"] == 0.4
     assert unshears["origin"]["unlabelled"] == "read" and "unlabelled" not in reader["origin"]
     reported = (ours / "report.html").read_text()
     assert (
-        "Labels of 40% of the training slides teach" in reported and "posenet_sheared</code> reads off them" in reported
+        "Labels of 40% of the training slides teach" in reported
+        and "posenet_sheared</code> reads off them" in reported
     )
 
 
 @pytest.mark.long
 def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = (
-        *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),
+        *(
+            "--paired.preprocess.size",
+            "32",
+            "--unshear.size",
+            "32",
+            "--posenet.size",
+            "32",
+            "--unshear.widths",
+            "4,4",
+        ),
         *(
             "--posenet.widths",
             "4,4,4,4,4",
@@ -343,7 +494,14 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
             "--train_posenet.epochs",
             "0.5",
         ),
-        *("--unshear.pose_channels", "4", "--unshear.shear_channels", "4", "--train_pins.epochs", "1"),
+        *(
+            "--unshear.pose_channels",
+            "4",
+            "--unshear.shear_channels",
+            "4",
+            "--train_pins.epochs",
+            "1",
+        ),
     )
     words = (
         "run",
@@ -360,10 +518,17 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     answer = command(*words, *small)
     assert answer.code == 0, answer.err
     results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
-    assert list(results["pose_mae"]["unsheared"]) == TARGETS and results["metric"]["input"] == "images"
+    assert (
+        list(results["pose_mae"]["unsheared"]) == TARGETS and results["metric"]["input"] == "images"
+    )
     assert command("ablate", tmp_path / "runs" / "images", "--data", place / "datasets").code == 0
     refused = command(
-        "unshear", recording / "shear", "--model", tmp_path / "runs" / "images", "--out", tmp_path / "out"
+        "unshear",
+        recording / "shear",
+        "--model",
+        tmp_path / "runs" / "images",
+        "--out",
+        tmp_path / "out",
     )
     assert refused.code == 2 and "--force" in refused.err  # 32 px are too few to know pins by
     words = ("--model", tmp_path / "runs" / "images", "--out", tmp_path / "out", "--force")
@@ -391,7 +556,9 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
     answer = command(*words, *short)
     assert answer.code == 0, answer.err
     results = json.loads((tmp_path / "runs" / network / "results.json").read_text())
-    with np.load(tmp_path / "runs" / network / "scores.npz") as scores:  # which a sweep over seeds reads
+    with np.load(
+        tmp_path / "runs" / network / "scores.npz"
+    ) as scores:  # which a sweep over seeds reads
         assert f"pose/{'sheared_learnt' if slid else 'tap'}/y_mm" in scores
     assert list(results["pose_mae"]) == (["sheared_learnt"] if slid else ["tap"])
     assert list(next(iter(results["pose_mae"].values()))) == ["y_mm", "Rz_deg"]
@@ -413,20 +580,32 @@ REFUSED = [
     ((), "name your recordings: add --recordings DIR"),
     (("--recordings", "nowhere"), "nowhere is no folder of recordings"),
     (("--targets", "q_mm"), "target 'q_mm' is unknown"),
-    (("--targets", "y_mm,slide_x_mm"), "a tap has no slide_x_mm: name --networks posenet_sheared alone"),
+    (
+        ("--targets", "y_mm,slide_x_mm"),
+        "a tap has no slide_x_mm: name --networks posenet_sheared alone",
+    ),
     (("--targets", "y_mm:circle"), "only an angle goes round a circle"),
-    (("--paired.pairing", "guess"), "is unknown: use one of rendered, nearest, pose_id, file, simulated"),
+    (
+        ("--paired.pairing", "guess"),
+        "is unknown: use one of rendered, nearest, pose_id, file, simulated",
+    ),
     (("--paired.split", "session"), "is unknown: use one of random, block, folder"),
     (("--paired.split", "folder"), "no folder of taps has the name of the split 'test'"),
     (("--paired.labelled", "0"), "a share above 0"),
     (("--paired.unlabelled", "guessed"), "is unknown: use one of left_out, read"),
-    (("--paired.unlabelled", "read", "--paired.pairing", "pose_id"), "give no partner for pairing pose_id"),
+    (
+        ("--paired.unlabelled", "read", "--paired.pairing", "pose_id"),
+        "give no partner for pairing pose_id",
+    ),
     (("--pins.turned", "0.5"), "is for networks over pins"),
     (
         ("--pins.turned", "0.5", "--unshear.input", "pins", "--networks", "disentangled,posenet"),
         "is for posenet_sheared, which",
     ),
-    (("--paired.pairing", "simulated", "--paired.labelled", "0.5"), "simulated takes no recorded slide to learn from"),
+    (
+        ("--paired.pairing", "simulated", "--paired.labelled", "0.5"),
+        "simulated takes no recorded slide to learn from",
+    ),
     (("--paired.pairing", "simulated", "--unshear.input", "pins"), "yours has 127"),
     (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
     (("--pins.direct_convolved", "4"), "is for posenet_sheared over pins, which"),
@@ -435,7 +614,10 @@ REFUSED = [
         "leave pins.turned at 0",
     ),
     (("--paired.direct_taps", "rendered"), "rendered is for networks over pins: use recorded"),
-    (("--paired.direct_taps", "recorded", "--networks", "posenet"), "which this experiment does not train"),
+    (
+        ("--paired.direct_taps", "recorded", "--networks", "posenet"),
+        "which this experiment does not train",
+    ),
     (
         ("--paired.direct_taps", "recorded", "--paired.pairing", "simulated"),
         "adds taps to recorded slides",

@@ -51,17 +51,23 @@ def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
     for file in (tmp_path / "images").iterdir():
         noise = np.random.default_rng(0).random((made.SIZE, made.SIZE)) < 0.02
         Image.fromarray(noise.astype(np.uint8) * 255).save(file)
-    with pytest.raises(UserError, match="pins are found in an image; known are sensors of 331, 127"):
+    with pytest.raises(
+        UserError, match="pins are found in an image; known are sensors of 331, 127"
+    ):
         sensor_of(survey(Recorded(tap_folder=str(tmp_path), preprocess=SEEN)), SEEN)
 
 
 def test_every_pin_is_where_it_was_drawn(recording, opened):
     reader = opened().slides()
-    rows = reader.take("train", np.arange(reader.length("train")), ("sheared_pins", "pose", "move", "sure"))
+    rows = reader.take(
+        "train", np.arange(reader.length("train")), ("sheared_pins", "pose", "move", "sure")
+    )
     assert rows["sure"].mean() > 0.97
     true = np.stack([made.pins_px(p, m) for p, m in zip(rows["pose"], rows["move"], strict=True)])
     apart = np.linalg.norm(rows["sheared_pins"] - true, axis=-1)[rows["sure"] == 1]
-    assert np.nanmedian(apart) < 0.25 and np.nanmax(apart) < 0.5 * 6.0  # half a spacing: none has another's name
+    assert (
+        np.nanmedian(apart) < 0.25 and np.nanmax(apart) < 0.5 * 6.0
+    )  # half a spacing: none has another's name
 
 
 def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
@@ -84,7 +90,9 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
     contacts = survey(settings)
     for file in contacts.take(np.flatnonzero(contacts.split != SPLITS.index("train"))).files:
         Image.fromarray(np.asarray(Image.open(file))[::-1, ::-1].T.copy()).save(file)
-    frames = [preparing.frame_of(survey(s), s, TACTIP_127) for s in (settings, settings_of(recording))]
+    frames = [
+        preparing.frame_of(survey(s), s, TACTIP_127) for s in (settings, settings_of(recording))
+    ]
     np.testing.assert_array_equal(frames[0].place, frames[1].place)
     assert frames[0].view == frames[1].view
 
@@ -100,7 +108,9 @@ def test_targets_are_those_that_the_training_labels_vary(opened):
 def test_an_unreadable_frame_is_left_out_and_named(tmp_path):
     folder = made.edge(tmp_path / "edge", 40, 40)
     (folder / "tap" / "csv_train" / "images" / "image_7.png").write_bytes(b"no image")
-    metadata = make_set(settings_of(folder, test=0.2, validation=0.2), TACTIP_127, tmp_path / "data")
+    metadata = make_set(
+        settings_of(folder, test=0.2, validation=0.2), TACTIP_127, tmp_path / "data"
+    )
     assert metadata["counts"]["dropped"] == 1
     assert "image_7.png" in metadata["counts"]["dropped_frames"][0]
 
@@ -122,8 +132,13 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     stored = opened(pairing="nearest")
     reader = stored.pairs(stored.targets(()))
     partners = reader.take(split, np.arange(reader.length(split)), ("canonical", "pose", "gap"))
-    taps = {each: stored.taps().take(each, np.arange(stored.count("taps", each)), ("image", "pose")) for each in SPLITS}
-    known = {image.tobytes(): each for each in SPLITS for image in taps[each]["image"]}  # no two taps are of one pose
+    taps = {
+        each: stored.taps().take(each, np.arange(stored.count("taps", each)), ("image", "pose"))
+        for each in SPLITS
+    }
+    known = {
+        image.tobytes(): each for each in SPLITS for image in taps[each]["image"]
+    }  # no two taps are of one pose
     assert len(known) == sum(len(part["image"]) for part in taps.values())
     assert {known[image.tobytes()] for image in partners["canonical"]} == {"train", split}
     # and the nearest of these
@@ -140,7 +155,9 @@ def test_rendered_partners_stand_where_the_renderer_says(opened):
         return np.stack([made.pins_px(pose, np.zeros(6)) for pose in poses])
 
     reader = stored.pairs(stored.targets(()), render)
-    rows = reader.take("test", np.arange(5), ("canonical", "canonical_pins", "pose", "gap", "weight"))
+    rows = reader.take(
+        "test", np.arange(5), ("canonical", "canonical_pins", "pose", "gap", "weight")
+    )
     np.testing.assert_allclose(rows["canonical_pins"], render(rows["pose"]), rtol=1e-6)
     assert np.all(rows["gap"] == 0) and np.all(rows["weight"] == 1)
     assert 0.05 < (rows["canonical"] > 0).mean() < 0.4
@@ -151,12 +168,18 @@ def test_pairs_of_one_pose_by_its_number(tmp_path):
     made.write(tmp_path / "edge" / "tap", pose, 0 * move)
     order = np.random.default_rng(0).permutation(50)
     twice = np.concatenate([order, order])
-    made.write(tmp_path / "edge" / "slide", pose[twice], np.concatenate([move, -move]), pose_id=twice + 1)
-    settings = dataclasses.replace(settings_of(tmp_path / "edge"), pairing="pose_id", test=0.2, validation=0.2)
+    made.write(
+        tmp_path / "edge" / "slide", pose[twice], np.concatenate([move, -move]), pose_id=twice + 1
+    )
+    settings = dataclasses.replace(
+        settings_of(tmp_path / "edge"), pairing="pose_id", test=0.2, validation=0.2
+    )
     make_set(settings, TACTIP_127, tmp_path / "data")
     stored = open_recorded(settings, TACTIP_127, tmp_path / "data")
     reader = stored.pairs(stored.targets(()))
-    rows = reader.take("train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id"))
+    rows = reader.take(
+        "train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id")
+    )
     assert rows["gap"].max() < 1e-3
     true = np.stack([made.pins_px(p, np.zeros(6)) for p in rows["pose"]])
     assert np.nanmedian(np.linalg.norm(rows["canonical_pins"] - true, axis=-1)) < 0.25
@@ -175,13 +198,23 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
     drawn = []
     for share in shares:
         reader = opened(seed=seed, labelled=share).slides()
-        drawn.append(set(reader.take("train", np.arange(reader.length("train")), ("number",))["number"].tolist()))
-        assert opened(seed=seed, labelled=share).slides().length("test") == opened().slides().length("test")
+        drawn.append(
+            set(
+                reader.take("train", np.arange(reader.length("train")), ("number",))[
+                    "number"
+                ].tolist()
+            )
+        )
+        assert opened(seed=seed, labelled=share).slides().length(
+            "test"
+        ) == opened().slides().length("test")
     assert drawn[0] < drawn[1] < drawn[2]
     assert abs(len(drawn[1]) / len(drawn[2]) - 0.3) < 0.12
     poses = opened().stored.rows("train")
     angle = {n: p[5] for n, p in zip(poses["number"].tolist(), poses["pose"].tolist(), strict=True)}
-    assert np.ptp([angle[n] for n in drawn[1]]) > 250  # rows are sorted by angle: not the first ones
+    assert (
+        np.ptp([angle[n] for n in drawn[1]]) > 250
+    )  # rows are sorted by angle: not the first ones
 
 
 def test_taps_join_the_training_slides_alone_as_slides_of_length_zero(opened):
@@ -209,7 +242,9 @@ def test_slides_without_a_label_get_the_pose_that_is_read(opened):
         return np.full((len(pins), 6), 2.5, np.float32)
 
     few, all_slides = stored.slides(), stored.pairs(stored.targets(()), read=read)
-    rows = all_slides.take("train", np.arange(all_slides.length("train")), ("pose", "number", "sheared_pins"))
+    rows = all_slides.take(
+        "train", np.arange(all_slides.length("train")), ("pose", "number", "sheared_pins")
+    )
     known = few.take("train", np.arange(few.length("train")), ("pose", "number"))
     unread = ~np.isin(rows["number"], known["number"])
     assert len(rows["number"]) == stored.count("slides", "train")
@@ -232,6 +267,9 @@ def test_metadata_hold_what_a_reader_must_know(recording, stored):
     metadata = json.loads((folder / "metadata.json").read_text())
     counts = metadata["counts"]
     assert counts["contacts"] == 320 and sum(counts["written"].values()) == 320
-    assert all(counts["taps"][split] + counts["slides"][split] == counts["written"][split] for split in SPLITS)
+    assert all(
+        counts["taps"][split] + counts["slides"][split] == counts["written"][split]
+        for split in SPLITS
+    )
     assert len(metadata["frame"]["place_px"]) == 127
     np.testing.assert_allclose(metadata["frame"]["place_px"], made.rest_px(), atol=2.5)

@@ -25,7 +25,9 @@ def by_name(contacts):
 def test_taps_and_slides_of_one_folder_are_known_by_their_moves(recording):
     contacts = survey(both(recording))
     assert len(contacts.names) == 320 and contacts.slid.sum() == 160
-    assert all(("shear/" in name) == slid for name, slid in zip(contacts.names, contacts.slid, strict=True))
+    assert all(
+        ("shear/" in name) == slid for name, slid in zip(contacts.names, contacts.slid, strict=True)
+    )
     shares = np.bincount(contacts.split, minlength=3) / 320
     assert 0.7 < shares[0] < 0.9 and 0.04 < shares[1] < 0.17 and 0.04 < shares[2] < 0.17
 
@@ -34,10 +36,16 @@ def test_a_split_does_not_depend_on_the_order_of_rows(tmp_path):
     pose, move = made.contacts(40, True, 3)
     order = np.random.default_rng(0).permutation(40)
     one, other = (
-        made.write(tmp_path / str(i), pose[rows], move[rows]) for i, rows in enumerate((np.arange(40), order))
+        made.write(tmp_path / str(i), pose[rows], move[rows])
+        for i, rows in enumerate((np.arange(40), order))
     )
-    shown = [survey(Recorded(slide_folder=str(folder), test=0.2, validation=0.2)) for folder in (one, other)]
-    splits = [{tuple(p): s for p, s in zip(c.pose.tolist(), c.split.tolist(), strict=True)} for c in shown]
+    shown = [
+        survey(Recorded(slide_folder=str(folder), test=0.2, validation=0.2))
+        for folder in (one, other)
+    ]
+    splits = [
+        {tuple(p): s for p, s in zip(c.pose.tolist(), c.split.tolist(), strict=True)} for c in shown
+    ]
     assert splits[0] == splits[1]
 
 
@@ -46,7 +54,12 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
     contacts = survey(
-        Recorded(tap_folder=str(tmp_path / "tap"), slide_folder=str(tmp_path / "slide"), test=0.2, validation=0.2)
+        Recorded(
+            tap_folder=str(tmp_path / "tap"),
+            slide_folder=str(tmp_path / "slide"),
+            test=0.2,
+            validation=0.2,
+        )
     )
     of_pose = {}
     for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
@@ -68,7 +81,12 @@ def test_folders_name_splits(tmp_path):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
     contacts = survey(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
-        assert SPLITS[split] == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[name.split("/")[1]]
+        assert (
+            SPLITS[split]
+            == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[
+                name.split("/")[1]
+            ]
+        )
 
 
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
@@ -76,7 +94,10 @@ def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
     splits = by_name(survey(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
-    assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {"train", "validation"}
+    assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {
+        "train",
+        "validation",
+    }
 
 
 BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
@@ -88,7 +109,10 @@ BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
 def test_a_random_split_keeps_its_bits_and_its_name(tmp_path):
     made.edge(tmp_path / "edge", 60, 60)
     assert "".join(map(str, survey(both(tmp_path / "edge")).split.tolist())) == BEFORE_SPLIT
-    names = {split: config_name(Recorded(digest="aa", split=split)) for split in ("random", "block", "folder")}
+    names = {
+        split: config_name(Recorded(digest="aa", split=split))
+        for split in ("random", "block", "folder")
+    }
     assert names["random"] == "recorded-a39cc770" and len(set(names.values())) == 3
 
 
@@ -120,14 +144,21 @@ def test_a_block_has_no_contact_without_a_pose(tmp_path):
 def test_folders_alone_split_where_they_are_asked_to(tmp_path):
     for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
         made.write(tmp_path / name, *made.contacts(12, False, i))
-    named = [survey(Recorded(tap_folder=str(tmp_path), split=split)).split.tolist() for split in ("folder", "random")]
+    named = [
+        survey(Recorded(tap_folder=str(tmp_path), split=split)).split.tolist()
+        for split in ("folder", "random")
+    ]
     assert named[0] == named[1]
 
 
 @pytest.mark.parametrize(
     ("folders", "split", "complaint"),
     [
-        (("csv_train",), "folder", r"paired\.split folder: no folder of taps has the name of the split 'test'.*random"),
+        (
+            ("csv_train",),
+            "folder",
+            r"paired\.split folder: no folder of taps has the name of the split 'test'.*random",
+        ),
         (("csv_train", "csv_test"), "folder", r"the split 'validation', such as csv_validation"),
         (
             ("csv_train", "csv_val"),
@@ -148,7 +179,9 @@ def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
     move[10:] = 0
     made.write(tmp_path, pose, move)
     contacts = survey(Recorded(tap_folder=str(tmp_path)))
-    assert len(contacts.names) == 30 and any("10 contacts have a move" in note for note in contacts.notes)
+    assert len(contacts.names) == 30 and any(
+        "10 contacts have a move" in note for note in contacts.notes
+    )
 
 
 def test_labels_that_do_not_part_taps_from_slides_are_refused(tmp_path):
@@ -167,7 +200,12 @@ def test_pairs_by_a_table(tmp_path):
     with open(table, "w", newline="") as file:
         csv.writer(file).writerows([("slide", "tap"), *lines])
     settings = Recorded(
-        str(tmp_path / "tap"), str(tmp_path / "slide"), pairs=str(table), pairing="file", test=0.2, validation=0.2
+        str(tmp_path / "tap"),
+        str(tmp_path / "slide"),
+        pairs=str(table),
+        pairing="file",
+        test=0.2,
+        validation=0.2,
     )
     contacts = survey(settings)
     taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
@@ -191,8 +229,13 @@ def test_the_digest_gives_changed_labels_and_images(tmp_path):
 
 
 def test_a_folder_is_known_beside_others(tmp_path):
-    taps, slides = (str(made.write(tmp_path / name, *made.contacts(6, name == "s", 0))) for name in ("t", "s"))
+    taps, slides = (
+        str(made.write(tmp_path / name, *made.contacts(6, name == "s", 0))) for name in ("t", "s")
+    )
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
     both = digest_of((taps, slides), str(table))
-    assert folders_in(both) == {digest_of((taps,)), digest_of((slides,))} and len(folders_in(both)) == 2
+    assert (
+        folders_in(both) == {digest_of((taps,)), digest_of((slides,))}
+        and len(folders_in(both)) == 2
+    )

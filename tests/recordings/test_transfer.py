@@ -53,7 +53,9 @@ def test_sign_and_offset_are_found_in_taps(sign):
     assert scored(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
     found = {name: aligned_with(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
-    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found["z_mm"].offset == pytest.approx(2, abs=0.03)
+    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found[
+        "z_mm"
+    ].offset == pytest.approx(2, abs=0.03)
     assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
 
 
@@ -72,13 +74,17 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
 def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     known = 64 + 6 * pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
     angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # rows turn by +degrees
+    turn = np.array(
+        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    )  # rows turn by +degrees
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
     there, back, by = between(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
-    assert by == pytest.approx(degrees, abs=1e-9)  # an edge that a network sees at 0 lies at `degrees` in the image
+    assert by == pytest.approx(
+        degrees, abs=1e-9
+    )  # an edge that a network sees at 0 lies at `degrees` in the image
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
@@ -121,7 +127,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
 
     expected = expected_of(made.rest_px(), made.SIZE)
     network = Perceiver(preprocess, None, (), read, values, expected)
-    results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command", network)
+    results = score_transfer(
+        Experiment("small", "none"), tmp_path / "weights", folder, "a command", network
+    )
     assert next(asked, None) is None
     mae = results.pose_mae
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
@@ -130,11 +138,17 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert mae[transfer.RAW_ZERO] == pytest.approx({"y_mm": 0.8, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
     reader = results.readers["pins"]
-    assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx([0, 1, 0.5], abs=0.05)
+    assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx(
+        [0, 1, 0.5], abs=0.05
+    )
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in table(results)
     counts = results.counts
-    assert counts.known_taps + counts.test_taps == 60 and counts.test_poses == 40 and counts.test_unsure == 0
+    assert (
+        counts.known_taps + counts.test_taps == 60
+        and counts.test_poses == 40
+        and counts.test_unsure == 0
+    )
     json.dumps(plain(results))
 
 
@@ -155,21 +169,35 @@ def weights(tmp_path_factory):
     sets = {"paired": PairedData(preprocess=seen), "pose": PoseData(preprocess=seen)}
     names = tuple(target.name for target in TARGETS)
     experiment = Experiment(
-        "skin", "none", sensor=TACTIP_127, targets=names, unshear=UnshearNet(size=made.SIZE, input="pins"), **sets
+        "skin",
+        "none",
+        sensor=TACTIP_127,
+        targets=names,
+        unshear=UnshearNet(size=made.SIZE, input="pins"),
+        **sets,
     )
     write_json(folder / "experiment.json", to_json(experiment))
-    nets = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
+    nets = {
+        "disentangled": PinUnshear(hidden=16, layers=1),
+        "posenet": PinPoseNet(hidden=16, layers=1),
+    }
     for seed, (name, net) in enumerate(nets.items()):
         count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
         init = jax.jit(partial(pinnets.init, net, made.rest_px(), 1.0, outputs=count))
         fresh = init(jax.random.key(seed))
         shaken = jax.tree.map(
-            lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype), fresh["params"]
+            lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype),
+            fresh["params"],
         )
         kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
         reported = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
         checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
-        checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
+        checkpoint.save(
+            folder / name,
+            1,
+            {"average": fresh | {"params": shaken}},
+            {"history": [], "best_step": 1},
+        )
         write_json(folder / name / checkpoint.SUMMARY, {})
     return folder
 
@@ -184,7 +212,9 @@ def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_pat
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")
     assert alone.code == 2 and "--like" in alone.err and alone.err.count("\n") == 1
     assert not (tmp_path / "alone").exists()
-    alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder)
+    alone = command(
+        "unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder
+    )
     assert alone.code == 0, alone.err
     read = next(row for row in rows if row.startswith("images/image_7.png")).split(",")[2:5]
     assert (tmp_path / "alone" / "poses.csv").read_text().splitlines()[1].split(",")[2:5] == read
@@ -195,15 +225,21 @@ def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_pat
 def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     assert command("unshear", folder, "--model", weights, "--out", tmp_path / "out").code == 0
-    answer = command("stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images")
+    answer = command(
+        "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
+    )
     assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
-    head, *rows = (line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines())
+    head, *rows = (
+        line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines()
+    )
     for line, row in zip(lines, rows, strict=True):
         assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
 
 
-def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(command, weights, tmp_path):
+def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(
+    command, weights, tmp_path
+):
     """Three of 30 frames are left out and the rest is a success; all of them are none."""
     like = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     words = ("--model", weights, "--like", like)
@@ -211,17 +247,21 @@ def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(co
         folder = made.write(tmp_path / f"hidden{count}", *made.contacts(30, True, 0))
         made.hide_pins(folder, list(range(1, count + 1)))
         answer = command("unshear", folder, *words, "--out", tmp_path / f"out{count}")
-        assert answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out, answer.err
+        assert (
+            answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out
+        ), answer.err
         assert len(list((tmp_path / f"out{count}").rglob("*.png"))) == 30 - count
         answer = command("pose", folder, *words)
         assert answer.code == code and f"{count} left out" in answer.err
         rows = list(csv.DictReader(answer.out.splitlines()))
-        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (30 - count)
-        answer = command("stream", folder, *words, "--no-images")
-        assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
-        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [False] * count + [True] * (
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (
             30 - count
         )
+        answer = command("stream", folder, *words, "--no-images")
+        assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
+        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [
+            False
+        ] * count + [True] * (30 - count)
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):
@@ -235,6 +275,8 @@ def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tm
 def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
     from jaxunshear.settings.sensor import TACTIP_331
 
-    other = made.write(tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128)
+    other = made.write(
+        tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128
+    )
     answer = command("pose", other, "--model", weights)
     assert answer.code == 2 and "pins" in answer.err and answer.err.count("\n") == 1

@@ -12,7 +12,9 @@ TRAINS = ("run", "fit", "sweep")
 
 
 def commands():
-    return [line.strip() for line in PAGE.read_text().splitlines() if re.match(r" {4}jaxunshear ", line)]
+    return [
+        line.strip() for line in PAGE.read_text().splitlines() if re.match(r" {4}jaxunshear ", line)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,16 @@ def test_every_command_of_the_page_works_in_its_order(command, laboratory, monke
         answer = command(*words)
         assert answer.code == 0, f"{line}: {answer.err}"
         done.append(words[0])
-    assert {"doctor", "run", "fit", "sweep", "evaluate", "unshear", "pose", "stream", "release"} <= set(done)
+    assert {
+        "doctor",
+        "run",
+        "fit",
+        "sweep",
+        "evaluate",
+        "unshear",
+        "pose",
+        "stream",
+        "release",
+    } <= set(done)
     assert (laboratory / "runs" / "edge" / "report.html").exists()
     assert (laboratory / "edge_weights" / "README.md").exists()

@@ -40,13 +40,26 @@ def dots(slide, soft=False, lost=0.0):
 def made_up_gathered():
     generator = np.random.default_rng(0)
     stimulus, pose_id = np.arange(COUNT) % 3, np.arange(COUNT) // 6
-    spread = lambda mean, size: np.clip(mean + size * generator.normal(size=COUNT), 0, None).astype(np.float32)  # noqa: E731
-    scores = {f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()}
+
+    def spread(mean, size):
+        drawn = mean + size * generator.normal(size=COUNT)
+        return np.clip(drawn, 0, None).astype(np.float32)
+
+    scores = {
+        f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()
+    }
     for kind in POSE:
-        scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in SCALE}
-        scores |= {f"read/pixels/{kind}/{name}": 2 * scores[f"pose/{kind}/{name}"] for name in SCALE}
+        scores |= {
+            f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name])
+            for name in SCALE
+        }
+        scores |= {
+            f"read/pixels/{kind}/{name}": 2 * scores[f"pose/{kind}/{name}"] for name in SCALE
+        }
     for cell in CELLS:
-        scores |= {f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")}
+        scores |= {
+            f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")
+        }
     kept = np.arange(0, COUNT, 4)
     tap, slide = dots((0, 0)), dots((6, 4))
     pictures = {
@@ -55,7 +68,11 @@ def made_up_gathered():
         "entangled": dots((1.2, 0), soft=True, lost=0.3)[0],
         "disentangled": dots((0.4, 0), soft=True)[0],
     }
-    read = {f"read/pins/{kind}/{name}": 3 * scores[f"pose/{kind}/{name}"][kept] for kind in POSE for name in SCALE}
+    read = {
+        f"read/pins/{kind}/{name}": 3 * scores[f"pose/{kind}/{name}"][kept]
+        for kind in POSE
+        for name in SCALE
+    }
     for name in SCALE:
         read[f"read/pins/sheared/{name}"][1] = np.nan
     labels = {
@@ -65,14 +82,20 @@ def made_up_gathered():
         "edge": generator.uniform(-5, 5, (COUNT, 2)).astype(np.float32),
         "move": generator.uniform(-2.5, 2.5, (COUNT, 2)).astype(np.float32),
         "residual_mm": generator.uniform(0, 1e-3, COUNT),
-        **{name: generator.integers(5, 90, COUNT) for name in ("iterations", "stuck", "slipping", "free")},
+        **{
+            name: generator.integers(5, 90, COUNT)
+            for name in ("iterations", "stuck", "slipping", "free")
+        },
     }
     return Gathered(
         scores,
         labels,
         kept,
         {kind: np.stack([image] * len(kept)) for kind, image in pictures.items()},
-        {"canonical_pins": np.stack([tap[1]] * len(kept)), "sheared_pins": np.stack([slide[1]] * len(kept))},
+        {
+            "canonical_pins": np.stack([tap[1]] * len(kept)),
+            "sheared_pins": np.stack([slide[1]] * len(kept)),
+        },
         read,
     )
 
@@ -81,16 +104,33 @@ def make_run(folder):
     """Writes the made-up run into `folder`; returns its results."""
     gathered = made_up_gathered()
     experiment = Experiment(
-        name="made up", claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report."
+        name="made up",
+        claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report.",
     )
     results = plain(results_of(experiment, gathered)) | {
-        "ms_per_image": {"disentangled": {"median": 4.2, "p95": 5.1}, "posenet": {"median": 1.1, "p95": 1.3}},
+        "ms_per_image": {
+            "disentangled": {"median": 4.2, "p95": 5.1},
+            "posenet": {"median": 1.1, "p95": 1.3},
+        },
         "time_s": {"data": 131.2, "disentangled": 182.9},
-        "machine": {"processor": "none", "cores": 2, "memory_gib": 24, "system": "Linux x86_64", "device": "cpu: cpu"},
+        "machine": {
+            "processor": "none",
+            "cores": 2,
+            "memory_gib": 24,
+            "system": "Linux x86_64",
+            "device": "cpu: cpu",
+        },
         "versions": {"python": "3.11.7", "jax": "0.10.1"},
         "command": "jaxunshear run experiments/demo.py",
     }
-    results["counts"] |= {"train": 2160, "validation": 720, "test": 720, "contacts": 5400, "retried": 3, "dropped": 1}
+    results["counts"] |= {
+        "train": 2160,
+        "validation": 720,
+        "test": 720,
+        "contacts": 5400,
+        "retried": 3,
+        "dropped": 1,
+    }
     results["counts"]["reader_taps"] = {"pixels": 3000, "pins": 2999}
     (folder / "results.json").write_text(json.dumps(results))
     (folder / "montage.npz").write_bytes(montage(experiment.paired.stimuli, gathered))
@@ -104,9 +144,18 @@ def make_run(folder):
         (folder / network).mkdir()
         lines = []
         for step in range(100, 900, 100):
-            fall = {name: (1 + index) * 0.15 * (100 / step) ** 0.8 for index, name in enumerate(terms)}
-            train = {name: value * 0.9 for name, value in fall.items() if not name.startswith("edge")} | {"gradient": 1}
-            counts = {"step": step, "epoch": step / 135, "images": step * 16, "train_seconds": step * 0.21}
+            fall = {
+                name: (1 + index) * 0.15 * (100 / step) ** 0.8 for index, name in enumerate(terms)
+            }
+            train = {
+                name: value * 0.9 for name, value in fall.items() if not name.startswith("edge")
+            } | {"gradient": 1}
+            counts = {
+                "step": step,
+                "epoch": step / 135,
+                "images": step * 16,
+                "train_seconds": step * 0.21,
+            }
             lines.append(json.dumps(counts | {"train": train, "validation": fall}))
         (folder / network / "log.jsonl").write_text("\n".join(lines) + "\n")
         summary = {

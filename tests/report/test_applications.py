@@ -39,7 +39,12 @@ OBJECT = {
     "mean_mm": 0.42,
     "hausdorff_mm": 1.2,
 }
-STREAM = {"used": 998, "skipped": 2, "dropped": 0, "latency_ms": {"p50": 7.25, "p95": 8.0, "p99": 9.0}}
+STREAM = {
+    "used": 998,
+    "skipped": 2,
+    "dropped": 0,
+    "latency_ms": {"p50": 7.25, "p95": 8.0, "p99": 9.0},
+}
 
 
 def put(folder, name, results):
@@ -78,7 +83,11 @@ def test_what_was_run_is_shown_and_nothing_else(run, picture):
 
 
 def test_a_network_that_lost_its_pins_has_a_dash(run):
-    lost = {name: value for name, value in GEOMETRY.items() if "correlation" not in name and "rmse" not in name}
+    lost = {
+        name: value
+        for name, value in GEOMETRY.items()
+        if "correlation" not in name and "rmse" not in name
+    }
     put(run / "geometry", "geometry", {"rows": [lost]})
     assert "\u2013" in applications.sections(run)[0]
 

@@ -5,7 +5,14 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from jaxunshear.report.frontier_figure import ERRORS, efficient, frontier, frontier_figure, panel, points
+from jaxunshear.report.frontier_figure import (
+    ERRORS,
+    efficient,
+    frontier,
+    frontier_figure,
+    panel,
+    points,
+)
 from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import SweepResult
 
@@ -14,7 +21,10 @@ def summary(settings, seeds=("0", "1")):
     """A sweep's summary with (label, seconds, ms, error) for each cell; likeness is 1 less the error."""
     cells = []
     for label, seconds, ms, error in settings:
-        value = {name: {"mean": 1 - error if more else error, "interval": None} for name, (_, more) in ERRORS.items()}
+        value = {
+            name: {"mean": 1 - error if more else error, "interval": None}
+            for name, (_, more) in ERRORS.items()
+        }
         costs = {
             seed: {
                 "train_seconds": {"disentangled": seconds},
@@ -39,7 +49,12 @@ def record(made):
     return record_of(made, SweepResult, "made up", "again")
 
 
-THREE = [("small", 10, 2, 0.4), ("middling", 100, 4, 0.3), ("wasteful", 200, 3, 0.35), ("large", 400, 9, 0.1)]
+THREE = [
+    ("small", 10, 2, 0.4),
+    ("middling", 100, 4, 0.3),
+    ("wasteful", 200, 3, 0.35),
+    ("large", 400, 9, 0.1),
+]
 
 
 def test_only_what_nothing_beats_is_on_the_frontier():
@@ -85,27 +100,39 @@ def test_a_taught_network_took_the_time_of_its_teacher_too():
     before = points(record(found), "ms_ssim/disentangled", "train_seconds")[1]
     for costs in found["cells"][1]["costs"].values():
         costs["train_seconds"]["posenet_teacher"] = 30.0
-    np.testing.assert_allclose(points(record(found), "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30])
+    np.testing.assert_allclose(
+        points(record(found), "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30]
+    )
 
 
 def test_likeness_of_other_scales_is_not_compared():
     made = summary(THREE)
     made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}
-    assert points(record(made), "ms_ssim/disentangled", "train_seconds")[0] == ["small", "middling", "wasteful"]
+    assert points(record(made), "ms_ssim/disentangled", "train_seconds")[0] == [
+        "small",
+        "middling",
+        "wasteful",
+    ]
     assert len(points(record(made), "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
     for cell in made["cells"][:3]:
         cell["settings"]["paired.preprocess.size"] = "64"
-    assert points(record(made | {"reference": "large"}), "ms_ssim/disentangled", "train_seconds")[0] == ["large"]
+    assert points(record(made | {"reference": "large"}), "ms_ssim/disentangled", "train_seconds")[
+        0
+    ] == ["large"]
 
 
-@pytest.mark.parametrize("changed", ["paired.slides", "paired.ranges.move_mm", "paired.camera.mm_across", "sensor"])
+@pytest.mark.parametrize(
+    "changed", ["paired.slides", "paired.ranges.move_mm", "paired.camera.mm_across", "sensor"]
+)
 def test_cells_with_another_test_than_the_reference_are_not_ranked(changed):
     made = summary(THREE)
     made["cells"][3]["settings"][changed] = "another"
     for metric in ERRORS:
         assert efficient(record(made))[metric]["train_seconds"] == ["small", "middling"]
         assert efficient(record(made))[metric]["ms_per_image"] == ["small", "wasteful", "middling"]
-        assert efficient(record(made | {"reference": "large"}))[metric]["train_seconds"] == ["large"]
+        assert efficient(record(made | {"reference": "large"}))[metric]["train_seconds"] == [
+            "large"
+        ]
 
 
 def test_images_of_another_size_are_ranked_by_their_errors_in_mm():
@@ -118,9 +145,17 @@ def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.slides"] = "8"
     axes = Figure().subplots()
-    panel(axes, record(made), "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
+    panel(
+        axes,
+        record(made),
+        "pose/disentangled/edge_mm",
+        "train_seconds",
+        {label: label for label, *_ in THREE},
+    )
     assert axes.lines[0].get_xdata().tolist() == [10, 100]
-    colours = {text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts}
+    colours = {
+        text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts
+    }
     assert colours["large"] == "#ffffff" and len(colours) == 4
     assert "#ffffff" not in [colours[label] for label in ("small", "middling", "wasteful")]
 
@@ -134,7 +169,9 @@ def test_cells_of_one_network_take_equally_long_for_an_image():
     made = summary(THREE)
     for cell in (0, 1, 3):
         made["cells"][cell]["settings"] = {"train.epochs": str(cell)}
-    cost = dict(zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    cost = dict(
+        zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True)
+    )
     assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
 
 
@@ -143,5 +180,7 @@ def test_another_network_takes_its_own_time_for_an_image():
     for cell in made["cells"]:
         cell["settings"] = {}
     made["cells"][3]["settings"] = {"unshear.widths": "8,8"}
-    cost = dict(zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    cost = dict(
+        zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True)
+    )
     assert cost == pytest.approx({"small": 3, "middling": 3, "wasteful": 3, "large": 9})

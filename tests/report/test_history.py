@@ -12,7 +12,10 @@ from jaxunshear.storage import sealed, write_json
 
 def test_a_damaged_line_is_left_out_with_a_note(tmp_path):
     path = tmp_path / "log.jsonl"
-    lines = [json.dumps(sealed({"epoch": at, "train_seconds": 1.5, "train": {"loss": 0.25}})) for at in (1, 2, 3)]
+    lines = [
+        json.dumps(sealed({"epoch": at, "train_seconds": 1.5, "train": {"loss": 0.25}}))
+        for at in (1, 2, 3)
+    ]
     path.write_text("\n".join(lines) + "\n")
     assert read_history(path).epoch == [1, 2, 3]
     path.write_text("\n".join([lines[0], lines[1].replace("0.25", "0.35"), lines[2]]) + "\n")
@@ -24,6 +27,8 @@ def test_damaged_times_are_left_out_with_a_note(tmp_path):
     assert read_times(tmp_path) == {}
     write_json(tmp_path / "times.json", {"data": 12.5})
     assert read_times(tmp_path) == {"data": 12.5}
-    (tmp_path / "times.json").write_text((tmp_path / "times.json").read_text().replace("12.5", "92.5"))
+    (tmp_path / "times.json").write_text(
+        (tmp_path / "times.json").read_text().replace("12.5", "92.5")
+    )
     with pytest.warns(Note, match=r"times\.json is damaged"):
         assert read_times(tmp_path) == {}

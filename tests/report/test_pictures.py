@@ -41,19 +41,35 @@ def check(figure):
     figure.canvas.draw()
     shrunk = min(1, PAGE_PX / figure.bbox.width)
     titles = [axes.title for axes in figure.axes] + ([figure._suptitle] if figure._suptitle else [])
-    ticks = [tick for axes in figure.axes if axes.axison for tick in (*axes.get_xticklabels(), *axes.get_yticklabels())]
+    ticks = [
+        tick
+        for axes in figure.axes
+        if axes.axison
+        for tick in (*axes.get_xticklabels(), *axes.get_yticklabels())
+    ]
     for text in titles + ticks + [text for axes in figure.axes for text in axes.texts]:
         assert text.get_fontsize() * figure.dpi / 72 * shrunk > READ_PX, text
     for text in titles:
         box = text.get_window_extent()
-        assert 0 <= box.x0 <= box.x1 <= figure.bbox.width and 0 <= box.y0 <= box.y1 <= figure.bbox.height, text
+        assert (
+            0 <= box.x0 <= box.x1 <= figure.bbox.width
+            and 0 <= box.y0 <= box.y1 <= figure.bbox.height
+        ), text
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(3, marks=pytest.mark.long), 7])
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15
-    solid = Solid(Fused(x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0, 0.9), 0, 0.0, None)
+    solid = Solid(
+        Fused(x, np.where(shape, 1.0, -1.0)),
+        shape,
+        shape.T,
+        Likeness(0.93, 0.21, 1.0, 0.9),
+        0,
+        0.0,
+        None,
+    )
     for _, text in PICTURES.values():
         object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid), text)
     for figure in drawn:
@@ -72,7 +88,9 @@ def test_walks_fit(drawn, count):
 
 def test_heights_fit(drawn):
     place = np.stack(np.meshgrid(*[np.linspace(-9, 9, 9)] * 2), -1).reshape(-1, 2)
-    kinds = {name: np.exp(-np.sum(place**2, 1) / 30)[None] for name in ("sheared", *list(WORDS)[2:7])}
+    kinds = {
+        name: np.exp(-np.sum(place**2, 1) / 30)[None] for name in ("sheared", *list(WORDS)[2:7])
+    }
     of_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
     check(*drawn)
 
@@ -82,13 +100,26 @@ def test_no_table_is_cut_off_at_1280_px(tmp_path):
     """The widest: likeness with intervals, of four groups and with the paper's four."""
     head = ["image compared with its tap", *["teardrop"] * 4, *[Markup("teardrop<br>paper")] * 4]
     cells = [page.spanned(0.5, [0.4, 0.6], 3)] * 4 + ["0.91"] * 4
-    rows = [["sheared, best translation (knows the tap)", *cells], ["unsheared, entangled (large)", *cells]]
+    rows = [
+        ["sheared, best translation (knows the tap)", *cells],
+        ["unsheared, entangled (large)", *cells],
+    ]
     probe = "<script>for (const e of document.querySelectorAll('.wide')) document.title = e.scrollWidth - e.clientWidth</script>"
     (tmp_path / "a.html").write_text(
-        page.page("a", page.section("a", "b", page.table(head, rows, range(5, 9), [1]))) + Markup(probe)
+        page.page("a", page.section("a", "b", page.table(head, rows, range(5, 9), [1])))
+        + Markup(probe)
     )
-    words = ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,900", "--dump-dom")
+    words = (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=1280,900",
+        "--dump-dom",
+    )
     reported = subprocess.run(
-        ["chromium", *words, (tmp_path / "a.html").as_uri()], capture_output=True, text=True, timeout=120
+        ["chromium", *words, (tmp_path / "a.html").as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert re.search("<title>(.*)</title>", reported.stdout)[1] == "0"

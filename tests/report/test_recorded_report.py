@@ -31,7 +31,9 @@ BOTH = ("disentangled", "posenet", "posenet_sheared")
 
 def poses(generator, count):
     pose = np.zeros((count, 6))
-    pose[:, 1], pose[:, 2], pose[:, 5] = (generator.uniform(*r, count) for r in ((-6, 6), (3, 5), (-180, 180)))
+    pose[:, 1], pose[:, 2], pose[:, 5] = (
+        generator.uniform(*r, count) for r in ((-6, 6), (3, 5), (-180, 180))
+    )
     return pose
 
 
@@ -41,12 +43,22 @@ def gathered(networks, pairing, over, shown):
     spread = lambda mean, size: np.abs(mean + size * generator.normal(size=COUNT))  # noqa: E731
     kinds = ERRORS if "disentangled" in networks else {"sheared_learnt": ERRORS["sheared_learnt"]}
     kinds = kinds if shown else {"tap": 1.0}
-    scores = {f"pose/{kind}/{q}": spread(e * SCALE[q], 0.1 * SCALE[q]) for kind, e in kinds.items() for q in SCALE}
+    scores = {
+        f"pose/{kind}/{q}": spread(e * SCALE[q], 0.1 * SCALE[q])
+        for kind, e in kinds.items()
+        for q in SCALE
+    }
     if shown and pairing:
         scores |= {f"ms_ssim/{kind}": spread(mean, 0.001) for kind, mean in LIKENESS.items()}
-        cells = ("DC(z_p)", "DS(z_p,z_s)") if over else ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")
+        cells = (
+            ("DC(z_p)", "DS(z_p,z_s)")
+            if over
+            else ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")
+        )
         scores |= {
-            f"swap/{cell}/{metric}": spread(0.2, 0.05) for cell in cells for metric in ("mse", "ssim", "ms_ssim")
+            f"swap/{cell}/{metric}": spread(0.2, 0.05)
+            for cell in cells
+            for metric in ("mse", "ssim", "ms_ssim")
         }
         for q in SCALE:
             scores[f"difference/sheared_learnt/{q}"] = (
@@ -75,7 +87,9 @@ def gathered(networks, pairing, over, shown):
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     """A finished run in `folder`; returns its results."""
-    settings = Recorded(tap_folder=FOLDER, slide_folder=FOLDER, digest="12ab", pairing=pairing or "rendered")
+    settings = Recorded(
+        tap_folder=FOLDER, slide_folder=FOLDER, digest="12ab", pairing=pairing or "rendered"
+    )
     experiment = replace(
         BASE,
         name="laboratory",
@@ -102,7 +116,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
         metadata={"counts": counts, "pins": {"sure": 0.9927}, "notes": ["labels <b>lack</b> Rx"]},
     )
     gap = np.full((COUNT, 6), 0.42)
-    reader = SimpleNamespace(length=lambda split: COUNT, take=lambda split, rows, names: {"gap": gap})
+    reader = SimpleNamespace(
+        length=lambda split: COUNT, take=lambda split, rows, names: {"gap": gap}
+    )
     targets = of_labels((), poses(np.random.default_rng(2), 200))
     readers = (reader if slides else None, reader if taps else None)
     test = recorded.Test(*readers, bool(slides and pairing), "same session")
@@ -160,7 +176,12 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
         "posenet 0.04 ms",
     ):
         assert words in text, words
-    assert "back:" not in text and "tap (truth)" not in text and "Contact quality" not in text and "shapes" not in text
+    assert (
+        "back:" not in text
+        and "tap (truth)" not in text
+        and "Contact quality" not in text
+        and "shapes" not in text
+    )
     assert (tmp_path / "montage.png").exists()
 
 
@@ -186,13 +207,18 @@ def test_the_recordings_are_reported(tmp_path, read_page):
         "test 24 0.42 (0.42) 0.42 (0.42) 0.42 (0.42)",
     ):
         assert words in text, words
-    low, high = (float(part) for part in text.split("in training: y ")[1].split(" mm")[0].split(" to "))
+    low, high = (
+        float(part) for part in text.split("in training: y ")[1].split(" mm")[0].split(" to ")
+    )
     assert -6 <= low < -5.5 and 5.5 < high <= 6
 
 
 def test_half_widths_say_which_contacts_they_are_for(tmp_path, read_page):
     results = make_run(tmp_path)
-    widths = {"half_width": {"unsheared": {"z_mm": 0.12}}, "coverage": {"unsheared": {"z_mm": 0.961}}}
+    widths = {
+        "half_width": {"unsheared": {"z_mm": 0.12}},
+        "coverage": {"unsheared": {"z_mm": 0.961}},
+    }
     (tmp_path / "results.json").write_text(json.dumps(results | widths))
     text = read_page(write_report(tmp_path)).split("How far an answer may be off")[1]
     assert "0.12 (96.1%)" in text and "validation contacts of the same session" in text
@@ -201,9 +227,14 @@ def test_half_widths_say_which_contacts_they_are_for(tmp_path, read_page):
 
 def test_a_run_of_an_earlier_version_was_tested_on_its_own_session(tmp_path, read_page):
     results = make_run(tmp_path)
-    assert results.pop("test_data") == "same session" and results["settings"]["paired"].pop("split") == "random"
+    assert (
+        results.pop("test_data") == "same session"
+        and results["settings"]["paired"].pop("split") == "random"
+    )
     (tmp_path / "results.json").write_text(json.dumps(results))
-    assert "all figures are of test (same session, random split)" in read_page(write_report(tmp_path))
+    assert "all figures are of test (same session, random split)" in read_page(
+        write_report(tmp_path)
+    )
     results["settings"]["paired"]["split"] = "block"
     (tmp_path / "results.json").write_text(json.dumps(results))
     assert "(same session, block of poses)" in read_page(write_report(tmp_path))
@@ -213,10 +244,14 @@ def test_names_are_escaped(tmp_path):
     make_run(tmp_path)
     html = write_report(tmp_path).read_text()
     assert "<script" not in html and "lack</b>" not in html
-    assert html.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 4  # folder, frame, command, settings
+    assert (
+        html.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 4
+    )  # folder, frame, command, settings
 
 
-@pytest.mark.parametrize(("pairing", "over"), [("rendered", False), ("nearest", False), ("pose_id", True)])
+@pytest.mark.parametrize(
+    ("pairing", "over"), [("rendered", False), ("nearest", False), ("pose_id", True)]
+)
 def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_page, pairing, over):
     make_run(tmp_path, pairing=pairing, over=over)
     path = write_report(tmp_path)
@@ -229,7 +264,12 @@ def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_page, pairi
 def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_page, pairing):
     make_run(tmp_path, pairing=pairing)
     text = read_page(write_report(tmp_path))
-    assert "tinted columns" in text and "overall paper" in text and "MSE paper" in text and "tap (truth)" in text
+    assert (
+        "tinted columns" in text
+        and "overall paper" in text
+        and "MSE paper" in text
+        and "tap (truth)" in text
+    )
     assert "22.20" not in text
 
 
@@ -239,16 +279,28 @@ def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_page):
     part = text.split("Where the pins are")[1].split("The recordings")[0]
     assert "slides, unsheared (disentangled) 0.06" in part and "1.05" in part
     assert "mm" not in part and "missed" not in part
-    assert "the images are these pins, drawn" in text and "of drawn pins" in text and "The two decoders" in text
+    assert (
+        "the images are these pins, drawn" in text
+        and "of drawn pins" in text
+        and "The two decoders" in text
+    )
 
 
 def test_pins_found_in_images_are_counted(tmp_path, read_page):
     results = make_run(tmp_path)
-    assert "Where the pins are" not in read_page(write_report(tmp_path))  # none was followed for sure
+    assert "Where the pins are" not in read_page(
+        write_report(tmp_path)
+    )  # none was followed for sure
     found = {"rms_px": 0.5, "rms_mm": None, "missed_per_image": 1.5, "extra_per_image": 2.5}
-    results["pin_error"] = {"tap": found, "disentangled": found, "true_slide": {"rms_px": 1.0, "rms_mm": None}}
+    results["pin_error"] = {
+        "tap": found,
+        "disentangled": found,
+        "true_slide": {"rms_px": 1.0, "rms_mm": None},
+    }
     (tmp_path / "results.json").write_text(json.dumps(results))
-    part = read_page(write_report(tmp_path)).split("Where the pins are")[1].split("The recordings")[0]
+    part = (
+        read_page(write_report(tmp_path)).split("Where the pins are")[1].split("The recordings")[0]
+    )
     assert "partner 0.50 1.5 2.5" in part and "mm rms" not in part
 
 
@@ -257,7 +309,14 @@ def test_of_taps_alone_their_poses_are_reported(tmp_path, read_page):
     text = read_page(write_report(tmp_path))
     assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text
     assert "out of training: 24 taps (same session, random split)." in text
-    for words in ("Recovery", "What it does", "How slides are paired", "slides 400", "How alike", "Where the pins"):
+    for words in (
+        "Recovery",
+        "What it does",
+        "How slides are paired",
+        "slides 400",
+        "How alike",
+        "Where the pins",
+    ):
         assert words not in text, words
     assert not (tmp_path / "montage.png").exists()
 
@@ -265,10 +324,19 @@ def test_of_taps_alone_their_poses_are_reported(tmp_path, read_page):
 def test_of_slides_alone_their_poses_are_reported(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet_sheared",), pairing="")
     text = read_page(write_report(tmp_path))
-    assert f"{results['pose_mae']['sheared_learnt']['y_mm']:.2f} mm learnt from slides directly" in text
+    assert (
+        f"{results['pose_mae']['sheared_learnt']['y_mm']:.2f} mm learnt from slides directly"
+        in text
+    )
     assert "that has only learned from labelled slides" in text
     assert "out of training: 24 slides (same session, random split)." in text
-    for words in ("Recovery", "What it does", "How slides are paired", "taps 400", "Slide by slide"):
+    for words in (
+        "Recovery",
+        "What it does",
+        "How slides are paired",
+        "taps 400",
+        "Slide by slide",
+    ):
         assert words not in text, words
 
 
@@ -303,11 +371,18 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     assert len(lines) < 12
     assert lines[0].split() == ["error", *SCALE]
     rows = {line.split()[0]: line.split()[1:] for line in lines}
-    assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
-    assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
+    assert rows["unsheared"] == [
+        f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()
+    ]
+    assert rows["recovery"] == [
+        f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()
+    ]
     tested = "test, same session, random split: 24 taps, 24 slides"
     assert lines[-3] == f"{tested}; left out: 0 taps and 0 slides were not understood"
-    assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
+    assert (
+        "0.683 as felt, 0.979 unsheared" in lines[-2]
+        and lines[-1] == f"results: {tmp_path / 'results.json'}"
+    )
     print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4
 

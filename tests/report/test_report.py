@@ -54,7 +54,10 @@ def test_the_page_is_full_and_needs_nothing_else(page, read):
 def test_the_figures_of_the_results_are_on_it(page, read):
     results = json.loads((page.parent / "results.json").read_text())
     text = " ".join(read(page.read_text()).text)
-    for value in (results["ms_ssim"]["disentangled"]["overall"], results["ms_ssim"]["sheared"]["disk"]):
+    for value in (
+        results["ms_ssim"]["disentangled"]["overall"],
+        results["ms_ssim"]["sheared"]["disk"],
+    ):
         assert f"{value:.3f}" in text
     assert f"{results['pose_mae']['disentangled']['edge_mm']:.2f} mm" in text
     for words in (
@@ -91,7 +94,11 @@ def test_intervals_say_that_they_are_of_one_training(page, bare_run, read_page):
     folder, results = bare_run
     said = "Intervals are over test poses of one training and say nothing of other trainings."
     text = read_page(page)
-    for title in ("How alike the images are", "What a pose network reads", "Read by readers of another make"):
+    for title in (
+        "How alike the images are",
+        "What a pose network reads",
+        "Read by readers of another make",
+    ):
         assert said in text.split(title)[1][:700], title
     del results["spread"]["over"]  # of an earlier version
     (folder / "results.json").write_text(json.dumps(results))
@@ -128,14 +135,26 @@ def test_names_from_files_are_escaped_wherever_they_stand(made_up_run, read_page
     shown["stimulus"] = np.where(shown["stimulus"] == "disk", name, shown["stimulus"])
     np.savez(folder / "montage.npz", **shown)
     results |= {"experiment": name, "command": name}
-    results["machine"]["processor"] = results["versions"][name] = results["metric"]["ms_ssim"] = name
+    results["machine"]["processor"] = results["versions"][name] = results["metric"]["ms_ssim"] = (
+        name
+    )
     results["settings"]["name"] = name
     for part in (results["pose_by_stimulus"], results["contact"]):
         part[name] = part.pop(next(iter(part)))
     (folder / "results.json").write_text(json.dumps(results))
     (folder / "servo").mkdir()
-    row = {"stimulus": name, "way": name, "starts": 1, "closed": 1, "mean_mm": 0, "p95_mm": 0, "largest_mm": 0}
-    (folder / "servo" / "servo.json").write_text(json.dumps({"rows": [row | {"perceive_ms": 1}], "command": name}))
+    row = {
+        "stimulus": name,
+        "way": name,
+        "starts": 1,
+        "closed": 1,
+        "mean_mm": 0,
+        "p95_mm": 0,
+        "largest_mm": 0,
+    }
+    (folder / "servo" / "servo.json").write_text(
+        json.dumps({"rows": [row | {"perceive_ms": 1}], "command": name})
+    )
     assert read_page(write_report(folder)).count(name) >= 12  # which also refuses a script
 
 
@@ -159,11 +178,17 @@ def test_without_logs_and_times_the_rest_is_still_shown(made_up_run, read):
 def test_the_page_says_how_edge_angles_err_where_the_edge_has_one_direction(bare_run, read):
     folder, results = bare_run
     assert "has one direction" not in write_report(folder).read_text()
-    part = {"pose_mae": {"tap": {"edge_deg": 5.04}}, "spread": {"pose_mae": {"tap": {"edge_deg": [4.5, 5.6]}}}}
+    part = {
+        "pose_mae": {"tap": {"edge_deg": 5.04}},
+        "spread": {"pose_mae": {"tap": {"edge_deg": [4.5, 5.6]}}},
+    }
     results["pose_smooth"], results["counts"]["test_smooth"] = part, 670
     (folder / "results.json").write_text(json.dumps(results))
     text = " ".join(" ".join(read(write_report(folder).read_text()).text).split())
-    assert "on the 93% of contacts whose nearest edge has one direction: tap (no slide) 5.0 [4.5, 5.6]" in text
+    assert (
+        "on the 93% of contacts whose nearest edge has one direction: tap (no slide) 5.0 [4.5, 5.6]"
+        in text
+    )
 
 
 def test_nulls_are_shown_as_dashes(bare_run):
@@ -173,10 +198,16 @@ def test_nulls_are_shown_as_dashes(bare_run):
     for kind in ("entangled", "disentangled"):
         results["pin_error"][kind]["rms_px"] = None
     results["swap"].pop("DC(z_s)")
-    results["pose_recovery"]["disentangled"] = dict.fromkeys(results["pose_recovery"]["disentangled"])
+    results["pose_recovery"]["disentangled"] = dict.fromkeys(
+        results["pose_recovery"]["disentangled"]
+    )
     (folder / "results.json").write_text(json.dumps(results))
     page = write_report(folder).read_text()
-    assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page and "ndash" not in page
+    assert (
+        "\u2013" in page.split("Where the pins are")[0]
+        and "\u2013 px" in page
+        and "ndash" not in page
+    )
 
 
 def test_the_papers_likeness_of_swapped_codes_is_called_multi_scale(page):
@@ -186,14 +217,22 @@ def test_the_papers_likeness_of_swapped_codes_is_called_multi_scale(page):
     assert [head for head in heads if "paper" in head] == ["MSE<br>paper", "MS-SSIM<br>paper"]
 
 
-@pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])
+@pytest.mark.parametrize(
+    ("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")]
+)
 def test_recovery_is_reported_by_shape_and_by_depth(bare_run, table, by):
     folder, results = bare_run
     part, found = next((part, found) for part, found in results[table].items() if found)
     recovery = found["pose_recovery"]["disentangled"]["x_mm"]
-    reported = write_report(folder).read_text().split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
+    reported = (
+        write_report(folder)
+        .read_text()
+        .split(f"<summary>By {by}</summary>")[1]
+        .split("</details>")[0]
+    )
     assert (
-        f"recovery, by {by}" in reported and f"<td>{recovery:.2f} <small>" in reported.split(part)[1].split("</tr>")[0]
+        f"recovery, by {by}" in reported
+        and f"<td>{recovery:.2f} <small>" in reported.split(part)[1].split("</tr>")[0]
     )
     del results[table]  # of an earlier version
     (folder / "results.json").write_text(json.dumps(results))
@@ -254,7 +293,10 @@ def test_a_run_that_unshears_nothing_is_held_against_no_bar(bare_run):
             results[table].pop(kind, None)
     (folder / "results.json").write_text(json.dumps(results))
     shown = dict(np.load(folder / "montage.npz"))
-    np.savez(folder / "montage.npz", **{name: array for name, array in shown.items() if "entangled" not in name})
+    np.savez(
+        folder / "montage.npz",
+        **{name: array for name, array in shown.items() if "entangled" not in name},
+    )
     text = write_report(folder).read_text()
     assert "passed" not in text.split("What it does")[0] and "Recovery" not in text
 
@@ -262,7 +304,10 @@ def test_a_run_that_unshears_nothing_is_held_against_no_bar(bare_run):
 def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
     folder, results = made_up_run
     text = (
-        json.dumps(results).replace("edge_mm", "y_mm").replace("edge_deg", "depth_mm").replace('"yaw_deg"', '"Rx_deg"')
+        json.dumps(results)
+        .replace("edge_mm", "y_mm")
+        .replace("edge_deg", "depth_mm")
+        .replace('"yaw_deg"', '"Rx_deg"')
     )
     (folder / "results.json").write_text(text)
     reported = read_page(write_report(folder))
@@ -272,7 +317,10 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
         ("Rx", error["yaw_deg"], "deg"),
         ("y", error["edge_mm"], "mm"),
     ):
-        assert f"Error in {name} " in reported and f"{value:.{2 if unit == 'mm' else 1}f} {unit}" in reported
+        assert (
+            f"Error in {name} " in reported
+            and f"{value:.{2 if unit == 'mm' else 1}f} {unit}" in reported
+        )
     assert "x mm paper" in reported and "yaw" not in reported.split("All settings")[0]
     assert "Recovery, the part" in reported and "depth 7" in reported.split("Recovery, the part")[1]
 
@@ -288,7 +336,11 @@ def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
     table = html.split("What a pose network reads")[1].split("</table>")[0]
     assert "<th>y<br>mm" in table and "edge distance" not in table
     assert f"<td>{results['pose_mae']['sheared']['y_mm']:.2f} <small>" in table
-    assert "y_mm" not in table and "Error in distance to the edge" not in html and "Error in edge angle" in html
+    assert (
+        "y_mm" not in table
+        and "Error in distance to the edge" not in html
+        and "Error in edge angle" in html
+    )
 
 
 def test_a_figure_without_an_interval_is_still_reported(bare_run):
@@ -297,7 +349,12 @@ def test_a_figure_without_an_interval_is_still_reported(bare_run):
     won = clover["pose_recovery"]["disentangled"]["x_mm"]
     clover["spread"]["pose_recovery"]["disentangled"]["x_mm"] = None
     (folder / "results.json").write_text(json.dumps(results))
-    reported = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
+    reported = (
+        write_report(folder)
+        .read_text()
+        .split("<summary>By shape</summary>")[1]
+        .split("</details>")[0]
+    )
     assert f"<td>{won:.2f}</td>" in reported.split("clover")[1].split("</tr>")[0]
 
 
@@ -319,7 +376,12 @@ def test_history_leaves_out_a_line_cut_short(made_up_run):
 def test_difference_colours():
     tap = np.array([[255, 255, 0, 0]], np.uint8)
     image = np.array([[255, 0, 255, 0]], np.uint8)
-    assert difference(image, tap)[0].tolist() == [[90, 90, 90], list(MISSING), list(SURPLUS), [0, 0, 0]]
+    assert difference(image, tap)[0].tolist() == [
+        [90, 90, 90],
+        list(MISSING),
+        list(SURPLUS),
+        [0, 0, 0],
+    ]
 
 
 def test_png_address_keeps_the_pixels():

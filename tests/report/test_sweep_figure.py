@@ -15,13 +15,19 @@ REASON = "training disentangled stopped: supervised not finite at step 300"
 
 
 def figure(mean: float) -> dict:
-    return {"mean": mean, "interval": [mean - 0.1, mean + 0.1], "per_seed": {"0": mean - 0.02, "1": mean + 0.02}}
+    return {
+        "mean": mean,
+        "interval": [mean - 0.1, mean + 0.1],
+        "per_seed": {"0": mean - 0.02, "1": mean + 0.02},
+    }
 
 
 def cell(point, mean: float | None) -> dict:
     names = ("ms_ssim/disentangled", "pose/disentangled/edge_mm", "swap/DS(z_p,z_s)/mse")
     metrics = {} if mean is None else {name: figure(mean + n) for n, name in enumerate(names)}
-    metrics |= {} if mean is None else {"ms_ssim/sheared": figure(0.5), "contact/other": figure(mean)}
+    metrics |= (
+        {} if mean is None else {"ms_ssim/sheared": figure(0.5), "contact/other": figure(mean)}
+    )
     return {
         "label": "a cell",
         "point": point,
@@ -37,14 +43,19 @@ def cell(point, mean: float | None) -> dict:
 def summary(axes: int, failing: bool = True) -> dict:
     """Cells 0, 1, 2, ... over a grid, the last one failed; and a row beside it."""
     values = (["0.0", "0.1", "1.0"], ["8:120", "64:64"])[:axes]
-    cells = [cell(list(point), float(number)) for number, point in enumerate(itertools.product(*values))]
+    cells = [
+        cell(list(point), float(number)) for number, point in enumerate(itertools.product(*values))
+    ]
     if failing:
         cells[-1] = cell(cells[-1]["point"], None)
     return {
         "sweep": "small",
         "reference": None,
         "seeds": [0, 1],
-        "axes": [{"name": f"axis {number}", "fields": [], "values": value} for number, value in enumerate(values)],
+        "axes": [
+            {"name": f"axis {number}", "fields": [], "values": value}
+            for number, value in enumerate(values)
+        ],
         "cells": [*cells, cell(None, 77.0)],
     }
 
@@ -64,7 +75,11 @@ def test_metrics_that_differ_between_cells_are_shown_in_order():
 
 def test_means_lie_where_their_cell_is():
     values = values_on_grid(record(summary(2)), "ms_ssim/disentangled")
-    assert np.array_equal(values[:2], [[0, 1], [2, 3]]) and values[2, 0] == 4 and np.isnan(values[2, 1])
+    assert (
+        np.array_equal(values[:2], [[0, 1], [2, 3]])
+        and values[2, 0] == 4
+        and np.isnan(values[2, 1])
+    )
 
 
 @pytest.mark.parametrize("axes", [1, 2])

@@ -30,12 +30,19 @@ def test_what_is_written_is_read(tmp_path):
     assert read(tmp_path / "results.json", Results, "again") == RESULTS
     held = json.loads((tmp_path / "results.json").read_text())
     assert held["schema"] == SCHEMA and held["pin_error"]["tap"] == {"rms_px": 0.5, "rms_mm": None}
-    assert "recordings" not in held and "kernels" not in held["machine"]  # None is left out where that is the default
+    assert (
+        "recordings" not in held and "kernels" not in held["machine"]
+    )  # None is left out where that is the default
 
 
 def test_what_is_not_finite_is_null(tmp_path):
-    write(tmp_path / "a.json", replace(RESULTS, pose_mae={"tap": {"x_mm": np.float32("nan"), "y_mm": np.float64(2)}}))
-    assert read(tmp_path / "a.json", Results, "again").pose_mae == {"tap": {"x_mm": None, "y_mm": 2.0}}
+    write(
+        tmp_path / "a.json",
+        replace(RESULTS, pose_mae={"tap": {"x_mm": np.float32("nan"), "y_mm": np.float64(2)}}),
+    )
+    assert read(tmp_path / "a.json", Results, "again").pose_mae == {
+        "tap": {"x_mm": None, "y_mm": 2.0}
+    }
 
 
 def test_a_file_without_a_form_is_of_the_first(tmp_path):
@@ -49,7 +56,10 @@ def test_a_file_without_a_form_is_of_the_first(tmp_path):
 @pytest.mark.parametrize(
     ("held", "line"),
     [
-        ({"schema": SCHEMA + 1}, rf"a\.json has the form {SCHEMA + 1}.*{SCHEMA}: upgrade jaxunshear, or run it again"),
+        (
+            {"schema": SCHEMA + 1},
+            rf"a\.json has the form {SCHEMA + 1}.*{SCHEMA}: upgrade jaxunshear, or run it again",
+        ),
         ({"settings": {}, "metric": {}}, r"a\.json lacks 'pin_error': run it again"),
         (
             {"settings": {}, "metric": {}, "pin_error": {"tap": {"rms_px": "much"}}},

@@ -21,7 +21,10 @@ def test_what_trainings_say_is_read(tmp_path):
     write(tmp_path / "posenet" / "summary.json", replace(SUMMARY, trained_on=Machine(cores=4)))
     found = read_trained(tmp_path, ("disentangled", "posenet", "absent"))
     assert found["trained_by"] == {"disentangled": EARLIER}
-    assert {name: machine.cores for name, machine in found["trained_on"].items()} == {"disentangled": 2, "posenet": 4}
+    assert {name: machine.cores for name, machine in found["trained_on"].items()} == {
+        "disentangled": 2,
+        "posenet": 4,
+    }
 
 
 @pytest.mark.parametrize(
@@ -29,7 +32,10 @@ def test_what_trainings_say_is_read(tmp_path):
     [
         ({"source": NOW, "trained_by": {"posenet": EARLIER}}, [NOW, EARLIER]),
         ({"source": NOW}, [NOW]),
-        ({"source": NOW, "trained_on": {"posenet": Machine()}}, []),  # trained before commits were kept
+        (
+            {"source": NOW, "trained_on": {"posenet": Machine()}},
+            [],
+        ),  # trained before commits were kept
         ({"trained_by": {"posenet": EARLIER}}, []),
     ],
 )

@@ -37,7 +37,12 @@ def leaf():
     steep = np.degrees(np.arctan2(32, tip))
     sides = [arc(0, -32, 56, steep, 180 - steep), arc(0, 32, 56, 180 + steep, 360 - steep)]
     return np.concatenate(
-        [sides[0], arc(-tip, 0, 1, 180 - steep, 180 + steep), sides[1], arc(tip, 0, 1, -steep, steep)]
+        [
+            sides[0],
+            arc(-tip, 0, 1, 180 - steep, 180 + steep),
+            sides[1],
+            arc(tip, 0, 1, -steep, steep),
+        ]
     )
 
 
@@ -48,12 +53,21 @@ def flower():
 
 def spiral(inner, pitch, turns, half_width):
     angle = np.linspace(0, 2 * np.pi * turns, 20001)
-    spine = (inner + pitch * angle / (2 * np.pi))[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    spine = (inner + pitch * angle / (2 * np.pi))[:, None] * np.stack(
+        [np.cos(angle), np.sin(angle)], -1
+    )
     tangent = np.gradient(spine, angle, axis=0, edge_order=2)
-    across = np.stack([tangent[:, 1], -tangent[:, 0]], -1) / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    across = np.stack([tangent[:, 1], -tangent[:, 0]], -1) / np.linalg.norm(
+        tangent, axis=-1, keepdims=True
+    )
     begin, end = (np.degrees(np.arctan2(*across[at, ::-1])) for at in (0, -1))
-    caps = [arc(*spine[-1], half_width, end, end + 180), arc(*spine[0], half_width, begin + 180, begin + 360)]
-    return np.concatenate([spine + half_width * across, caps[0], (spine - half_width * across)[::-1], caps[1]])
+    caps = [
+        arc(*spine[-1], half_width, end, end + 180),
+        arc(*spine[0], half_width, begin + 180, begin + 360),
+    ]
+    return np.concatenate(
+        [spine + half_width * across, caps[0], (spine - half_width * across)[::-1], caps[1]]
+    )
 
 
 OUTLINES = {
@@ -79,7 +93,9 @@ def dense(corners):
     corners = corners[np.append(True, np.linalg.norm(np.diff(corners, axis=0), axis=-1) > 1e-9)]
     step = np.linalg.norm(np.diff(corners, axis=0), axis=-1)
     pieces = [
-        begin + (end - begin) * np.linspace(0, 1, int(np.ceil(length / SPACING_MM)), endpoint=False)[:, None]
+        begin
+        + (end - begin)
+        * np.linspace(0, 1, int(np.ceil(length / SPACING_MM)), endpoint=False)[:, None]
         for begin, end, length in zip(corners[:-1], corners[1:], step, strict=True)
     ]
     return np.concatenate(pieces)
@@ -95,16 +111,27 @@ def truth(line, xy):
         along = line[(near + shift + 1) % len(line)] - begin
         share = np.clip(np.sum((xy - begin) * along, -1) / np.sum(along * along, -1), 0, 1)
         feet.append(begin + share[:, None] * along)
-        flats.append(np.stack([along[:, 1], -along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True))
+        flats.append(
+            np.stack([along[:, 1], -along[:, 0]], -1)
+            / np.linalg.norm(along, axis=-1, keepdims=True)
+        )
     apart = np.linalg.norm(xy - np.stack(feet), axis=-1)
     pick = np.argmin(apart, axis=0), np.arange(len(xy))
     far, away = apart[pick], xy - np.stack(feet)[pick]
     signed = np.where(points_in_poly(xy, line), -far, far)
-    radial = away / np.maximum(signed, 1e-12, where=signed > 0, out=np.minimum(signed, -1e-12))[:, None]
+    radial = (
+        away / np.maximum(signed, 1e-12, where=signed > 0, out=np.minimum(signed, -1e-12))[:, None]
+    )
     normal = np.where((far > 1e-3)[:, None], radial, np.stack(flats)[pick])
     clear = np.ones(len(xy), bool)
-    for row, (reach, others) in enumerate(zip(far, tree.query_ball_point(xy, 1.02 * far), strict=True)):
+    for row, (reach, others) in enumerate(
+        zip(far, tree.query_ball_point(xy, 1.02 * far), strict=True)
+    ):
         if reach > 1e-3:
-            seen = (line[others] - xy[row]) @ away[row] / (np.linalg.norm(line[others] - xy[row], axis=-1) * reach)
+            seen = (
+                (line[others] - xy[row])
+                @ away[row]
+                / (np.linalg.norm(line[others] - xy[row], axis=-1) * reach)
+            )
             clear[row] = np.all(seen < -np.cos(np.radians(40)))
     return Truth(signed, normal, clear)

@@ -6,13 +6,22 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, path_of
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.scene import NEAR_MM, draw_moves, draw_poses, edge_labels, has_one_edge, make_scenes
+from jaxunshear.scene.scene import (
+    NEAR_MM,
+    draw_moves,
+    draw_poses,
+    edge_labels,
+    has_one_edge,
+    make_scenes,
+)
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, sensor_named
 
 
 def test_draws_stay_in_range_and_repeat():
     first = draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
-    np.testing.assert_array_equal(first, draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0)))
+    np.testing.assert_array_equal(
+        first, draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
+    )
     assert np.all(np.abs(first[:, :2]) <= 5) and np.all(np.abs(first[:, 2]) <= 45)
     assert first[:, 3].min() >= 1 and first[:, 3].max() <= 6 and first[:, 3].max() > 5.5
     assert np.all(np.abs(draw_moves(np.random.default_rng(0), 500, 2.5)) <= 2.5)
@@ -25,7 +34,9 @@ def test_edge_labels_on_the_disk():
     scenes = make_scenes(("disk",), np.zeros(3, int), pose, np.zeros((3, 2)))
     labels = edge_labels(("disk",), scenes)
     outward = np.degrees(np.arctan2(4, 50))
-    np.testing.assert_allclose(labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2)
+    np.testing.assert_allclose(
+        labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2
+    )
     assert scenes.friction[0] == pytest.approx(0.7)
 
 
@@ -38,17 +49,35 @@ def test_an_edge_has_one_direction_but_near_a_medial_axis():
         pose = np.column_stack([xy, np.full((len(xy), 2), 3.0)])
         return has_one_edge((shape,), np.zeros(len(xy), int), pose).tolist()
 
-    inside = [[-5.0, 0.0], [-5.0, 0.9 * NEAR_MM], [-5.0, -0.9 * NEAR_MM], [-5.0, 1.1 * NEAR_MM], [-5.0, 2.5]]
+    inside = [
+        [-5.0, 0.0],
+        [-5.0, 0.9 * NEAR_MM],
+        [-5.0, -0.9 * NEAR_MM],
+        [-5.0, 1.1 * NEAR_MM],
+        [-5.0, 2.5],
+    ]
     assert one("teardrop", *inside) == [False, False, False, True, True]
-    assert one("teardrop", [0.0, 0.0], [2.0, 0.0]) == [False, True]  # the tip turns fast: 1 and 3 mm from its centre
-    assert one("disk", [-50.0, 0.0], [-50.0, 1.5], [-46.0, 0.0], [0.0, 0.0]) == [False, False, True, True]
+    assert one("teardrop", [0.0, 0.0], [2.0, 0.0]) == [
+        False,
+        True,
+    ]  # the tip turns fast: 1 and 3 mm from its centre
+    assert one("disk", [-50.0, 0.0], [-50.0, 1.5], [-46.0, 0.0], [0.0, 0.0]) == [
+        False,
+        False,
+        True,
+        True,
+    ]
     assert one("edge", [0.0, 0.0], [-4.0, 3.0]) == [True, True]
     assert one("surface", [0.0, 0.0]) == [False]  # no edge, no direction
 
 
 def test_which_shape_is_touched_decides_whether_an_edge_has_one_direction():
     pose = np.array([[-5.0, 0.2, 0.0, 3.0]] * 3)
-    assert has_one_edge(("disk", "teardrop", "edge"), np.array([1, 0, 2]), pose).tolist() == [False, True, True]
+    assert has_one_edge(("disk", "teardrop", "edge"), np.array([1, 0, 2]), pose).tolist() == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_pins_of_both_layouts():
@@ -56,7 +85,9 @@ def test_pins_of_both_layouts():
     assert rings.shape == (331, 3) and hexagon.shape == (127, 3) == (TACTIP_127.pins, 3)
     for sensor, pins in ((TACTIP_331, rings), (TACTIP_127, hexagon)):
         centre = np.array([0, 0, sensor.dome_radius_mm])
-        np.testing.assert_allclose(np.linalg.norm(pins - centre, axis=-1), 18.0)  # skin 1 mm, pins 1 mm
+        np.testing.assert_allclose(
+            np.linalg.norm(pins - centre, axis=-1), 18.0
+        )  # skin 1 mm, pins 1 mm
         gaps = np.linalg.norm(pins[:, None] - pins[None], axis=-1) + 99 * np.eye(len(pins))
         assert gaps.min() > 0.7 * sensor.pin_spacing_mm * 0.9
     neighbours = np.sort(np.linalg.norm(hexagon[1:7] - hexagon[0], axis=-1))
@@ -74,15 +105,24 @@ def test_bad_sensors_are_refused():
 
 def test_a_path_twists_on_its_way_to_the_pose_and_keeps_its_tilt():
     pose = np.array([[2.0, -1.0, 30.0, 3.0, 4.0, -20.0]])
-    points = path_of(make_scenes(("disk",), np.zeros(1, int), pose, np.array([[1.5, 0.5, -5.0]]))).points[0]
+    points = path_of(
+        make_scenes(("disk",), np.zeros(1, int), pose, np.array([[1.5, 0.5, -5.0]]))
+    ).points[0]
     np.testing.assert_array_equal(points[2], pose[0])
     np.testing.assert_array_equal(points[1], [0.5, -1.5, 35.0, 3.0, 4.0, -20.0])
-    np.testing.assert_array_equal(points[0, [YAW, DEPTH]], [35.0, 0.0])  # it is pressed down straight
+    np.testing.assert_array_equal(
+        points[0, [YAW, DEPTH]], [35.0, 0.0]
+    )  # it is pressed down straight
     np.testing.assert_array_equal(points[:, TILT_X:], np.tile(pose[0, 4:], (3, 1)))
 
 
 def test_upright_paths_are_what_they_were():
     pose, move = np.array([[2.0, -1.0, 30.0, 3.0]]), np.array([[1.5, 0.5]])
     upright = path_of(make_scenes(("disk",), np.zeros(1, int), pose, move)).points
-    wide = np.concatenate([pose, np.zeros((1, 2))], axis=1), np.concatenate([move, np.zeros((1, 1))], axis=1)
-    np.testing.assert_array_equal(upright, path_of(make_scenes(("disk",), np.zeros(1, int), *wide)).points)
+    wide = (
+        np.concatenate([pose, np.zeros((1, 2))], axis=1),
+        np.concatenate([move, np.zeros((1, 1))], axis=1),
+    )
+    np.testing.assert_array_equal(
+        upright, path_of(make_scenes(("disk",), np.zeros(1, int), *wide)).points
+    )

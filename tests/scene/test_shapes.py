@@ -11,12 +11,22 @@ from tests.scene.outlines import OUTLINES, arc, dense, truth
 
 FAR_MM, ANGLE_DEG, SLOPE = 0.02, 1.0, 1e-3
 LONG = pytest.mark.long
-L_SHAPE = np.array([[0, 0], [30, 0], [30, 10], [20, 10], [10, 10], [10, 25], [0, 25]], float)  # one corner is none
+L_SHAPE = np.array(
+    [[0, 0], [30, 0], [30, 10], [20, 10], [10, 10], [10, 25], [0, 25]], float
+)  # one corner is none
 BOW = arc(0, 0, 20, 0, 180)[::31]  # of the 4000 points also the last
 CUSTOM = {
     "L": (polygon(L_SHAPE), lambda: L_SHAPE, (20.0, 10.0, 90.0)),
-    "L backwards": (polygon(np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]), lambda: L_SHAPE, (30.0, 5.0, 0.0)),
-    "round": (polygon(arc(0, 0, 20, 0, 359.9)[::10]), lambda: arc(0, 0, 20, 0, 360), (20.0, 0.0, 0.0)),
+    "L backwards": (
+        polygon(np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]),
+        lambda: L_SHAPE,
+        (30.0, 5.0, 0.0),
+    ),
+    "round": (
+        polygon(arc(0, 0, 20, 0, 359.9)[::10]),
+        lambda: arc(0, 0, 20, 0, 360),
+        (20.0, 0.0, 0.0),
+    ),
     "bar": (
         stroke(np.array([[-10.0, 0.0], [0.0, 0.0], [0.0, 0.0], [10.0, 0.0]]), 3.0),
         lambda: np.concatenate([arc(10, 0, 3, -90, 90), arc(-10, 0, 3, 90, 270)]),
@@ -65,7 +75,10 @@ def places(line):
     ("name", "kind"),
     [
         *((name, np.float32) for name in (*SHAPES, *CUSTOM)),
-        *(pytest.param(name, np.float64, marks=[] if name in ("clover", "L") else LONG) for name in (*SHAPES, *CUSTOM)),
+        *(
+            pytest.param(name, np.float64, marks=[] if name in ("clover", "L") else LONG)
+            for name in (*SHAPES, *CUSTOM)
+        ),
     ],
 )
 def test_distance_and_direction_are_those_of_the_outline(name, kind):
@@ -104,9 +117,15 @@ def test_a_polygon_has_a_slope_on_its_sides_and_corners():
     slope = jax.jit(jax.vmap(jax.grad(polygon(L_SHAPE))))
     half = np.sqrt(0.5)
     on = jnp.asarray([[15.0, 0.0], [30.0, 5.0], [20.0, 10.0], [30.0, 10.0], [10.0, 10.0]])
-    np.testing.assert_allclose(slope(on), [[0, -1], [1, 0], [0, 1], [half, half], [half, half]], atol=1e-6)
+    np.testing.assert_allclose(
+        slope(on), [[0, -1], [1, 0], [0, 1], [half, half], [half, half]], atol=1e-6
+    )
 
 
 def test_inside_and_outside_of_corners():
-    points = jnp.asarray([[33.0, 14.0], [7.0, 6.0], [10.0, 0.5], [-3.0, 10.0], [20.0, 9.0], [20.0, 11.0]])
-    np.testing.assert_allclose(jax.jit(polygon(L_SHAPE))(points), [5, -5, -0.5, 3, -1, 1], atol=1e-5)
+    points = jnp.asarray(
+        [[33.0, 14.0], [7.0, 6.0], [10.0, 0.5], [-3.0, 10.0], [20.0, 9.0], [20.0, 11.0]]
+    )
+    np.testing.assert_allclose(
+        jax.jit(polygon(L_SHAPE))(points), [5, -5, -0.5, 3, -1, 1], atol=1e-5
+    )

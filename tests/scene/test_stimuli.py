@@ -54,12 +54,15 @@ def test_shape_lies_within_its_extent(name):
 
 def test_disk_is_exact_and_gradients_are_finite_at_centres():
     points = jnp.asarray([[0.0, 0.0], [3.0, 4.0], [-50.0, 0.0]])
-    np.testing.assert_allclose(distance(STIMULI["disk"], points), [0, np.hypot(53, 4) - 50, -50], atol=1e-4)
+    np.testing.assert_allclose(
+        distance(STIMULI["disk"], points), [0, np.hypot(53, 4) - 50, -50], atol=1e-4
+    )
     assert np.all(np.isfinite(normal(STIMULI["disk"], points)))
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in CHEAP else pytest.param(name, marks=pytest.mark.long) for name in STIMULI]
+    "name",
+    [name if name in CHEAP else pytest.param(name, marks=pytest.mark.long) for name in STIMULI],
 )
 def test_jit_and_vmap_agree_with_the_plain_call(name):
     points = jax.random.uniform(jax.random.key(1), (7, 2), minval=-9, maxval=9)
@@ -69,7 +72,11 @@ def test_jit_and_vmap_agree_with_the_plain_call(name):
 
 
 def test_names():
-    assert {*SHAPES, "edge", "surface"} == set(STIMULI) and (*TRAINING, *UNSEEN) == SHAPES and len(UNSEEN) == 4
+    assert (
+        {*SHAPES, "edge", "surface"} == set(STIMULI)
+        and (*TRAINING, *UNSEEN) == SHAPES
+        and len(UNSEEN) == 4
+    )
     assert sum(STIMULI[name].material == "acrylic" for name in UNSEEN) == 2
     with pytest.raises(UserError, match="pyramid"):
         stimulus_named("pyramid")
@@ -78,10 +85,22 @@ def test_names():
 
 
 def test_outlines_are_shapes_like_those_with_a_name():
-    lobed = ((-9, -3), (9, -3), (9, 3), (3, 3), (3, 9), (-3, 9), (-3, 3), (-9, 3))  # sides of it lie on one line
+    lobed = (
+        (-9, -3),
+        (9, -3),
+        (9, 3),
+        (3, 3),
+        (3, 9),
+        (-3, 9),
+        (-3, 3),
+        (-9, 3),
+    )  # sides of it lie on one line
     own = Outline("lobed", lobed, friction=0.3)
     stimulus = stimulus_of(own)
-    assert stimulus is followed(own) is stimulus_of(Outline("lobed", lobed, friction=0.3)) and stimulus.friction == 0.3
+    assert (
+        stimulus is followed(own) is stimulus_of(Outline("lobed", lobed, friction=0.3))
+        and stimulus.friction == 0.3
+    )
     assert stimulus_of("disk") is STIMULI["disk"] is stimulus_of(STIMULI["disk"])
     points = jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [-4.0, 7.0]])  # of the target frame
     assert own.place == (9, 1.5, 0)
@@ -99,7 +118,9 @@ def test_an_edge_and_a_surface_are_exact():
 def test_an_edges_labels_are_where_across_it_and_how_it_is_turned():
     pose = np.array([[2.5, -4.0, 30.0, 2.0], [-1.0, 3.0, -170.0, 2.0], [0.5, 0.0, 180.0, 1.0]])
     scenes = make_scenes(("edge",), np.zeros(3, int), pose, np.zeros((3, 2)))
-    np.testing.assert_allclose(edge_labels(("edge",), scenes), [[2.5, -30], [-1.0, 170], [0.5, 180]], atol=1e-5)
+    np.testing.assert_allclose(
+        edge_labels(("edge",), scenes), [[2.5, -30], [-1.0, 170], [0.5, 180]], atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("name", STIMULI)
@@ -107,5 +128,7 @@ def test_no_row_or_column_through_a_corner_has_the_wrong_sign(name):
     """A distance changes by no more than the step between two points, wherever grid lines run."""
     line = np.arange(-80, 80.1, 0.5, dtype=np.float32)
     xy = np.stack(np.meshgrid(line, line), -1)
-    found = np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(STIMULI[name], row), xy))(xy))
+    found = np.asarray(
+        jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(STIMULI[name], row), xy))(xy)
+    )
     assert max(np.abs(np.diff(found, axis=axis)).max() for axis in (0, 1)) < 0.501

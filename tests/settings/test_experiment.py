@@ -29,7 +29,15 @@ def changed(*argv: str) -> Experiment:
 
 def test_each_kind_of_value_is_overridden_by_name():
     experiment = changed(
-        *("--seed", "7", "--train.epochs=2.5", "--train.drops", "40:0.2,80:.1", "--unshear.widths", "8, 16,32"),
+        *(
+            "--seed",
+            "7",
+            "--train.epochs=2.5",
+            "--train.drops",
+            "40:0.2,80:.1",
+            "--unshear.widths",
+            "8, 16,32",
+        ),
         *(
             "--paired.stimuli",
             "disk",
@@ -63,7 +71,10 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
     shown = set()
     for name, _ in field_types():
-        for experiment in (PLAIN, recorded):  # some fields are of simulated sets, some of recordings
+        for experiment in (
+            PLAIN,
+            recorded,
+        ):  # some fields are of simulated sets, some of recordings
             value = experiment
             for part in name.split("."):
                 value = getattr(value, part, MISSING)
@@ -109,7 +120,8 @@ def test_json_keeps_everything():
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")]
+    "damage",
+    [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")],
 )
 def test_json_of_another_version_is_refused(damage):
     data = to_json(PLAIN)
@@ -140,8 +152,12 @@ def test_depths_beyond_the_contact_model_are_refused():
     from jaxunshear.settings.reach import deepest_mm
 
     for excess, refused in ((-0.01, False), (0.01, True)):
-        ranges = dataclasses.replace(PLAIN.pose.ranges, depth_max_mm=deepest_mm(PLAIN.sensor) + excess)
-        deep = dataclasses.replace(PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges))
+        ranges = dataclasses.replace(
+            PLAIN.pose.ranges, depth_max_mm=deepest_mm(PLAIN.sensor) + excess
+        )
+        deep = dataclasses.replace(
+            PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges)
+        )
         wrong = [name for holds, name, _ in rules(deep) if not holds]
         assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
@@ -195,7 +211,10 @@ def test_a_file_builds_on_its_own_neighbour(tmp_path):
             "experiment = Experiment(name='built', claim='', seed=base.seed)"
         )
     before = list(sys.path)
-    assert [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")] == [1, 2]
+    assert [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")] == [
+        1,
+        2,
+    ]
     assert sys.path == before and "base" not in sys.modules
 
 

@@ -19,7 +19,20 @@ from jaxunshear.settings.stimuli import MOST_CORNERS, Outline
 from jaxunshear.settings.stored import from_json, to_json
 
 SQUARE = ((0, 0), (20, 0), (20, 20), (0, 20))
-PLUS = ((1, 1), (1, 3), (-1, 3), (-1, 1), (-3, 1), (-3, -1), (-1, -1), (-1, -3), (1, -3), (1, -1), (3, -1), (3, 1))
+PLUS = (
+    (1, 1),
+    (1, 3),
+    (-1, 3),
+    (-1, 1),
+    (-3, 1),
+    (-3, -1),
+    (-1, -1),
+    (-1, -3),
+    (1, -3),
+    (1, -1),
+    (3, -1),
+    (3, 1),
+)
 PLAIN = Experiment("own", "none", paired=PairedData(stimuli=("disk", Outline("square", SQUARE))))
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {}>{}</svg>'
 
@@ -47,7 +60,11 @@ def ring(xy):
 def test_what_is_no_outline_is_refused(points, reason):
     with pytest.raises(UserError, match=reason) as refusal:
         Outline("mine", points)
-    assert "outline 'mine'" in str(refusal.value) and "\n" not in str(refusal.value) and MOST_CORNERS < 500
+    assert (
+        "outline 'mine'" in str(refusal.value)
+        and "\n" not in str(refusal.value)
+        and MOST_CORNERS < 500
+    )
 
 
 @pytest.mark.parametrize("name", ["disk", "", "two words", 7, "a/b"])
@@ -56,7 +73,9 @@ def test_names_are_of_few_signs_and_of_no_other_shape(name):
         Outline(name, SQUARE)
 
 
-@pytest.mark.parametrize(("more", "reason"), [({"friction": -1}, "0 or more"), ({"target": (1, 2)}, "degrees")])
+@pytest.mark.parametrize(
+    ("more", "reason"), [({"friction": -1}, "0 or more"), ({"target": (1, 2)}, "degrees")]
+)
 def test_targets_and_frictions_that_cannot_be(more, reason):
     with pytest.raises(UserError, match=reason):
         Outline("mine", SQUARE, **more)
@@ -86,10 +105,14 @@ def test_drawings_are_read_in_mm_with_y_up(tmp_path):
     )  # fmt: skip
     lens = np.array(read_outline(tmp_path / "lens.svg").points)
     np.testing.assert_allclose([lens.min(0), lens.max(0)], [[0, -20], [30, 0]], atol=0.02)
-    assert np.abs(lens - [30, -10]).sum(-1).min() < 0.5  # the curve's vertex: half way to its control point
+    assert (
+        np.abs(lens - [30, -10]).sum(-1).min() < 0.5
+    )  # the curve's vertex: half way to its control point
     (tmp_path / "disc.svg").write_text(SVG.format("", '<circle cx="5" cy="7" r="10"/>'))
     disc = read_outline(tmp_path / "disc.svg")
-    np.testing.assert_allclose(np.linalg.norm(disc.points - np.array([5, -7]), axis=-1), 10, atol=0.02)
+    np.testing.assert_allclose(
+        np.linalg.norm(disc.points - np.array([5, -7]), axis=-1), 10, atol=0.02
+    )
     np.testing.assert_allclose(disc.place, (15, -7, 0), atol=0.05)
 
 
@@ -97,7 +120,11 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
     (tmp_path / "a.csv").write_text("x_mm,y_mm\n" + "".join(f"{x}, {y}\n" for x, y in SQUARE))
     (tmp_path / "a.json").write_text(json.dumps(SQUARE))
     (tmp_path / "b.json").write_text(json.dumps({"name": "a", "points": SQUARE, "friction": 0.3}))
-    assert read_outline(tmp_path / "a.csv") == read_outline(tmp_path / "a.json") == Outline("a", SQUARE)
+    assert (
+        read_outline(tmp_path / "a.csv")
+        == read_outline(tmp_path / "a.json")
+        == Outline("a", SQUARE)
+    )
     assert read_outline(tmp_path / "b.json") == Outline("a", SQUARE, friction=0.3)
     assert touched("disk") == "disk" and touched(str(tmp_path / "a.csv")).name == "a"
 
@@ -109,7 +136,11 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
         ("a.svg", SVG.format("", '<path d="M0 0 L x"/>'), "no drawing that can be read"),
         ("a.svg", SVG.format("", ""), "has 0 paths"),
         ("a.svg", SVG.format("", '<path d="M0 0h9v9z M20 0h9v9z"/>'), "has 2 paths"),
-        ("a.svg", SVG.format("", '<g transform="scale(2)"><rect width="9" height="9"/></g>'), "has transforms"),
+        (
+            "a.svg",
+            SVG.format("", '<g transform="scale(2)"><rect width="9" height="9"/></g>'),
+            "has transforms",
+        ),
         ("a.svg", SVG.format("", '<path d="M0 0h9v9z"/>').replace("9", "1"), "encloses less"),
         ("a.csv", "0 0\n1", "must be pairs"),
         ("a.csv", "0 0\n1 up", "a point a line"),
@@ -117,7 +148,9 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
         ("disk.csv", "0 0\n9 0\n9 9", "use another"),
     ],
 )
-def test_files_that_hold_no_outline_are_refused_in_a_line(command, tmp_path, monkeypatch, name, text, reason):
+def test_files_that_hold_no_outline_are_refused_in_a_line(
+    command, tmp_path, monkeypatch, name, text, reason
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(text)
     for words in (("stimuli", "draw", name), ("servo", "--stimulus", f"leaf,{name}")):
@@ -153,7 +186,9 @@ def test_functions_that_give_no_outline_are_refused(distance, reason):
 def test_settings_with_outlines_are_stored_and_read_again():
     validate(PLAIN)
     stored = json.loads(json.dumps(to_json(PLAIN)))
-    assert stored["paired"]["stimuli"][0] == "disk" and stored["paired"]["stimuli"][1]["points"][1] == [20, 0]
+    assert stored["paired"]["stimuli"][0] == "disk" and stored["paired"]["stimuli"][1]["points"][
+        1
+    ] == [20, 0]
     assert from_json(stored) == PLAIN and hash(from_json(stored)) == hash(PLAIN)
     stored["paired"]["stimuli"][1]["points"] = [[0, 0]]
     with pytest.raises(UserError, match="a point or a line"):
@@ -165,7 +200,10 @@ def test_settings_with_outlines_are_stored_and_read_again():
 
 def test_other_points_are_another_set():
     larger = Outline("square", tuple((2 * x, 2 * y) for x, y in SQUARE))
-    names = {config_name(PairedData(stimuli=(one,)), TACTIP_331) for one in ("disk", Outline("square", SQUARE), larger)}
+    names = {
+        config_name(PairedData(stimuli=(one,)), TACTIP_331)
+        for one in ("disk", Outline("square", SQUARE), larger)
+    }
     assert len(names) == 3
 
 
@@ -181,15 +219,24 @@ def test_files_are_named_on_the_command_line(tmp_path):
     ]
     changed = override(Experiment("own", "none"), argv)
     assert changed.paired == PLAIN.paired and changed.paired.names == ("disk", "square")
-    with pytest.raises(UserError, match=r"--paired\.stimuli disk,square,square: name each stimulus once"):
-        validate(override(changed, ["--paired.stimuli", f"disk,{tmp_path}/square.csv,{tmp_path}/square.csv"]))
+    with pytest.raises(
+        UserError, match=r"--paired\.stimuli disk,square,square: name each stimulus once"
+    ):
+        validate(
+            override(
+                changed, ["--paired.stimuli", f"disk,{tmp_path}/square.csv,{tmp_path}/square.csv"]
+            )
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
         ({"unseen": (Outline("square", PLUS),)}, "square is trained on"),
-        ({"pose": PoseData(stimuli=("disk", Outline("square", PLUS)))}, "two outlines are called square"),
+        (
+            {"pose": PoseData(stimuli=("disk", Outline("square", PLUS)))},
+            "two outlines are called square",
+        ),
         ({"paired": PairedData(stimuli=("disk", ring))}, "takes names, or files of outlines"),
         ({"paired": PairedData(stimuli=("disk", "box"))}, "box is unknown"),
     ],
@@ -220,5 +267,7 @@ experiment = Experiment("mine", "none", sensor=small, paired=PairedData(stimuli=
     assert found.sensor.pins == 127 and found.paired.names == ("disk", "blob", "kite")
     assert from_json(json.loads(json.dumps(to_json(found)))) == found
     file.write_text(text.format(corner="(8, -20)"))
-    with pytest.raises(UserError, match=r"mine\.py fails in line 11: UserError: outline 'kite' crosses itself"):
+    with pytest.raises(
+        UserError, match=r"mine\.py fails in line 11: UserError: outline 'kite' crosses itself"
+    ):
         load_experiment(file)

@@ -14,16 +14,27 @@ from jaxunshear.settings.rules import validate
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ROOT / "docs" / "results" / "calibrate_edge_2d.json"
-DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "ablations/lambda_split"))
+DEMO, RECORDED, SWEEP = (
+    ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "ablations/lambda_split")
+)
 
 
 def test_sensor_camera_and_friction_are_the_calibrated_ones():
     before = load_experiment(DEMO)
-    before = replace(before, paired=replace(before.paired, camera=replace(before.paired.camera, frame_px=200)))
+    before = replace(
+        before, paired=replace(before.paired, camera=replace(before.paired.camera, frame_px=200))
+    )
     after, reported = with_preset(before, SHIPPED), json.loads(SHIPPED.read_text())["preset"]
-    assert after.sensor.pin_spacing_mm == reported["sensor"]["pin_spacing_mm"] != before.sensor.pin_spacing_mm
+    assert (
+        after.sensor.pin_spacing_mm
+        == reported["sensor"]["pin_spacing_mm"]
+        != before.sensor.pin_spacing_mm
+    )
     for data, frame in ((after.paired, 200), (after.pose, 256)):
-        assert (data.friction, data.camera.mm_across) == (reported["friction"], reported["camera"]["mm_across"])
+        assert (data.friction, data.camera.mm_across) == (
+            reported["friction"],
+            reported["camera"]["mm_across"],
+        )
         assert data.camera.frame_px == frame
     back = {"sensor": before.sensor, "paired": before.paired, "pose": before.pose}
     assert replace(after, **back) == before
@@ -36,7 +47,10 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
         ("{", "not valid JSON"),
         ("[]", "holds no preset"),
         ('{"rows": []}', "holds no preset"),
-        ('{"preset": {"sensor": {}, "camera": {}, "friction": 0.3}}', r"preset\.sensor\.dome_radius_mm is missing"),
+        (
+            '{"preset": {"sensor": {}, "camera": {}, "friction": 0.3}}',
+            r"preset\.sensor\.dome_radius_mm is missing",
+        ),
         ('{"preset": {"friction": 0.3}}', r"preset\.camera is missing, preset\.sensor is missing"),
     ],
 )

@@ -34,8 +34,12 @@ def test_every_network_is_in_the_table():
 
 
 def test_those_that_unshear_are_built_and_titled():
-    assert len({unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(UNSHEARING)
-    assert all(REGISTRY[name].title and REGISTRY[name].learns_from == "pairs" for name in UNSHEARING)
+    assert len({unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(
+        UNSHEARING
+    )
+    assert all(
+        REGISTRY[name].title and REGISTRY[name].learns_from == "pairs" for name in UNSHEARING
+    )
 
 
 def test_no_other_file_spells_a_networks_name():

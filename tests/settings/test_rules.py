@@ -30,7 +30,9 @@ def refusal(words: str) -> str:
 )
 def test_posenets_training_has_no_losses_of_pairs(field, value, default):
     line = refusal(f"--train_posenet.{field} {value}")
-    assert line.startswith(f"--train_posenet.{field} ") and line.endswith(f"unshear: leave it at {default}")
+    assert line.startswith(f"--train_posenet.{field} ") and line.endswith(
+        f"unshear: leave it at {default}"
+    )
     if field != "paired_share":
         validate(override(PLAIN, [f"--train.{field}", value]))
 
@@ -38,7 +40,9 @@ def test_posenets_training_has_no_losses_of_pairs(field, value, default):
 def test_a_teachers_training_is_judged_where_there_is_one():
     words = ["--train_teacher.batch", "100000"]
     validate(override(PLAIN, words))
-    assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith("--train_teacher.batch 100000: ")
+    assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith(
+        "--train_teacher.batch 100000: "
+    )
     assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
 
 
@@ -46,7 +50,9 @@ def test_a_poses_target_is_known_and_on_the_teachers_scale():
     assert refusal("--train.pose_target pins").startswith("--train.pose_target pins: ")
     words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
     validate(override(PLAIN, words))
-    assert "make paired.ranges and pose.ranges equal" in refusal(" ".join([*words, "--pose.ranges.yaw_deg 60"]))
+    assert "make paired.ranges and pose.ranges equal" in refusal(
+        " ".join([*words, "--pose.ranges.yaw_deg 60"])
+    )
 
 
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
@@ -58,7 +64,12 @@ def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
 @pytest.mark.parametrize("group", ["paired", "pose"])
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("camera.mm_across", "60"), ("camera.frame_px", "300"), ("preprocess.offset", "0.1"), ("preprocess.block", "0.2")],
+    [
+        ("camera.mm_across", "60"),
+        ("camera.frame_px", "300"),
+        ("preprocess.offset", "0.1"),
+        ("preprocess.block", "0.2"),
+    ],
 )
 def test_posenet_reads_pairs_that_see_like_its_taps(group, field, value):
     line = refusal(f"--{group}.{field} {value}")
@@ -69,7 +80,9 @@ def test_posenet_reads_pairs_that_see_like_its_taps(group, field, value):
 def test_without_a_posenet_of_taps_pairs_may_see_otherwise():
     words = ["--paired.camera.mm_across", "60", "--networks"]
     validate(override(PLAIN, [*words, "disentangled,posenet_sheared"]))
-    assert "differs" in refusal("--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1")
+    assert "differs" in refusal(
+        "--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1"
+    )
 
 
 def test_a_tests_poses_are_none_that_posenet_learnt():
@@ -82,11 +95,21 @@ def test_a_tests_poses_are_none_that_posenet_learnt():
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("lateral_mm", 6), ("yaw_deg", 60), ("depth_max_mm", 6.5), ("depth_min_mm", 0.5), ("tilt_deg", 5)],
+    [
+        ("lateral_mm", 6),
+        ("yaw_deg", 60),
+        ("depth_max_mm", 6.5),
+        ("depth_min_mm", 0.5),
+        ("tilt_deg", 5),
+    ],
 )
 def test_posenet_knows_the_poses_of_pairs(field, value):
     assert f"pose.ranges.{field}" in refusal(f"--paired.ranges.{field} {value}")
-    validate(override(PLAIN, [f"--paired.ranges.{field}", str(value), f"--pose.ranges.{field}", str(value)]))
+    validate(
+        override(
+            PLAIN, [f"--paired.ranges.{field}", str(value), f"--pose.ranges.{field}", str(value)]
+        )
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,7 +118,10 @@ def test_posenet_knows_the_poses_of_pairs(field, value):
         ("--targets z_mm", "target 'z_mm' is unknown"),
         ("--targets x_mm:circle", "only an angle goes round a circle"),
         ("--targets x_mm,x_mm:range:2", "name each once"),
-        ("--targets yaw_deg --pose.ranges.yaw_deg 0 --paired.ranges.yaw_deg 0", "target 'yaw_deg' does not vary"),
+        (
+            "--targets yaw_deg --pose.ranges.yaw_deg 0 --paired.ranges.yaw_deg 0",
+            "target 'yaw_deg' does not vary",
+        ),
         (
             "--paired.ranges.lateral_mm 0 --paired.ranges.yaw_deg 0 --networks disentangled,posenet_sheared",
             "there is none: the ranges of the poses leave nothing to predict",
@@ -160,7 +186,9 @@ def test_what_codes_that_do_not_leak_take(field):
     pins = "--unshear.input pins --networks disentangled,posenet"
     shared = f"{pins} --paired.poses_a_slide 2"
     validate(override(PLAIN, f"{shared} --train_pins.{field} 1".split()))
-    assert "raise pins.shear_code" in refusal(f"{shared} --pins.shear_code 0 --train_pins.{field} 1")
+    assert "raise pins.shear_code" in refusal(
+        f"{shared} --pins.shear_code 0 --train_pins.{field} 1"
+    )
     assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
     assert "set unshear.apart" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
 
@@ -171,8 +199,12 @@ def test_what_codes_of_images_that_are_apart_take():
     assert "use pins.apart" in refusal(f"{apart} --unshear.input pins")
     taught = f"{apart} --train.slide_weight 1"
     validate(override(PLAIN, taught.split()))
-    assert "raise train.slide_weight and unshear.shear" in refusal(f"{taught} --unshear.shear_channels 0")
-    assert refusal(f"{taught} --train.swap_weight 1").startswith("--train.swap_weight 1.0: takes simulated slides")
+    assert "raise train.slide_weight and unshear.shear" in refusal(
+        f"{taught} --unshear.shear_channels 0"
+    )
+    assert refusal(f"{taught} --train.swap_weight 1").startswith(
+        "--train.swap_weight 1.0: takes simulated slides"
+    )
     validate(override(PLAIN, f"{taught} --train.agreement_weight 1".split()))
     for field in ("swap_weight", "agreement_weight"):
         validate(override(PLAIN, f"{taught} --paired.poses_a_slide 2 --train.{field} 1".split()))
@@ -186,10 +218,19 @@ def test_what_codes_of_images_that_are_apart_take():
         ("--train.tap_weight 1", "is for networks over pins"),
         ("--train.alike_weight 1", "is for networks over pins"),
         ("--train.paired_share 0.1", "is for networks over pins"),
-        ("--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1", "takes two slides to a pose"),
+        (
+            "--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1",
+            "takes two slides to a pose",
+        ),
         ("--unshear.input pins --train_pins.tap_weight -1", "must not be below zero"),
-        ("--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1", "pins as they are"),
-        ("--unshear.input pins --train_pins.agreement_weight 1 --train_pins.paired_share 0.1", "partners"),
+        (
+            "--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1",
+            "pins as they are",
+        ),
+        (
+            "--unshear.input pins --train_pins.agreement_weight 1 --train_pins.paired_share 0.1",
+            "partners",
+        ),
     ],
 )
 def test_fewer_pairs_within_their_limits(words, line):
@@ -218,7 +259,10 @@ def test_exchanged_codes_take_slides_that_poses_share():
     ("words", "line"),
     [
         ("--paired.poses_a_slide 0", "a slide belongs to one pose at least"),
-        ("--unshear.input pins --networks disentangled --pins.apart true", "raise train_pins.slide_weight"),
+        (
+            "--unshear.input pins --networks disentangled --pins.apart true",
+            "raise train_pins.slide_weight",
+        ),
     ],
 )
 def test_codes_and_slides_within_their_limits(words, line):
@@ -251,5 +295,15 @@ def test_twists_and_tilts_that_can_be():
     wide = "--paired.ranges.depth_max_mm 5 --pose.ranges.depth_max_mm 5 --pose.ranges.tilt_deg 25"
     validate(override(PLAIN, f"{wide} --other_tilts_deg 0,25 --other_twists_deg 0,20".split()))
     validate(
-        override(PLAIN, ["--paired.ranges.twist_deg", "20", "--train.pose_weight", "1", "--train.pose_target", "label"])
+        override(
+            PLAIN,
+            [
+                "--paired.ranges.twist_deg",
+                "20",
+                "--train.pose_weight",
+                "1",
+                "--train.pose_target",
+                "label",
+            ],
+        )
     )

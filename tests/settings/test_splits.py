@@ -13,7 +13,8 @@ SIZES = (5, 6, 7, 8, 9, 10, 11, 13, 24, 36, 60, 150)
 
 
 @pytest.mark.parametrize(
-    "seed", [0, pytest.param(7, marks=pytest.mark.long), pytest.param(2**31 - 1, marks=pytest.mark.long)]
+    "seed",
+    [0, pytest.param(7, marks=pytest.mark.long), pytest.param(2**31 - 1, marks=pytest.mark.long)],
 )
 def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
     """Of any two sizes, slides, stimuli and kinds of set: the very poses are compared, not their numbers."""
@@ -21,12 +22,18 @@ def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
     for size in DRAWN:
         for settings in (
             PairedData(poses=size, seed=seed),
-            PairedData(poses=size, seed=seed, stimuli=("teardrop", "flower", "disk"), taps=2, slides=5),
+            PairedData(
+                poses=size, seed=seed, stimuli=("teardrop", "flower", "disk"), taps=2, slides=5
+            ),
             PoseData(poses=size, seed=seed),
         ):
             shots = draw(settings)
-            for stimulus, pose, split in zip(shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True):
-                seen.setdefault((settings.stimuli[stimulus], *pose.tolist()), set()).add(SPLITS[split])
+            for stimulus, pose, split in zip(
+                shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True
+            ):
+                seen.setdefault((settings.stimuli[stimulus], *pose.tolist()), set()).add(
+                    SPLITS[split]
+                )
     assert len(seen) == 4 * max(DRAWN)
     assert all(len(splits) == 1 for splits in seen.values())
 

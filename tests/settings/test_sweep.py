@@ -25,7 +25,10 @@ BAD = [
     ({"grid": (("train.batch", [4]),)}, "sweep.grid lists no values for train.batch"),
     ({"grid": (((), (4,)),)}, "sweep.grid is no tuple of axes"),
     ({"grid": ((("train.batch", "seed"), ((4,),)),)}, "sweep.grid needs tuples of a value each"),
-    ({"grid": (("train.batch", (4,)), (("train.batch", "train.l1"), ((4, 0.0),)))}, "varies train.batch on two axes"),
+    (
+        {"grid": (("train.batch", (4,)), (("train.batch", "train.l1"), ((4, 0.0),)))},
+        "varies train.batch on two axes",
+    ),
     ({"grid": (("train.bach", (4,)),)}, "did you mean --train.batch"),
     ({"grid": (("train", (4,)),)}, "it is a group"),
     ({"grid": (("seed", (0, 1)),)}, "sweep.grid varies seed: list the seeds"),
@@ -74,7 +77,10 @@ BAD_CELLS = [
     ({"grid": (("train.batch", (4, "many")),)}, "cell batch=many: --train.batch takes an integer"),
     ({"rows": ((("train.l1", -1.0),),)}, "cell l1=-1.0: --train.l1 -1.0"),
     ({"ablation": True, "networks": ("posenet",)}, "needs the network 'disentangled'"),
-    ({"grid": (("train.batch", (4, 8)),), "reference": "batch=5"}, "use one of 'batch=4'; 'batch=8'"),
+    (
+        {"grid": (("train.batch", (4, 8)),), "reference": "batch=5"},
+        "use one of 'batch=4'; 'batch=8'",
+    ),
 ]
 
 
@@ -88,8 +94,14 @@ def test_a_bad_cell_is_refused_by_its_label(changes, line):
 
 
 def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
-    changed = with_overrides(LAMBDA, ["--train.epochs", "2", "--name", "other", "--networks", "disentangled"])
-    assert (changed.base.train.epochs, changed.name, base_of(changed).networks) == (2.0, "other", ("disentangled",))
+    changed = with_overrides(
+        LAMBDA, ["--train.epochs", "2", "--name", "other", "--networks", "disentangled"]
+    )
+    assert (changed.base.train.epochs, changed.name, base_of(changed).networks) == (
+        2.0,
+        "other",
+        ("disentangled",),
+    )
     for words, line in (
         ("--train.patch_weight 1", "sweep plain varies train.patch_weight"),
         ("--seed 3", "use --seeds"),

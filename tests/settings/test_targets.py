@@ -36,7 +36,14 @@ SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_m
 
 def recorded(count=60):
     """Poses (N, 6) whose z_mm and Ry_deg stay where they are, and whose Rz_deg goes all the way round."""
-    poses = np.random.default_rng(0).uniform(-1, 1, (count, 6)) * [3, 4, 0, 10, 0, 180] + [10, 0, 2, 5, 1, 0]
+    poses = np.random.default_rng(0).uniform(-1, 1, (count, 6)) * [3, 4, 0, 10, 0, 180] + [
+        10,
+        0,
+        2,
+        5,
+        1,
+        0,
+    ]
     poses[:2, 5] = -179, 179
     return poses
 
@@ -72,7 +79,10 @@ def test_a_target_is_a_name_with_or_without_its_kind_and_weight(text, found):
         ("yaw_deg:", "is not understood"),
         ("yaw_deg:4", "is not understood"),
         ("yaw_deg:range:4:4", "is not understood"),
-        *((f"x_mm:range:{weight}", "weight in the loss is a number above 0") for weight in ("0", "-1", "nan", "inf")),
+        *(
+            (f"x_mm:range:{weight}", "weight in the loss is a number above 0")
+            for weight in ("0", "-1", "nan", "inf")
+        ),
         ("x_mm:range:much", "weight in the loss is a number above 0"),
         ("x_mm:range:", "weight in the loss is a number above 0"),
     ],
@@ -121,7 +131,9 @@ def test_naming_what_does_not_vary_is_refused(text, ranges):
 
 
 def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_range():
-    depth, y, yaw, angle, _ = of_ranges(SEVERAL, Ranges(lateral_mm=3, yaw_deg=90, depth_min_mm=1, depth_max_mm=5))
+    depth, y, yaw, angle, _ = of_ranges(
+        SEVERAL, Ranges(lateral_mm=3, yaw_deg=90, depth_min_mm=1, depth_max_mm=5)
+    )
     assert depth == Target("depth_mm", "pose", 3, 3.0, 2.0)
     assert y == Target("y_mm", "pose", 1, 0.0, 3.0)
     assert yaw == Target("yaw_deg", "pose", 2, 0.0, 90.0, weight=2.0)
@@ -130,7 +142,12 @@ def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_ra
 
 @pytest.mark.parametrize(
     ("half", "text", "circle"),
-    [(150, "yaw_deg", False), (151, "yaw_deg", True), (151, "yaw_deg:range", False), (20, "yaw_deg:circle", True)],
+    [
+        (150, "yaw_deg", False),
+        (151, "yaw_deg", True),
+        (151, "yaw_deg:range", False),
+        (20, "yaw_deg:circle", True),
+    ],
 )
 def test_an_angle_is_a_circle_where_it_is_asked_for_or_goes_round(half, text, circle):
     (target,) = of_ranges((text,), Ranges(yaw_deg=half))
@@ -147,7 +164,9 @@ def test_recorded_labels_that_vary_are_targets():
 
 def test_recorded_labels_fill_the_outputs_from_end_to_end():
     poses = recorded()
-    wanted = np.asarray(posenet.pose_targets({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses)))
+    wanted = np.asarray(
+        posenet.pose_targets({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses))
+    )
     np.testing.assert_allclose(wanted.min(axis=0), 0, atol=1e-6)
     np.testing.assert_allclose(wanted.max(axis=0), 1, atol=1e-6)
     turned = of_labels(("Rz_deg:range",), poses)
@@ -164,7 +183,13 @@ def test_what_slides_vary_is_felt_by_the_sensor_or_labelled():
     moves = np.zeros((4, 6))
     moves[:3, 0], moves[:3, 5], moves[3] = [-5, 0, 3], [0, 1, 2], np.nan
     along, turn = moves_of(moves)
-    assert (along.name, along.field, along.column, along.middle, along.reach) == ("slide_x_mm", "move", 0, -1, 4)
+    assert (along.name, along.field, along.column, along.middle, along.reach) == (
+        "slide_x_mm",
+        "move",
+        0,
+        -1,
+        4,
+    )
     assert (turn.name, turn.column, turn.middle, turn.reach) == ("slide_Rz_deg", 5, 1, 1)
     assert moves_of(moves[3:]) == moves_of(moves[:0]) == ()
 
@@ -201,7 +226,9 @@ def test_the_slide_of_a_recording_is_a_target_where_it_is_named():
 
 
 def test_recorded_and_simulated_sets_have_names_of_their_own():
-    with pytest.raises(UserError, match="target 'edge_mm' is unknown: use x_mm, y_mm, z_mm, Rx_deg, Ry_deg, Rz_deg"):
+    with pytest.raises(
+        UserError, match="target 'edge_mm' is unknown: use x_mm, y_mm, z_mm, Rx_deg, Ry_deg, Rz_deg"
+    ):
         of_labels(("edge_mm",), recorded())
     assert set(RECORDED) & set(SIMULATED) == {"x_mm", "y_mm"}
 
@@ -216,7 +243,11 @@ def test_labels_come_back_from_their_outputs(count, jit):
         return outputs, posenet.pose_from_outputs(outputs, targets)
 
     outputs, back = (jax.jit(there_and_back) if jit else there_and_back)(batch)
-    assert outputs.shape == (50, posenet.outputs_of(targets)) == (50, len(posenet.output_weights(targets)))
+    assert (
+        outputs.shape
+        == (50, posenet.outputs_of(targets))
+        == (50, len(posenet.output_weights(targets)))
+    )
     assert 0 <= float(outputs.min()) < float(outputs.max()) <= 1
     true = true_values(targets, batch)
     assert tuple(true) == names_of(targets) and set(back) == set(true)
@@ -229,41 +260,75 @@ def test_simulated_outputs_are_the_very_numbers_they_were():
     batch, ranges = simulated(), Ranges()
     pose, edge, angle = batch["pose"], batch["edge"], jnp.deg2rad(batch["edge"][:, 1])
     lateral, yaw, distance = ranges.lateral_mm, ranges.yaw_deg, 2**0.5 * ranges.lateral_mm
-    signed = (pose[:, 0] / lateral, pose[:, 2] / yaw, edge[:, 0] / distance, jnp.cos(angle), jnp.sin(angle))
+    signed = (
+        pose[:, 0] / lateral,
+        pose[:, 2] / yaw,
+        edge[:, 0] / distance,
+        jnp.cos(angle),
+        jnp.sin(angle),
+    )
     former = (jnp.stack(signed, -1) + 1) / 2
     np.testing.assert_array_equal(posenet.pose_targets(batch, USUAL), former)
     back, signed = posenet.pose_from_outputs(former, USUAL), 2 * former - 1
-    for i, (name, scale) in enumerate({"x_mm": lateral, "yaw_deg": yaw, "edge_mm": distance}.items()):
+    for i, (name, scale) in enumerate(
+        {"x_mm": lateral, "yaw_deg": yaw, "edge_mm": distance}.items()
+    ):
         np.testing.assert_array_equal(back[name], scale * signed[:, i])
-    np.testing.assert_array_equal(back["edge_deg"], jnp.rad2deg(jnp.arctan2(signed[:, 4], signed[:, 3])))
+    np.testing.assert_array_equal(
+        back["edge_deg"], jnp.rad2deg(jnp.arctan2(signed[:, 4], signed[:, 3]))
+    )
 
 
 @pytest.mark.parametrize("kind", [CIRCLE, RANGE])
-@pytest.mark.parametrize(("label", "answer", "error"), [(179, -179, 2), (-180, 180, 0), (-10, 10, 20), (90, -90, 180)])
+@pytest.mark.parametrize(
+    ("label", "answer", "error"), [(179, -179, 2), (-180, 180, 0), (-10, 10, 20), (90, -90, 180)]
+)
 def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     """In training and in evaluation, and whether the angle is one output or two."""
     labels, answers = np.zeros((2, 6), np.float32), np.zeros((2, 6), np.float32)
     labels[:, 5], answers[:, 5] = (label, 10), (answer, 10)
-    targets = of_labels((f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]]))
+    targets = of_labels(
+        (f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]])
+    )
     outputs, batch = posenet.pose_targets({"pose": answers}, targets), {"pose": labels}
-    np.testing.assert_allclose(pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3)
-    read = {name: np.asarray(value) for name, value in posenet.pose_from_outputs(outputs, targets).items()}
-    np.testing.assert_allclose(pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3)
+    np.testing.assert_allclose(
+        pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3
+    )
+    read = {
+        name: np.asarray(value)
+        for name, value in posenet.pose_from_outputs(outputs, targets).items()
+    }
+    np.testing.assert_allclose(
+        pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
+    )
 
 
 def test_errors_of_lengths_do_not_wrap():
-    (target,) = targets = of_labels(("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]]))
+    (target,) = targets = of_labels(
+        ("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]])
+    )
     assert (target.middle, target.reach) == (0, 200)
     outputs = posenet.pose_targets({"pose": np.full((1, 6), -190, np.float32)}, targets)
-    assert float(pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][0]) == 380
+    assert (
+        float(
+            pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][
+                0
+            ]
+        )
+        == 380
+    )
 
 
-@pytest.mark.parametrize("targets", [USUAL, of_ranges(SEVERAL, Ranges()), of_labels((), recorded()), ()])
+@pytest.mark.parametrize(
+    "targets", [USUAL, of_ranges(SEVERAL, Ranges()), of_labels((), recorded()), ()]
+)
 def test_targets_come_back_from_json(targets):
     assert from_json(json.loads(json.dumps(to_json(targets))), "model.json") == targets
 
 
 @pytest.mark.parametrize("stored", [[{"name": "x_mm"}], [{"title": "x_mm"}], ["x_mm"], 5, None])
 def test_json_of_another_form_is_refused(stored):
-    with pytest.raises(UserError, match=r"posenet/model\.json states no pose targets that this version knows"):
+    with pytest.raises(
+        UserError, match=r"posenet/model\.json states no pose targets that this version knows"
+    ):
         from_json(stored, "posenet/model.json")

@@ -40,6 +40,10 @@ def steps(tmp_path):
 
     def count() -> Counter:
         path = tmp_path / "data" / "steps.txt"
-        return Counter(tuple(line.split()) for line in path.read_text().splitlines()) if path.exists() else Counter()
+        return (
+            Counter(tuple(line.split()) for line in path.read_text().splitlines())
+            if path.exists()
+            else Counter()
+        )
 
     return count

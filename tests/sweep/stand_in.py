@@ -66,10 +66,15 @@ def train(experiment, network, folder, data):
     if (place / "summary.json").exists():
         return
     place.mkdir(exist_ok=True)
-    write_json(place / "model.json", {"origin": describe(learnt_from(experiment, network), experiment.sensor)})
+    write_json(
+        place / "model.json",
+        {"origin": describe(learnt_from(experiment, network), experiment.sensor)},
+    )
     part = training_part(experiment, network).name
     checkpoint = place / "checkpoint.json"
-    state = read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}
+    state = (
+        read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}
+    )
     while state["step"] < STEPS:
         time.sleep(float(os.environ.get("STAND_IN_PAUSE", "0")))
         with (data / "steps.txt").open("a") as steps:
@@ -79,13 +84,17 @@ def train(experiment, network, folder, data):
         state = {"step": state["step"] + 1, "value": (state["value"] * 48271 + 11) % 2147483647}
         write_json(checkpoint, state)
     seconds = time.process_time()
-    record = Summary(steps=STEPS, parameters=1, best_step=STEPS, train_seconds=seconds, images_per_second=100.0)
+    record = Summary(
+        steps=STEPS, parameters=1, best_step=STEPS, train_seconds=seconds, images_per_second=100.0
+    )
     write_json(place / "summary.json", state | plain(record))
 
 
 def check_checkpoints(source):
     if not (source / "checkpoint.json").exists():
-        raise UserError(f"{source} has lost its checkpoints: delete that folder, then run the same command")
+        raise UserError(
+            f"{source} has lost its checkpoints: delete that folder, then run the same command"
+        )
 
 
 def fail(learning_rate, place):
@@ -101,7 +110,9 @@ def fail(learning_rate, place):
 
 
 def evaluate(experiment, folder):
-    values = [read_json(folder / network / "summary.json")["value"] for network in experiment.networks]
+    values = [
+        read_json(folder / network / "summary.json")["value"] for network in experiment.networks
+    ]
     random = np.random.default_rng(values)
     names = ("ms_ssim/disentangled", "pose/disentangled/edge_mm", "swap/DS(z_p,z_s)/mse")
     scores = {name: random.random(CONTACTS) for name in names}
@@ -116,7 +127,9 @@ def evaluate(experiment, folder):
         "machine": {"device": "none"},
         "versions": {"jaxunshear": "0"},
         "source": read_source(),
-        "trained_by": {network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks},
+        "trained_by": {
+            network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks
+        },
     }
     return record_of(plain(found), Results, "made up", "again")
 
@@ -125,7 +138,13 @@ def ablate(experiment, folder, data, command):
     value = read_json(folder / "disentangled" / "summary.json")["value"]
     return {
         "rows": [
-            {"name": "DS(z_p,0)", "target": "sheared", "paper": None, "ssim": value / 2**31, "ssim interval": [0, 1]}
+            {
+                "name": "DS(z_p,0)",
+                "target": "sheared",
+                "paper": None,
+                "ssim": value / 2**31,
+                "ssim interval": [0, 1],
+            }
         ]
     }
 
@@ -148,10 +167,16 @@ def main():
         failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
         more = {"engine": engines.ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
         retry = sys.argv[3:] == ["retry"]
-        summary = run_sweep(failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more)
+        summary = run_sweep(
+            failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more
+        )
         print(json.dumps(plain(summary)))
         return 0
-    for name, functions in {"ablation": (ablate,), "leakage": (leakage,), "leakage_table": (for_sweep,)}.items():
+    for name, functions in {
+        "ablation": (ablate,),
+        "leakage": (leakage,),
+        "leakage_table": (for_sweep,),
+    }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
         for function in functions:
             setattr(module, function.__name__, function)

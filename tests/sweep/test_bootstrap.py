@@ -29,7 +29,9 @@ def width_expected(values: np.ndarray) -> float:
 def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
     values = scores(12, of_seed, of_pose)
     low, high = interval(values, POSES)
-    assert high - low == pytest.approx(width_expected(values), rel=0.08)  # of 1,000 resamples; quantiles err by 5 %
+    assert high - low == pytest.approx(
+        width_expected(values), rel=0.08
+    )  # of 1,000 resamples; quantiles err by 5 %
     assert low < values.mean() < high
 
 
@@ -37,12 +39,16 @@ def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
 def test_where_seeds_alone_vary_it_is_students_t(seeds):
     values = scores(seeds, 1.0, 0.0)
     low, high = interval(values, POSES)
-    exact = t.interval(0.95, seeds - 1, values[:, 0].mean(), values[:, 0].std(ddof=1) / np.sqrt(seeds))
+    exact = t.interval(
+        0.95, seeds - 1, values[:, 0].mean(), values[:, 0].std(ddof=1) / np.sqrt(seeds)
+    )
     np.testing.assert_allclose([low, high], exact, atol=0.06 * (exact[1] - exact[0]))
 
 
 @pytest.mark.parametrize("seeds", [3, 5])
-@pytest.mark.parametrize("effects", [(1.0, 0.0, 0.0), (0.2, 1.0, 1.0), (0.1, 1.0, 0.5), (0.0, 1.0, 1.0)])
+@pytest.mark.parametrize(
+    "effects", [(1.0, 0.0, 0.0), (0.2, 1.0, 1.0), (0.1, 1.0, 0.5), (0.0, 1.0, 1.0)]
+)
 def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
     """Seeds, poses and what is left over vary; 800 sweeps, so that a share of .95 errs by .008. A plain bootstrap
     of three seeds holds the mean in three cases of four."""
@@ -58,7 +64,9 @@ def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
 
 
 def test_a_sweep_says_what_its_intervals_are():
-    assert spread_of(3)["interval"].startswith("Student's t over 3 seeds and bootstrap over test poses")
+    assert spread_of(3)["interval"].startswith(
+        "Student's t over 3 seeds and bootstrap over test poses"
+    )
     assert spread_of(1)["interval"].startswith("bootstrap over test poses")
 
 
@@ -78,7 +86,9 @@ def test_slides_of_a_pose_are_drawn_together():
 
 def test_one_seed_gives_the_interval_of_the_evaluation():
     values = scores(1, 0.0, 1.0, 0.5)
-    assert interval(values, POSES) == pytest.approx(intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12)
+    assert interval(values, POSES) == pytest.approx(
+        intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12
+    )
 
 
 def test_poses_may_have_different_numbers_of_contacts():
@@ -98,6 +108,10 @@ def test_draws_depend_on_the_number_alone_and_differ_between_seeds_and_poses():
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    for values, poses in ((np.ones(3), np.ones(3)), (np.ones((0, 3)), np.ones(3)), (np.ones((2, 3)), np.ones(2))):
+    for values, poses in (
+        (np.ones(3), np.ones(3)),
+        (np.ones((0, 3)), np.ones(3)),
+        (np.ones((2, 3)), np.ones(2)),
+    ):
         with pytest.raises(ValueError, match="seeds, N"):
             interval(values, poses)

@@ -42,19 +42,28 @@ def test_a_grid_has_every_value_with_every_other():
     assert len(rows) == len({row.digest for row in rows.values()}) == 12
     for (label, seed), row in rows.items():
         validate(row.experiment)  # its name can be that of a folder
-        assert row.experiment.seed == seed and row.label == label and row.experiment.name.endswith(f"-{row.digest}")
+        assert (
+            row.experiment.seed == seed
+            and row.label == label
+            and row.experiment.name.endswith(f"-{row.digest}")
+        )
 
 
 def test_short_names_are_dotted_where_two_would_be_the_same():
-    sweep = replace(PLAIN, grid=(("train.batch", (4,)), ("train_posenet.batch", (8,)), ("train.l1", (0.0,))))
+    sweep = replace(
+        PLAIN, grid=(("train.batch", (4,)), ("train_posenet.batch", (8,)), ("train.l1", (0.0,)))
+    )
     assert cells_of(sweep)[0].label == "train.batch=4, train_posenet.batch=8, l1=0.0"
 
 
 def test_a_long_label_still_makes_a_folder():
     names = tuple(
-        f"paired.nuisance.{name}" for name in ("blur_px", "noise", "brightness", "drift_px", "drift_brightness")
+        f"paired.nuisance.{name}"
+        for name in ("blur_px", "noise", "brightness", "drift_px", "drift_brightness")
     )
-    sweep = replace(PLAIN, rows=(((names, (0.5, 0.125, 0.125, 0.125, 0.125)),),), seeds=(2**31 - 1,))
+    sweep = replace(
+        PLAIN, rows=(((names, (0.5, 0.125, 0.125, 0.125, 0.125)),),), seeds=(2**31 - 1,)
+    )
     (row,) = rows_of(sweep, cells_of(sweep)).values()
     assert row.experiment.name.endswith(f"_seed-2147483647-{row.digest}") and len(row.label) > 75
     validate(row.experiment)
@@ -68,7 +77,12 @@ def test_equal_rows_are_one():
     )
     assert BASE.train.batch == 16 and BASE.train.patch_weight == 0.1
     cells = cells_of(sweep)
-    assert [cell.label for cell in cells] == ["patch_weight=0.1", "patch_weight=1", "patch_weight=1.0", "batch=16"]
+    assert [cell.label for cell in cells] == [
+        "patch_weight=0.1",
+        "patch_weight=1",
+        "patch_weight=1.0",
+        "batch=16",
+    ]
     digests = [row.digest for row in rows_of(sweep, cells).values()]
     assert digests[0] == digests[3] and digests[1] == digests[2] and len(set(digests)) == 2
 
@@ -80,7 +94,11 @@ def test_rows_can_be_given_labels():
     assert [cell.label for cell in cells] == ["small batch", "as it is"]
     assert cells[0].experiment.train.batch == 4
     assert reference_of(sweep, cells) == "as it is"
-    for labels, line in ((("one",), "one for each of the 2 rows"), (("a", "a"), "twice"), (("a", 1), "texts")):
+    for labels, line in (
+        (("one",), "one for each of the 2 rows"),
+        (("a", "a"), "twice"),
+        (("a", 1), "texts"),
+    ):
         with pytest.raises(UserError, match=line):
             check(replace(sweep, labels=labels), "file.py")
 
@@ -95,19 +113,26 @@ def _value(base: Experiment, name: str) -> object:
     return reduce(lambda value, part: getattr(value, part, None), name.split("."), base)
 
 
-@pytest.mark.parametrize(("base", "other"), [(BASE, "paired.tap_folder"), (RECORDED, "paired.stimuli")])
+@pytest.mark.parametrize(
+    ("base", "other"), [(BASE, "paired.tap_folder"), (RECORDED, "paired.stimuli")]
+)
 def test_every_setting_decides_the_digest_but_names_and_order(base, other):
     digest = row_digest(base, False)
-    assert digest == row_digest(replace(base, name="x", claim="y", networks=base.networks[::-1]), False)
+    assert digest == row_digest(
+        replace(base, name="x", claim="y", networks=base.networks[::-1]), False
+    )
     assert digest != row_digest(base, True)
     assert _value(base, other) is None
     for name, kind in field_types():
         value = _value(base, name)
         if name in ("name", "claim", "sensor") or value is None:  # None: of the other kind of data
             continue
-        changing = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5, str: lambda v: v + "x"}.get(
-            kind
-        )
+        changing = {
+            bool: lambda v: not v,
+            int: lambda v: v + 1,
+            float: lambda v: v + 0.5,
+            str: lambda v: v + "x",
+        }.get(kind)
         changed = changing(value) if changing else ("x",)
         assert row_digest(replaced(base, name, changed), False) != digest, name
 
@@ -149,12 +174,19 @@ def asked(monkeypatch, tmp_path):
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
             return loop.Summary(
-                steps=1, parameters=1, best_step=1, best_loss=1.0, train_seconds=1.0, images_per_second=1.0
+                steps=1,
+                parameters=1,
+                best_step=1,
+                best_loss=1.0,
+                train_seconds=1.0,
+                images_per_second=1.0,
             )
 
         monkeypatch.setattr(examples, "open_set", lambda *words: calls.append(words) or Reader())
         monkeypatch.setattr(loop, "train", train)
-        run.run_stages(experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none")
+        run.run_stages(
+            experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none"
+        )
         return {"calls": calls}
 
     return asked_of
@@ -181,7 +213,10 @@ def test_equal_parts_are_equal_trainings(asked, network):
     )
     part = training_part(full, network)
     assert asked(part, network) == asked(full, network)
-    changed = {field.name: getattr(full, field.name) != getattr(part, field.name) for field in fields(Experiment)}
+    changed = {
+        field.name: getattr(full, field.name) != getattr(part, field.name)
+        for field in fields(Experiment)
+    }
     assert changed["unseen"] and changed["networks"]
     assert sum(not changed[name] for name in ("train", "train_posenet", "train_teacher")) == 1
     assert training_part(replace(full, seed=6), network).name != part.name
@@ -215,7 +250,9 @@ def test_a_teacher_has_a_training_of_its_own():
     def those_that_change(experiment, field):
         other = replace(experiment, **{field: replace(getattr(experiment, field), epochs=9.0)})
         names = ("disentangled", "posenet", TEACHER)
-        return {name for name in names if training_part(experiment, name) != training_part(other, name)}
+        return {
+            name for name in names if training_part(experiment, name) != training_part(other, name)
+        }
 
     assert those_that_change(taught, "train_teacher") == {"disentangled", TEACHER}
     assert those_that_change(taught, "train_posenet") == {"posenet"}
@@ -251,11 +288,16 @@ def test_recorded_taps_teach_the_same_whatever_is_made_of_slides(change):
         assert (origin_of(base, network) == origin_of(other, network)) == same, network
 
 
-@pytest.mark.parametrize(("unlabelled", "concerned"), [("left_out", set()), ("read", {"disentangled"})])
+@pytest.mark.parametrize(
+    ("unlabelled", "concerned"), [("left_out", set()), ("read", {"disentangled"})]
+)
 def test_what_the_direct_posenet_is_concerns_it_and_who_learns_from_it(unlabelled, concerned):
     recorded = replace(RECORDED.paired, unlabelled=unlabelled)
     base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"), paired=recorded)
-    pins, paired = replace(base.pins, direct_convolved=(8,)), replace(recorded, direct_taps="rendered")
+    pins, paired = (
+        replace(base.pins, direct_convolved=(8,)),
+        replace(recorded, direct_taps="rendered"),
+    )
     names = (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled")
     for other in (replace(base, pins=pins), replace(base, paired=paired)):
         changed = {n for n in names if training_part(base, n) != training_part(other, n)}
@@ -266,11 +308,15 @@ def test_turned_pins_concern_those_that_read_slides():
     base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"))
     other = replace(base, pins=replace(base.pins, turned=0.5))
     names = (RENDERER, TEACHER, "posenet", "posenet_sheared")
-    assert {name for name in names if training_part(base, name) != training_part(other, name)} == {"posenet_sheared"}
+    assert {name for name in names if training_part(base, name) != training_part(other, name)} == {
+        "posenet_sheared"
+    }
 
 
 def test_a_posenet_of_simulated_taps_is_shared_whatever_the_slides_are():
-    base = Experiment(name="x", claim="", networks=("disentangled", "posenet"), unshear=UnshearNet(input="pins"))
+    base = Experiment(
+        name="x", claim="", networks=("disentangled", "posenet"), unshear=UnshearNet(input="pins")
+    )
     ranges = replace(base.paired.ranges, twist_deg=5.0)
     other = replace(base, paired=replace(base.paired, ranges=ranges), other_twists_deg=(5.0,))
     assert training_part(base, "posenet") == training_part(other, "posenet")

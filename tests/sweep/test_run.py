@@ -33,13 +33,20 @@ WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"
 
 
 def rows(tmp_path: Path) -> dict[str, dict]:
-    return {path.parent.name: read_json(path) for path in (tmp_path / "small" / "rows").glob("*/row.json")}
+    return {
+        path.parent.name: read_json(path)
+        for path in (tmp_path / "small" / "rows").glob("*/row.json")
+    }
 
 
-def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, swept, steps, tmp_path):
+def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
+    stand_in, swept, steps, tmp_path
+):
     summary = swept(stand_in.SWEEP)
     assert [len(cell.seeds) for cell in summary.cells] == [2, 2, 2, 2]
-    assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(json.dumps(plain(summary)))
+    assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(
+        json.dumps(plain(summary))
+    )
     assert (tmp_path / "small" / "sweep.png").exists()
     assert {(found.version, found.date) for found in summary.sources} == {
         ("0", "2000-01-01"),  # that trained
@@ -49,7 +56,11 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, sw
     trained = {name for name, _ in steps()}
     assert sum(name.startswith("posenet") for name in trained) == 2  # a seed each
     assert sum(name.startswith("disentangled") for name in trained) == 8
-    (row,) = (row for name, row in rows(tmp_path).items() if "patch_weight-0.1" in name and "8-120_seed-1" in name)
+    (row,) = (
+        row
+        for name, row in rows(tmp_path).items()
+        if "patch_weight-0.1" in name and "8-120_seed-1" in name
+    )
     assert (row["status"], row["reason"], row["seed"]) == ("done", None, 1)
     assert row["label"] == "patch_weight=0.1, pose_channels:shear_channels=8:120"
     assert row["settings"]["train"]["patch_weight"] == 0.1 and row["settings"]["seed"] == 1
@@ -61,14 +72,23 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, sw
 def test_a_second_time_nothing_is_done(stand_in, swept, steps, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=stand_in.SWEEP.grid[:1], seeds=(0,))
     first = swept(sweep)
-    done, times = steps(), {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")}
+    done, times = (
+        steps(),
+        {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")},
+    )
     again = swept(sweep)
     assert again == first and steps() == done
-    assert times == {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")}
+    assert times == {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")
+    }
 
 
-def test_weights_that_may_know_the_test_are_refused_before_any_row(stand_in, swept, steps, tmp_path):
-    older = shutil.copytree(WEIGHTS / "standard" / "disentangled", tmp_path / "older" / "disentangled")
+def test_weights_that_may_know_the_test_are_refused_before_any_row(
+    stand_in, swept, steps, tmp_path
+):
+    older = shutil.copytree(
+        WEIGHTS / "standard" / "disentangled", tmp_path / "older" / "disentangled"
+    )
     model = read_json(older / "model.json")
     del model["data"]
     write_json(older / "model.json", model)
@@ -92,7 +112,9 @@ def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in
     assert sum(steps().values()) == 30 + 10 + (10 + 10) + 10
 
 
-def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in, swept, steps, tmp_path):
+def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(
+    stand_in, swept, steps, tmp_path
+):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)
     for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
@@ -104,8 +126,12 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
-@pytest.mark.parametrize("damaged", ["{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))])
-def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, steps, tmp_path, damaged):
+@pytest.mark.parametrize(
+    "damaged", ["{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))]
+)
+def test_a_training_whose_model_is_damaged_is_not_used_again(
+    stand_in, swept, steps, tmp_path, damaged
+):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)
     for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
@@ -117,7 +143,9 @@ def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, st
 
 
 @pytest.mark.long
-def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(stand_in, swept, steps, tmp_path):
+def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(
+    stand_in, swept, steps, tmp_path
+):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     more = replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),))
     swept(sweep)
@@ -125,7 +153,8 @@ def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(stand_in, swe
     lost.unlink()
     (failed,) = (cell.failures[0].reason for cell in swept(more).cells if cell.failures)
     assert (
-        f"{lost.parent} has lost its checkpoints: delete that folder, then run the same command with --retry" in failed
+        f"{lost.parent} has lost its checkpoints: delete that folder, then run the same command with --retry"
+        in failed
     )
     shutil.rmtree(lost.parent)
     assert not any(cell.failures for cell in swept(more, retry_failed=True).cells)
@@ -170,7 +199,9 @@ def test_a_picture_of_other_rows_does_not_stay(stand_in, swept, tmp_path):
 
 
 @pytest.mark.parametrize("contacts", [24, 22])
-def test_seeds_that_were_tested_on_different_contacts_are_refused(stand_in, swept, tmp_path, contacts):
+def test_seeds_that_were_tested_on_different_contacts_are_refused(
+    stand_in, swept, tmp_path, contacts
+):
     sweep = replace(stand_in.SWEEP, grid=())
     swept(sweep)
     path = next((tmp_path / "small" / "rows").glob("*seed-1*/scores.npz"))
@@ -183,13 +214,20 @@ def test_seeds_that_were_tested_on_different_contacts_are_refused(stand_in, swep
 
 
 def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
-    sweep = replace(stand_in.SWEEP, grid=(("train.pose_weight", (0.1, 1.0)),), seeds=(0,), networks=("disentangled",))
+    sweep = replace(
+        stand_in.SWEEP,
+        grid=(("train.pose_weight", (0.1, 1.0)),),
+        seeds=(0,),
+        networks=("disentangled",),
+    )
     task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)
     (made,) = read_json(task.folder / TASK)["experiments"]
     assert set(sets_of(from_json(made))) == {"tactip_paired", "tactip_pose"}
 
 
-def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):
+def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(
+    stand_in, swept, steps, tmp_path
+):
     rates = {
         0.5: "training disentangled stopped: supervised not finite at step 5",
         0.25: "killed by signal 9",
@@ -209,7 +247,9 @@ def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(stand_in
     assert swept(sweep) == summary and steps() == done
     assert swept(sweep, retry_failed=True).cells[1:] == summary.cells[1:]
     tried = steps() - done
-    assert sum(tried.values()) == 3 and {step for _, step in tried} == {"5"}  # each from its checkpoint
+    assert sum(tried.values()) == 3 and {step for _, step in tried} == {
+        "5"
+    }  # each from its checkpoint
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -250,7 +290,10 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
 def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 1.0)),), seeds=(0,))
     first = swept(sweep)
-    for path in [*(tmp_path / "small" / "rows").iterdir(), *(tmp_path / "small" / "shared").glob("*/posenet")]:
+    for path in [
+        *(tmp_path / "small" / "rows").iterdir(),
+        *(tmp_path / "small" / "shared").glob("*/posenet"),
+    ]:
         shutil.rmtree(path)
     assert reproducible(swept(sweep)) == reproducible(first)
 
@@ -262,7 +305,9 @@ def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
             swept(stand_in.SWEEP)
 
 
-def test_a_worker_waits_for_the_one_before_it_and_does_nothing_twice(stand_in, swept, steps, tmp_path):
+def test_a_worker_waits_for_the_one_before_it_and_does_nothing_twice(
+    stand_in, swept, steps, tmp_path
+):
     sweep = replace(stand_in.SWEEP, grid=(), seeds=(0,))
     swept(sweep)
     (folder,) = (tmp_path / "small" / "rows").iterdir()
@@ -329,7 +374,10 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     def start(folder: Path, pause: float) -> subprocess.Popen:
         words = [*stand_in.WORKER, "sweep", str(folder)]
         return subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ | {"STAND_IN_PAUSE": str(pause)}
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"STAND_IN_PAUSE": str(pause)},
         )
 
     undisturbed = start(tmp_path / "full", 0)
@@ -353,18 +401,25 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     last = start(tmp_path / "killed", 0)
     killed, _ = last.communicate()
     assert last.returncode == 0
-    ended = [record_of(json.loads(text), SweepResult, "its output", "again") for text in (killed, entire)]
+    ended = [
+        record_of(json.loads(text), SweepResult, "its output", "again") for text in (killed, entire)
+    ]
     assert reproducible(ended[0]) == reproducible(ended[1])
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
         tmp_path / "full" / "small" / "sweep.png"
     ).read_bytes()
     lines = (tmp_path / "killed" / "data" / "steps.txt").read_text().splitlines()
-    assert 0 <= len(lines) - len(set(lines)) <= kills  # at most the step that each kill interrupted is done again
+    assert (
+        0 <= len(lines) - len(set(lines)) <= kills
+    )  # at most the step that each kill interrupted is done again
 
 
 def test_figures_of_equal_settings_are_equal_numbers(stand_in, swept):
     """Bit for bit: with a shared training, with one reused from a row, or with its own."""
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
-    grid, alone = swept(sweep), swept(replace(sweep, name="alone", grid=(), rows=((("train.patch_weight", 0.0),),)))
+    grid, alone = (
+        swept(sweep),
+        swept(replace(sweep, name="alone", grid=(), rows=((("train.patch_weight", 0.0),),))),
+    )
     assert alone.cells[0].metrics == grid.cells[0].metrics
     assert np.isfinite(alone.cells[0].metrics["ms_ssim/disentangled"].mean)

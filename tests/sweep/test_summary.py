@@ -49,7 +49,13 @@ def done(values: np.ndarray, **more) -> Measured:
             "pin_error": {"disentangled": {"rms_px": float(values[0]), "rms_mm": None}},
         },
         "ablation": [
-            {"name": "DS(z_p,0)", "target": "tap", "ssim": float(values[1]), "ssim interval": [0, 1], "paper": None}
+            {
+                "name": "DS(z_p,0)",
+                "target": "tap",
+                "ssim": float(values[1]),
+                "ssim interval": [0, 1],
+                "paper": None,
+            }
         ],
         "train_seconds": {"disentangled": 50.0},
         "images_per_second": {"disentangled": 100.0},
@@ -61,7 +67,8 @@ def done(values: np.ndarray, **more) -> Measured:
     }
     unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
     return Measured(
-        record_of(outcome | more, Outcome, "row.json", "again"), {"": {NAME: values} | LABELS, "unseen": unseen}
+        record_of(outcome | more, Outcome, "row.json", "again"),
+        {"": {NAME: values} | LABELS, "unseen": unseen},
     )
 
 
@@ -85,7 +92,9 @@ def random(seed: int) -> np.ndarray:
 def summary():
     cells = cells_of(SWEEP)
     rows = {
-        (cell.label, seed): done(random(10 * number + seed)) for number, cell in enumerate(cells) for seed in (0, 1)
+        (cell.label, seed): done(random(10 * number + seed))
+        for number, cell in enumerate(cells)
+        for seed in (0, 1)
     }
     rows[cells[2].label, 1] = failed("killed by signal 9")
     return summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
@@ -97,19 +106,27 @@ def test_likeness_is_reported_for_every_shape_too(summary):
     assert found[f"clover: {NAME}"].mean == pytest.approx(both[:, POSES % 3 == 1].mean())
     low, high = found[f"clover: {NAME}"].interval
     assert low < found[f"clover: {NAME}"].mean < high
-    assert f"unseen, flower: {NAME}" in found and f"unseen, leaf: {NAME}" not in found  # no contact with it
+    assert (
+        f"unseen, flower: {NAME}" in found and f"unseen, leaf: {NAME}" not in found
+    )  # no contact with it
 
 
 def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     generator = np.random.default_rng(0)
     errors = {
-        kind: generator.uniform(0.9, 1.1, (5, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))
+        kind: generator.uniform(0.9, 1.1, (5, 12)) * size
+        for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))
     }
 
     def recovered(errors):
-        scores = [{f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()} for seed in range(5)]
+        scores = [
+            {f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()}
+            for seed in range(5)
+        ]
         rows = {seed: done(random(0)) for seed in range(5)}
-        return metrics({seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()})
+        return metrics(
+            {seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()}
+        )
 
     figure = recovered(errors)["pose_recovery/unet/x_mm"]
     tap, sheared, unet = (values.mean() for values in errors.values())
@@ -122,7 +139,9 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
         (clover[1] - clover[2]) / (clover[1] - clover[0])
     )
     assert "pose_recovery/sheared/x_mm" not in recovered(errors)
-    assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
+    assert "pose_recovery/unet/x_mm" not in recovered(
+        errors | {"sheared": errors["tap"] / 2}
+    )  # no damage to undo
 
 
 def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
@@ -131,7 +150,9 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
     errors = {seed: np.random.default_rng(seed).uniform(0, 9, 12) for seed in rows}
 
     def found(labels):
-        return metrics({s: row._replace(tests={"": {name: errors[s]} | labels}) for s, row in rows.items()})
+        return metrics(
+            {s: row._replace(tests={"": {name: errors[s]} | labels}) for s, row in rows.items()}
+        )
 
     both = np.stack([errors[0], errors[1]])
     marked = found(LABELS | {"smooth": smooth})
@@ -153,15 +174,21 @@ def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
     assert plain == Figure(both[:, 0].mean(), None, {"0": both[0, 0], "1": both[1, 0]})
     assert "pin_error/disentangled/rms_mm" not in summary.cells[0].metrics
     spoilt = summary.cells[0].ablation
-    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"].mean == pytest.approx(both[:, 1].mean())
+    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"].mean == pytest.approx(
+        both[:, 1].mean()
+    )
 
 
 def test_differences_are_paired_over_the_seeds_that_both_have(summary):
     assert summary.reference == "patch_weight=0.1" and summary.cells[1].difference == {}
     pairs = np.stack([random(0) - random(10), random(1) - random(11)])
-    assert summary.cells[0].difference[NAME] == Figure(pytest.approx(pairs.mean()), interval(pairs, GROUPS))
+    assert summary.cells[0].difference[NAME] == Figure(
+        pytest.approx(pairs.mean()), interval(pairs, GROUPS)
+    )
     one = (random(20) - random(10))[None]
-    assert summary.cells[2].difference[NAME] == Figure(pytest.approx(one.mean()), interval(one, GROUPS))
+    assert summary.cells[2].difference[NAME] == Figure(
+        pytest.approx(one.mean()), interval(one, GROUPS)
+    )
 
 
 def test_noise_that_two_cells_share_does_not_widen_their_difference():
@@ -179,7 +206,10 @@ def test_other_test_contacts_have_no_difference():
 
 
 def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_difference():
-    for part, change in (("paired", {"ranges": {"depth_max_mm": 3.0}}), ("sensor", {"skin_mm": 2.0})):
+    for part, change in (
+        ("paired", {"ranges": {"depth_max_mm": 3.0}}),
+        ("sensor", {"skin_mm": 2.0}),
+    ):
         elsewhere = done(random(1))
         elsewhere.outcome.results.settings[part].update(change)
         assert differences({0: done(random(0))}, {0: elsewhere}) == {}
@@ -187,14 +217,18 @@ def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_differenc
 
 def test_a_further_test_is_compared_by_its_own_settings():
     jittered, others = done(random(1)), done(random(1))
-    jittered.outcome.results.settings["paired"]["tap_depth_jitter_mm"] = 1.0  # of the main test alone
+    jittered.outcome.results.settings["paired"]["tap_depth_jitter_mm"] = (
+        1.0  # of the main test alone
+    )
     unseen = others.outcome.results.tests
     unseen["unseen"] = replace(unseen["unseen"], stimuli=["leaf", "flower"])
     assert list(differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
     assert list(differences({0: done(random(0))}, {0: others})) == [NAME]
 
 
-@pytest.mark.parametrize("metric", [{"ms_ssim": "ms_ssim@5"}, {"ms_ssim": "ms_ssim@4", "image_px": 160}])
+@pytest.mark.parametrize(
+    "metric", [{"ms_ssim": "ms_ssim@5"}, {"ms_ssim": "ms_ssim@4", "image_px": 160}]
+)
 def test_poses_read_from_images_of_another_size_are_compared_and_their_likeness_is_not(metric):
     smaller, larger = done(random(0)), done(random(1))
     larger.outcome.results.metric.update(metric)
@@ -233,7 +267,10 @@ def test_it_is_json_and_costs_are_all_that_may_differ(summary):
         {"name": "patch_weight", "fields": ["train.patch_weight"], "values": ["0.0", "0.1", "1.0"]}
     ]
     assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
-    assert record_of(again, SweepResult, "sweep.json", "again").cells[0].metrics == summary.cells[0].metrics
+    assert (
+        record_of(again, SweepResult, "sweep.json", "again").cells[0].metrics
+        == summary.cells[0].metrics
+    )
     assert not reproducible(summary).cells[0].costs and reproducible(summary).cells[0].metrics
 
 
@@ -248,8 +285,12 @@ def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_o
 def test_the_table_shows_figures_reference_and_failures(summary):
     lines = table(summary).splitlines()
     assert lines[0].split() == ["seeds", NAME, "training", "memory"]
-    assert lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
-    assert "1 of 2" in lines[3] and lines[-2] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
+    assert (
+        lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
+    )
+    assert (
+        "1 of 2" in lines[3] and lines[-2] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
+    )
     assert lines[-1].endswith("--retry-failed tries them again")
     low, high = interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
@@ -265,7 +306,9 @@ def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
     sweep = replace(SWEEP, grid=(), rows=rows, labels=("base", "longer", "more slides"), seeds=(0,))
     cells = cells_of(sweep)
     measured = {
-        (cell.label, 0): done(np.full(12, 0.5 + number / 10), train_seconds={"disentangled": 10.0 + number})
+        (cell.label, 0): done(
+            np.full(12, 0.5 + number / 10), train_seconds={"disentangled": 10.0 + number}
+        )
         for number, cell in enumerate(cells)
     }
     found = summarise(sweep, cells, measured, reference_of(sweep, cells))
@@ -276,8 +319,13 @@ def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
 
 def test_intervals_say_what_they_are_over(summary):
     """One seed knows nothing of other trainings."""
-    assert summary.spread["over"] == "training seeds and test poses" and "seeds" in summary.spread["what"]
-    assert "brackets: 95 % intervals over training seeds and test poses" in table(summary).splitlines()
+    assert (
+        summary.spread["over"] == "training seeds and test poses"
+        and "seeds" in summary.spread["what"]
+    )
+    assert (
+        "brackets: 95 % intervals over training seeds and test poses" in table(summary).splitlines()
+    )
     sweep = replace(SWEEP, grid=(), rows=((),), labels=("base",), seeds=(0,))
     cells = cells_of(sweep)
     one = summarise(sweep, cells, {(cells[0].label, 0): done(random(0))}, None)
@@ -291,7 +339,12 @@ def test_cells_of_different_networks():
     assert [cell.label for cell in cells] == ["networks=disentangled", "networks=unet"]
     other = done(random(1))
     other = other._replace(tests={"": {"ms_ssim/unet": random(1)} | LABELS})
-    found = summarise(sweep, cells, {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other}, cells[0].label)
+    found = summarise(
+        sweep,
+        cells,
+        {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other},
+        cells[0].label,
+    )
     assert found.networks == ["disentangled", "unet"]
     assert not any(name.startswith("ms_ssim") for name in found.cells[1].difference)
     assert "-" in table(found).splitlines()[1].split()

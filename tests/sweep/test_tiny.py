@@ -31,7 +31,14 @@ sweep = Sweep(
 
 def start(folder: Path) -> subprocess.Popen:
     (folder.parent / "small.py").write_text(TEXT)
-    words = ["sweep", str(folder.parent / "small.py"), "--out", str(folder), "--data", str(folder.parent / "datasets")]
+    words = [
+        "sweep",
+        str(folder.parent / "small.py"),
+        "--out",
+        str(folder),
+        "--data",
+        str(folder.parent / "datasets"),
+    ]
     return subprocess.Popen([sys.executable, "-m", "jaxunshear", *words], stdout=subprocess.DEVNULL)
 
 
@@ -46,7 +53,10 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
     assert [list(cell.seeds) for cell in full.cells[:2]] == [[0], [0]]
     assert full.reference == "patch_weight=0.1"
     assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full.cells[0].difference)
-    assert len(list((tmp_path / "full" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
+    assert (
+        len(list((tmp_path / "full" / "small" / "shared").glob("posenet*/posenet/summary.json")))
+        == 1
+    )
     moments = random.Random(0)
     kills = 0
     while kills < 5:

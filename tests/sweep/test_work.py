@@ -32,9 +32,13 @@ def reason(monkeypatch, tmp_path):
 @pytest.mark.parametrize("kind", ["training", "row"])
 def test_a_stored_failure_names_the_command_that_tries_it_again(reason, kind):
     reported = reason(kind, FULL)
-    assert reported.endswith("the disk is full; free some space, then run the same command with --retry-failed")
+    assert reported.endswith(
+        "the disk is full; free some space, then run the same command with --retry-failed"
+    )
     assert (
-        reason("row", UserError(f"its posenet, which other rows share, failed: {reported}")).count("--retry-failed")
+        reason("row", UserError(f"its posenet, which other rows share, failed: {reported}")).count(
+            "--retry-failed"
+        )
         == 1
     )
 

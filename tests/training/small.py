@@ -56,7 +56,13 @@ def train(folder: Path, pause: float = 0.0):
 
     task = unshear_task(NET, TRAINING)
     return loop.train(
-        task, TRAINING, lambda start: endless(pair, start, pause), validation, 0, folder, epoch_images=IMAGES
+        task,
+        TRAINING,
+        lambda start: endless(pair, start, pause),
+        validation,
+        0,
+        folder,
+        epoch_images=IMAGES,
     )
 
 

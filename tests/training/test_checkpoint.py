@@ -33,7 +33,9 @@ def test_there_and_back(folder):
     assert checkpoint.latest(folder) == 5
     state, record = checkpoint.restore(folder, 5, STATE)
     assert record["best_step"] == 5
-    np.testing.assert_array_equal(state["average"]["params"]["E"]["kernel"], STATE["average"]["params"]["E"]["kernel"])
+    np.testing.assert_array_equal(
+        state["average"]["params"]["E"]["kernel"], STATE["average"]["params"]["E"]["kernel"]
+    )
     assert state["step"].dtype == jnp.int32
     variables = checkpoint.load_best(folder)
     assert set(variables) == {"params", "batch_stats"}
@@ -43,7 +45,10 @@ def test_there_and_back(folder):
 def test_the_latest_and_the_best_are_kept(folder):
     checkpoint.save(folder, 6, STATE, RECORD)
     checkpoint.save(folder, 7, STATE | {"step": jnp.asarray(7)}, RECORD)
-    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == ["00000005", "00000007"]
+    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == [
+        "00000005",
+        "00000007",
+    ]
 
 
 def test_what_is_kept_is_reported_latest_first(folder):
@@ -80,21 +85,28 @@ def test_no_damage_goes_unseen(folder, tmp_path_factory):
                 kernel = state["average"]["params"]["E"]["kernel"]
                 np.testing.assert_array_equal(kernel, STATE["average"]["params"]["E"]["kernel"])
     assert len(refused) >= 6
-    assert all("run/checkpoints/00000005" in line and "delete" in line and "\n" not in line for _, line in refused)
+    assert all(
+        "run/checkpoints/00000005" in line and "delete" in line and "\n" not in line
+        for _, line in refused
+    )
     assert all("its files are not those" in line for place, line in refused if "state" in place)
 
 
 def test_damage_to_the_latest_names_the_way_back(folder):
     checkpoint.save(folder, 6, STATE, RECORD)
     (folder / "checkpoints" / "00000006" / "record.json").write_text("{")
-    with pytest.raises(UserError, match=r"00000006 is damaged.*delete .*00000006 to go on from the one before"):
+    with pytest.raises(
+        UserError, match=r"00000006 is damaged.*delete .*00000006 to go on from the one before"
+    ):
         checkpoint.restore(folder, 6, STATE)
 
 
 def test_damage_to_an_earlier_one_names_no_way_back(folder):
     checkpoint.save(folder, 6, STATE, RECORD)
     (folder / "checkpoints" / "00000005" / "record.json").write_text("{")
-    with pytest.raises(UserError, match=f"00000005 is damaged.*: delete {folder} to train from the start"):
+    with pytest.raises(
+        UserError, match=f"00000005 is damaged.*: delete {folder} to train from the start"
+    ):
         checkpoint.restore(folder, 5, STATE)
 
 
@@ -115,7 +127,9 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         checkpoint.save(tmp_path, 5, STATE, RECORD)
 
 
-@pytest.mark.parametrize(("kind", "net"), [("unshear", UnshearNet(size=64, widths=(3, 4))), ("posenet", PoseNet())])
+@pytest.mark.parametrize(
+    ("kind", "net"), [("unshear", UnshearNet(size=64, widths=(3, 4))), ("posenet", PoseNet())]
+)
 def test_settings_there_and_back(tmp_path, kind, net):
     checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__})
     checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__})
@@ -132,7 +146,9 @@ def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
     assert checkpoint.read_targets(tmp_path / "known" / "posenet") == targets
     assert checkpoint.read_targets(tmp_path / "known" / "unshear") == targets
     assert checkpoint.read_targets(tmp_path / "older" / "unshear") == ()
-    with pytest.raises(UserError, match=r"older.posenet.model\.json states no pose targets .*: train again"):
+    with pytest.raises(
+        UserError, match=r"older.posenet.model\.json states no pose targets .*: train again"
+    ):
         checkpoint.read_targets(tmp_path / "older" / "posenet")
 
 
@@ -149,9 +165,15 @@ def test_json_record_is_readable(folder):
 
 
 @pytest.mark.parametrize(
-    ("error", "line"), [(MemoryError(), "not enough memory"), (PermissionError(13, "Permission denied"), "Permission")]
+    ("error", "line"),
+    [
+        (MemoryError(), "not enough memory"),
+        (PermissionError(13, "Permission denied"), "Permission"),
+    ],
 )
-def test_nobody_is_reported_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error, line):
+def test_nobody_is_reported_to_delete_what_the_machine_could_not_read(
+    folder, monkeypatch, error, line
+):
     def refuse(*_):
         raise error
 

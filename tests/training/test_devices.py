@@ -35,9 +35,14 @@ devices_for(3)
 
 def on_two(script: str, *words: str) -> subprocess.CompletedProcess[str]:
     """A process that sees two virtual devices."""
-    flags = {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    flags = {
+        "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2",
+        "JAX_PLATFORMS": "cpu",
+    }
     command = [sys.executable, "-c", script, *words]
-    return subprocess.run(command, env=os.environ | flags, check=False, capture_output=True, text=True)
+    return subprocess.run(
+        command, env=os.environ | flags, check=False, capture_output=True, text=True
+    )
 
 
 @pytest.mark.long
@@ -45,20 +50,28 @@ def test_two_devices_train_as_one(tmp_path):
     """200 steps: every loss that is kept, of batches and of the validation."""
     on_two(SCRIPT, str(Path(__file__).parent), str(tmp_path)).check_returncode()
     one, two = (
-        [json.loads(line) for line in (tmp_path / count / "log.jsonl").read_text().splitlines()] for count in "12"
+        [json.loads(line) for line in (tmp_path / count / "log.jsonl").read_text().splitlines()]
+        for count in "12"
     )
     assert one[-1]["step"] == two[-1]["step"] == 200
     for first, second in zip(one, two, strict=True):
         for part in ("train", "validation"):
             for name in first[part]:
                 assert abs(second[part][name] - first[part][name]) < 1e-5, (first["step"], name)
-    trained_on = [json.loads((tmp_path / count / "summary.json").read_text())["trained_on"] for count in "12"]
+    trained_on = [
+        json.loads((tmp_path / count / "summary.json").read_text())["trained_on"] for count in "12"
+    ]
     assert [each.get("devices") for each in trained_on] == [None, 2]
     assert trained_on[1]["kernels"] == "fast"
 
 
 @pytest.mark.parametrize(
-    ("asked", "line"), [("2", "JAX sees 1 here"), ("0", "use a number of devices"), ("some", "use a number of devices")]
+    ("asked", "line"),
+    [
+        ("2", "JAX sees 1 here"),
+        ("0", "use a number of devices"),
+        ("some", "use a number of devices"),
+    ],
 )
 def test_what_cannot_be_is_one_line(monkeypatch, asked, line):
     monkeypatch.setenv(environment.DEVICE_COUNT, asked)

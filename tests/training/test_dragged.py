@@ -10,7 +10,9 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.training import dragged
 
 PINS, SIZE = 7, 32
-REST = np.stack([16 + 8 * np.cos(np.arange(PINS)), 16 + 8 * np.sin(np.arange(PINS))], -1).astype(np.float32)
+REST = np.stack([16 + 8 * np.cos(np.arange(PINS)), 16 + 8 * np.sin(np.arange(PINS))], -1).astype(
+    np.float32
+)
 
 
 class Stored(UnstoredSet):
@@ -41,7 +43,9 @@ class Stored(UnstoredSet):
 
 @pytest.fixture
 def stored():
-    settings = Recorded(slide_folder="s", tap_folder="t", pairing="simulated", preprocess=Preprocess(size=SIZE))
+    settings = Recorded(
+        slide_folder="s", tap_folder="t", pairing="simulated", preprocess=Preprocess(size=SIZE)
+    )
     return RecordedSet(settings, Stored())
 
 
@@ -54,7 +58,9 @@ class Simulator:
     def __call__(self, pose, moves, friction):
         self.asked.append(len(pose))
         fine = np.arange(len(pose)) > 0
-        return np.tile((friction[:, None] * moves[:, :2])[:, None], (1, PINS, 1)).astype(np.float32), fine
+        return np.tile((friction[:, None] * moves[:, :2])[:, None], (1, PINS, 1)).astype(
+            np.float32
+        ), fine
 
 
 @pytest.fixture
@@ -76,9 +82,9 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
     assert "canonical" not in next(
-        stored.pairs((), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)).split(
-            "train", 1
-        )
+        stored.pairs(
+            (), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)
+        ).split("train", 1)
     )
 
 

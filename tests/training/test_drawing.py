@@ -27,7 +27,9 @@ def touch(degrees):
 def batch(count=16):
     degrees = RNG.uniform(-180, 180, count)
     tap = touch(degrees)
-    slide = tap + 0.5 * np.exp(-((REST - 48) ** 2).sum(-1) / 800)[None, :, None] * RNG.normal(size=(count, 1, 2))
+    slide = tap + 0.5 * np.exp(-((REST - 48) ** 2).sum(-1) / 800)[None, :, None] * RNG.normal(
+        size=(count, 1, 2)
+    )
     edge = np.stack([RNG.uniform(-5, 5, count), degrees], -1)
     named = {"canonical_pins": tap, "sheared_pins": slide, "edge": edge}
     return {name: jnp.asarray(value, jnp.float32) for name, value in named.items()}
@@ -48,9 +50,15 @@ def test_the_edges_direction_turns_with_the_pins(jit):
     given, draw = batch(), drawing_of(REST, 1.0)
     turned = (jax.jit(draw) if jit else draw)(given, jax.random.key(3))
     by = np.asarray(turned["edge"][:, 1] - given["edge"][:, 1])
-    assert wrapped(by - by[0]).max() < 1e-3 and wrapped(by[0] / 15 % 1 * 15).max() < 1e-2 and wrapped(by[0]) > 1
+    assert (
+        wrapped(by - by[0]).max() < 1e-3
+        and wrapped(by[0] / 15 % 1 * 15).max() < 1e-2
+        and wrapped(by[0]) > 1
+    )
     assert np.array_equal(turned["edge"][:, 0], given["edge"][:, 0])
-    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180) and np.all(np.asarray(turned["edge"][:, 1]) > -180)
+    assert np.all(np.asarray(turned["edge"][:, 1]) <= 180) and np.all(
+        np.asarray(turned["edge"][:, 1]) > -180
+    )
     expected = touch(np.asarray(turned["edge"][:, 1], np.float64))
     size = np.sqrt(np.mean((expected - REST) ** 2))
     assert np.sqrt(np.mean((turned["canonical_pins"] - expected) ** 2)) < 0.1 * size
@@ -58,13 +66,25 @@ def test_the_edges_direction_turns_with_the_pins(jit):
 
 def test_a_slide_drags_further_or_less_and_its_tap_stays_one():
     given, draw = batch(), drawing_of(REST, 1.0, turned_deg=0.0, shifted=0.0)
-    length = lambda b: np.linalg.norm(np.asarray(b["sheared_pins"] - b["canonical_pins"]), axis=(1, 2))  # noqa: E731
-    times = np.concatenate([length(draw(given, jax.random.key(i))) / length(given) for i in range(20)])
+
+    def length(b):
+        return np.linalg.norm(np.asarray(b["sheared_pins"] - b["canonical_pins"]), axis=(1, 2))
+
+    times = np.concatenate(
+        [length(draw(given, jax.random.key(i))) / length(given) for i in range(20)]
+    )
     assert times.min() > 0.9 * FOLLOW[0] and times.max() < 1.1 * FOLLOW[1] and np.ptp(times) > 1
-    assert np.median(times) == pytest.approx(1, abs=0.15)  # as many fall short of the simulator as go farther
-    taps = [draw({"pins": given["canonical_pins"], "edge": given["edge"]}, jax.random.key(i))["pins"] for i in (0, 1)]
+    assert np.median(times) == pytest.approx(
+        1, abs=0.15
+    )  # as many fall short of the simulator as go farther
+    taps = [
+        draw({"pins": given["canonical_pins"], "edge": given["edge"]}, jax.random.key(i))["pins"]
+        for i in (0, 1)
+    ]
     both = [draw(given, jax.random.key(i))["canonical_pins"] for i in (0, 1)]
-    for alone, paired in zip(taps, both, strict=True):  # one turn for both kinds of batch, by the key
+    for alone, paired in zip(
+        taps, both, strict=True
+    ):  # one turn for both kinds of batch, by the key
         np.testing.assert_allclose(alone, paired, atol=1e-4)
 
 

@@ -46,7 +46,9 @@ def test_a_training_writes_what_its_log_says(tmp_path):
     rate = learning_rate(small.TRAINING, 12, 4)
     assert len(lines) == 3 and found.keys() == {*scalars(lines[0]), "learning_rate"}
     for line in lines:
-        for tag, value in (scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}).items():
+        for tag, value in (
+            scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
+        ).items():
             assert (line["step"], np.float32(value)) in found[tag]
 
 

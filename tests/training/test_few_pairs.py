@@ -13,9 +13,20 @@ from jaxunshear.settings.experiment import PINS, Experiment, training_of
 from jaxunshear.settings.fields import override
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.training.examples import Examples, Pins
-from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS, chosen, few_pairs, with_alike, with_taps
+from jaxunshear.training.few_pairs import (
+    ANOTHER,
+    ONE,
+    TAPS,
+    chosen,
+    few_pairs,
+    with_alike,
+    with_taps,
+)
 
-STIMULUS, POSE = np.repeat([0, 1], 40), np.tile(np.repeat(np.arange(10), 4), 2)  # four slides at each of twenty poses
+STIMULUS, POSE = (
+    np.repeat([0, 1], 40),
+    np.tile(np.repeat(np.arange(10), 4), 2),
+)  # four slides at each of twenty poses
 OVER_PINS = Experiment(
     name="few",
     claim="none",
@@ -32,7 +43,13 @@ def poses(mask):
 def rows(split="train"):
     number = np.arange(80)
     pins = np.broadcast_to(number[:, None, None], (80, 3, 2)).astype(np.float32)
-    return {"stimulus": STIMULUS, "pose_id": POSE, "canonical_pins": pins, "sheared_pins": pins + 0.5, "row": number}
+    return {
+        "stimulus": STIMULUS,
+        "pose_id": POSE,
+        "canonical_pins": pins,
+        "sheared_pins": pins + 0.5,
+        "row": number,
+    }
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.1, 2), (0.25, 5), (1.0, 20)])
@@ -64,26 +81,42 @@ def test_training_and_validation_have_the_share_and_the_test_has_all():
     mask = chosen(STIMULUS, POSE, 0.1, 3)
     for split in ("train", "validation"):
         assert few.reader.length(split) == 8
-        np.testing.assert_array_equal(few.reader.take(split, np.arange(8), ("row",))["row"], np.flatnonzero(mask))
+        np.testing.assert_array_equal(
+            few.reader.take(split, np.arange(8), ("row",))["row"], np.flatnonzero(mask)
+        )
     assert few.reader.length("test") == 80
     assert few.epoch == 80  # as many steps as with all pairs
     batches = few.reader.train_batches(16, 0, 0.0, ("row", "canonical_pins", "sheared_pins"))()
     seen = [next(batches) for _ in range(3)]
-    assert {int(row) for batch in seen for row in batch["row"]} == set(np.flatnonzero(mask).tolist())
+    assert {int(row) for batch in seen for row in batch["row"]} == set(
+        np.flatnonzero(mask).tolist()
+    )
     for batch in seen:  # a slide takes any tap of its own pose
-        tap, slide = batch["canonical_pins"][:, 0, 0].astype(int), batch["sheared_pins"][:, 0, 0].astype(int)
+        tap, slide = (
+            batch["canonical_pins"][:, 0, 0].astype(int),
+            batch["sheared_pins"][:, 0, 0].astype(int),
+        )
         np.testing.assert_array_equal(POSE[tap], POSE[slide])
         np.testing.assert_array_equal(STIMULUS[tap], STIMULUS[slide])
 
 
 def test_taps_beside_pairs_follow_from_seed_and_step_alone():
-    taps = Reader(lambda split: {"pins": rows()["canonical_pins"], "stimulus": STIMULUS, "pose_id": np.arange(80)}, 8)
+    taps = Reader(
+        lambda split: {
+            "pins": rows()["canonical_pins"],
+            "stimulus": STIMULUS,
+            "pose_id": np.arange(80),
+        },
+        8,
+    )
     batches = with_taps(numbered, taps, 5, 7)
     first = list(islice(batches(), 16))
     assert [int(batch["step"][0]) for batch in first] == list(range(16))
     np.testing.assert_array_equal(next(batches(11))[TAPS], first[11][TAPS])
     drawn = np.concatenate([batch[TAPS][:, 0, 0] for batch in first])
-    assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(range(80))  # each once an epoch
+    assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(
+        range(80)
+    )  # each once an epoch
     assert np.any(next(with_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
 
 
@@ -91,7 +124,8 @@ def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
     batches = with_alike(numbered, examples(), 30, 7)
     first = list(islice(batches(), 60))
     one, another = (
-        np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int) for name in (ONE, ANOTHER)
+        np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int)
+        for name in (ONE, ANOTHER)
     )
     assert np.all(one != another)
     np.testing.assert_array_equal(one // 4, another // 4)  # of any pose, paired or not
@@ -113,6 +147,8 @@ def test_a_network_that_learns_taps_needs_their_set():
 
 
 def test_no_posenet_is_another_for_fewer_pairs():
-    few = override(OVER_PINS, ["--train_pins.tap_weight", "0.5", "--train_pins.paired_share", "0.1"])
+    few = override(
+        OVER_PINS, ["--train_pins.tap_weight", "0.5", "--train_pins.paired_share", "0.1"]
+    )
     assert training_of(few, "posenet") == training_of(OVER_PINS, "posenet")
     assert training_of(few, "disentangled") != training_of(OVER_PINS, "disentangled")

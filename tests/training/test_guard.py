@@ -16,25 +16,39 @@ TERMS = {"gradient": jnp.asarray(1.0), "patch": jnp.asarray(0.5), "supervised": 
 def line(tmp_path, terms, batch=SOUND):
     with pytest.raises(UserError) as stop:
         check_terms(7, TERMS | terms, batch, tmp_path / "run")
-    assert "\n" not in str(stop.value) and "at step 7, of batch 6 (batches(6) begins with it again)" in str(stop.value)
+    assert "\n" not in str(
+        stop.value
+    ) and "at step 7, of batch 6 (batches(6) begins with it again)" in str(stop.value)
     return str(stop.value)
 
 
 def test_finite_terms_come_back_as_floats(tmp_path):
-    assert check_terms(7, TERMS, SOUND, tmp_path) == {"gradient": 1.0, "patch": 0.5, "supervised": 0.25}
+    assert check_terms(7, TERMS, SOUND, tmp_path) == {
+        "gradient": 1.0,
+        "patch": 0.5,
+        "supervised": 0.25,
+    }
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_the_terms_are_named_and_the_gradient_only_where_it_is_alone(tmp_path, value):
     broken = jnp.asarray(value)
-    assert "stopped: supervised not finite" in line(tmp_path, {"supervised": broken, "gradient": broken})
-    assert "stopped: patch, supervised not finite" in line(tmp_path, {"supervised": broken, "patch": broken})
+    assert "stopped: supervised not finite" in line(
+        tmp_path, {"supervised": broken, "gradient": broken}
+    )
+    assert "stopped: patch, supervised not finite" in line(
+        tmp_path, {"supervised": broken, "patch": broken}
+    )
     assert "stopped: gradient not finite" in line(tmp_path, {"gradient": broken})
 
 
 def test_a_sound_batch_points_to_the_learning_rate(tmp_path):
     said = line(tmp_path, {"patch": jnp.asarray(np.nan)})
-    assert "whose numbers are -3.5 to 255;" in said and "lower learning_rate" in said and "fix the data" not in said
+    assert (
+        "whose numbers are -3.5 to 255;" in said
+        and "lower learning_rate" in said
+        and "fix the data" not in said
+    )
 
 
 def test_broken_examples_are_named_and_many_are_cut_short(tmp_path):
@@ -52,7 +66,9 @@ def test_what_is_kept_is_said(tmp_path):
     for step, best in ((4, 4), (6, 4)):
         state = {"average": {"params": {"E": jnp.ones(2)}}}
         checkpoint.save(tmp_path / "run", step, state, {"best_step": best, "history": []})
-        reported = "step 4 is kept" if step == best else "step 6 and the better one of step 4 is kept"
+        reported = (
+            "step 4 is kept" if step == best else "step 6 and the better one of step 4 is kept"
+        )
         assert f"the checkpoint of {reported};" in line(tmp_path, broken)
 
 

@@ -77,17 +77,30 @@ def unshear(folder, batches=None, validation=None, net=small.NET, training=small
 def test_summary_log_and_settings(straight):
     folder, summary = straight
     assert (summary.steps, summary.images) == (12, 48)
-    assert summary.parameters == sum(x.size for x in jax.tree.leaves(checkpoint.load_best(folder)["params"]))
+    assert summary.parameters == sum(
+        x.size for x in jax.tree.leaves(checkpoint.load_best(folder)["params"])
+    )
     log = lines(folder)
     assert [line["step"] for line in log] == [4, 8, 12]
     assert log[-1]["epoch"] == 3
     assert log[0]["train_seconds"] < log[-1]["train_seconds"] == summary.train_seconds
-    assert set(log[0]["train"]) == {"supervised", "patch", "reconstruction", "regularisation", "gradient"}
+    assert set(log[0]["train"]) == {
+        "supervised",
+        "patch",
+        "reconstruction",
+        "regularisation",
+        "gradient",
+    }
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
     kernels = losses.kernels_of(checkpoint.load_best(folder)["params"])
-    assert set(log[0]["kernels"]) == set(kernels) and all(size > 0 for size in log[0]["kernels"].values())
+    assert set(log[0]["kernels"]) == set(kernels) and all(
+        size > 0 for size in log[0]["kernels"].values()
+    )
     best = min(log, key=lambda line: line["validation"]["supervised"])
-    assert (summary.best_step, summary.best_loss) == (best["step"], best["validation"]["supervised"])
+    assert (summary.best_step, summary.best_loss) == (
+        best["step"],
+        best["validation"]["supervised"],
+    )
     assert checkpoint.read_net(folder) == small.NET
 
 
@@ -162,7 +175,10 @@ def test_the_line_names_the_batch_and_its_broken_examples(tmp_path):
     with pytest.raises(UserError) as stop:
         unshear(tmp_path, broken_from(6))
     line = str(stop.value)
-    assert "of batch 6 (batches(6) begins with it again) with NaN or infinity in canonical of examples 0;" in line
+    assert (
+        "of batch 6 (batches(6) begins with it again) with NaN or infinity in canonical of examples 0;"
+        in line
+    )
     assert "fix the data" in line and "learning_rate" not in line and "\n" not in line
     assert (
         np.isnan(next(broken_from(6)(6))["canonical"][0, 3, 3])
@@ -170,7 +186,9 @@ def test_the_line_names_the_batch_and_its_broken_examples(tmp_path):
     )
 
 
-DIVERGING = dataclasses.replace(small.TRAINING, schedule="steps", drops=((1.5, 1e30),))  # from step 7 on
+DIVERGING = dataclasses.replace(
+    small.TRAINING, schedule="steps", drops=((1.5, 1e30),)
+)  # from step 7 on
 
 
 def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_path):
@@ -178,7 +196,11 @@ def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_pa
     with pytest.raises(UserError) as stop:
         unshear(tmp_path / "diverged", training=DIVERGING)
     line = str(stop.value)
-    assert "step 4 is kept" in line and "whose numbers are 0 to 255" in line and "lower learning_rate" in line
+    assert (
+        "step 4 is kept" in line
+        and "whose numbers are 0 to 255" in line
+        and "lower learning_rate" in line
+    )
     with pytest.raises(Stop):
         unshear(tmp_path / "sound", lambda start: stopped(small.pair, start, 6), training=DIVERGING)
     assert checkpoint.latest(tmp_path / "diverged") == checkpoint.latest(tmp_path / "sound") == 4
@@ -191,8 +213,12 @@ def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_pa
 
 def test_weights_thrown_away_by_the_step_before_a_checkpoint_are_not_kept(tmp_path):
     """The terms of that step come from before its update, and are finite."""
-    overflowing = dataclasses.replace(small.TRAINING, schedule="steps", drops=((1.75, math.inf),))  # from step 8 on
-    with pytest.raises(UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"):
+    overflowing = dataclasses.replace(
+        small.TRAINING, schedule="steps", drops=((1.75, math.inf),)
+    )  # from step 8 on
+    with pytest.raises(
+        UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"
+    ):
         unshear(tmp_path, training=overflowing)
     assert checkpoint.latest(tmp_path) == 4 and [line["step"] for line in lines(tmp_path)] == [4]
 
@@ -268,7 +294,13 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
         epoch_images=small.IMAGES,
     )
     assert summary.kind == "posenet"
-    assert set(lines(tmp_path)[0]["validation"]) == {"pose", "x_mm", "yaw_deg", "edge_mm", "edge_deg"}
+    assert set(lines(tmp_path)[0]["validation"]) == {
+        "pose",
+        "x_mm",
+        "yaw_deg",
+        "edge_mm",
+        "edge_deg",
+    }
     assert checkpoint.read_net(tmp_path) == small.POSENET
     assert checkpoint.read_targets(tmp_path) == small.TARGETS
 
@@ -289,7 +321,9 @@ def test_schedules():
     np.testing.assert_allclose([cosine(0), cosine(50), cosine(100)], [1, 0.5, 0], atol=1e-6)
     paper = Training(learning_rate=1e-4, schedule="steps", drops=((40, 0.2), (80, 0.1)))
     steps = learning_rate(paper, 1000, 10)
-    np.testing.assert_allclose([steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6)
+    np.testing.assert_allclose(
+        [steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6
+    )
 
 
 @pytest.mark.long
@@ -297,15 +331,37 @@ def test_overfits_four_images(tmp_path):
     """Both images come back from the sheared one, also with averaged weights and running statistics."""
     net = UnshearNet(size=32, widths=(8, 16, 16), pose_channels=16, shear_channels=16)
     four = small.pair(7, 4, 32)
-    training = Training(epochs=450, batch=4, learning_rate=5e-3, crops=10, crop_px=8, averaging=0.9, validate_every=225)
+    training = Training(
+        epochs=450,
+        batch=4,
+        learning_rate=5e-3,
+        crops=10,
+        crop_px=8,
+        averaging=0.9,
+        validate_every=225,
+    )
 
     def same(start):
         while True:
             yield four
 
-    loop.train(unshear_task(net, training), training, same, lambda: iter([four]), 0, tmp_path, epoch_images=4)
+    loop.train(
+        unshear_task(net, training),
+        training,
+        same,
+        lambda: iter([four]),
+        0,
+        tmp_path,
+        epoch_images=4,
+    )
     variables = checkpoint.load_best(tmp_path)
-    sheared, canonical = (jnp.asarray(four[name] / 255, jnp.float32) for name in ("sheared", "canonical"))
-    assert float(jnp.mean((unshearnet.unshear(net, variables, sheared) - canonical) ** 2)) < 0.01  # mean image: 0.12
-    again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, *unshearnet.encode(net, variables, sheared)))
+    sheared, canonical = (
+        jnp.asarray(four[name] / 255, jnp.float32) for name in ("sheared", "canonical")
+    )
+    assert (
+        float(jnp.mean((unshearnet.unshear(net, variables, sheared) - canonical) ** 2)) < 0.01
+    )  # mean image: 0.12
+    again = jax.nn.sigmoid(
+        unshearnet.decode_sheared(net, variables, *unshearnet.encode(net, variables, sheared))
+    )
     assert float(jnp.mean((again - sheared) ** 2)) < 0.01

@@ -44,32 +44,53 @@ def test_squared_losses(pair):
     np.testing.assert_allclose(losses.supervised(a, b), expected, rtol=1e-5)
     np.testing.assert_allclose(losses.reconstruction(a, b), expected, rtol=1e-5)
     np.testing.assert_allclose(losses.supervised(a, a), 0)
-    np.testing.assert_allclose(losses.pose(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)), 1.6)
+    np.testing.assert_allclose(
+        losses.pose(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)), 1.6
+    )
 
 
 def test_regularisation_takes_kernels_only():
-    params = {"E": {"kernel": jnp.array([1.0, -2.0]), "bias": jnp.array([9.0])}, "norm": {"scale": jnp.array([7.0])}}
+    params = {
+        "E": {"kernel": jnp.array([1.0, -2.0]), "bias": jnp.array([9.0])},
+        "norm": {"scale": jnp.array([7.0])},
+    }
     np.testing.assert_allclose(losses.regularisation(params, 0.5, 0.0), 1.5)
     np.testing.assert_allclose(losses.regularisation(params, 0.0, 0.1), 0.5)
 
 
 def test_regularisation_over_a_kernels_mean_does_not_grow_with_its_size():
     """Both kernels count |w| = 0.02 and w^2 = 0.0004 once, however many weights they have."""
-    params = {name: {"kernel": jnp.full(shape, -0.02)} for name, shape in (("a", (4, 4, 64, 64)), ("b", (3, 2)))}
-    np.testing.assert_allclose(losses.regularisation(params, 0.5, 0.0, "mean"), 2 * 0.5 * 0.02, rtol=1e-5)
-    np.testing.assert_allclose(losses.regularisation(params, 0.0, 0.1, "mean"), 2 * 0.1 * 0.0004, rtol=1e-5)
-    np.testing.assert_allclose(losses.regularisation(params, 0.5, 0.0), 0.5 * 0.02 * (65536 + 6), rtol=1e-4)
+    params = {
+        name: {"kernel": jnp.full(shape, -0.02)}
+        for name, shape in (("a", (4, 4, 64, 64)), ("b", (3, 2)))
+    }
+    np.testing.assert_allclose(
+        losses.regularisation(params, 0.5, 0.0, "mean"), 2 * 0.5 * 0.02, rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        losses.regularisation(params, 0.0, 0.1, "mean"), 2 * 0.1 * 0.0004, rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        losses.regularisation(params, 0.5, 0.0), 0.5 * 0.02 * (65536 + 6), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize(("kernels", "slope"), [("sum", 1e-3), ("mean", 1e-3 / 24)])
 def test_the_slope_of_l1_is_the_same_for_every_weight(kernels, slope):
     kernel = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3, 4)), jnp.float32)
-    found = jax.grad(lambda w: losses.regularisation({"a": {"kernel": w}}, 1e-3, 0.0, kernels))(kernel)
+    found = jax.grad(lambda w: losses.regularisation({"a": {"kernel": w}}, 1e-3, 0.0, kernels))(
+        kernel
+    )
     np.testing.assert_allclose(found, slope * np.sign(kernel), rtol=1e-5)
 
 
 def test_sizes_of_kernels_are_roots_of_mean_squares():
-    params = {"E": {"Down_0": {"kernel": jnp.array([[3.0, -4.0]]), "bias": jnp.array([9.0])}, "scale": jnp.ones(2)}}
+    params = {
+        "E": {
+            "Down_0": {"kernel": jnp.array([[3.0, -4.0]]), "bias": jnp.array([9.0])},
+            "scale": jnp.ones(2),
+        }
+    }
     sizes = losses.kernel_sizes(params)
     assert list(sizes) == ["E.Down_0"]
     np.testing.assert_allclose(sizes["E.Down_0"], np.sqrt(12.5), rtol=1e-6)

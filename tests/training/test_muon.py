@@ -36,7 +36,9 @@ INNER = ("Down.kernel", "Same.kernel", "Up.kernel", "Dense.kernel")
 
 @pytest.fixture
 def params():
-    return noise_like(jax.tree.map(np.zeros, SHAPES, is_leaf=lambda shape: isinstance(shape, tuple)), 99)
+    return noise_like(
+        jax.tree.map(np.zeros, SHAPES, is_leaf=lambda shape: isinstance(shape, tuple)), 99
+    )
 
 
 def noise_like(params, seed):
@@ -45,7 +47,10 @@ def noise_like(params, seed):
 
 
 def named(params):
-    return {".".join(key.key for key in path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
+    return {
+        ".".join(key.key for key in path): leaf
+        for path, leaf in jax.tree_util.tree_leaves_with_path(params)
+    }
 
 
 def is_inner(name):
@@ -61,7 +66,9 @@ def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
     for _ in range(5):
         s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
     got = (jax.jit(orthogonal) if jit else orthogonal)(jnp.asarray(x, jnp.float32))
-    np.testing.assert_allclose(got, u * s @ v, atol=1e-4)  # of entries near 0.3; tiny singular values are lost first
+    np.testing.assert_allclose(
+        got, u * s @ v, atol=1e-4
+    )  # of entries near 0.3; tiny singular values are lost first
 
 
 def test_orthogonal_brings_singular_values_near_one():
@@ -104,7 +111,9 @@ def test_updates_of_inner_kernels_are_jordan_s(params):
 
 def test_optax_s_updates_of_inner_kernels_are_the_same_but_for_the_start(params):
     axes = {
-        name: optax.contrib.MuonDimensionNumbers(tuple(range(leaf.ndim - 1)), leaf.ndim - 1) if is_inner(name) else None
+        name: optax.contrib.MuonDimensionNumbers(tuple(range(leaf.ndim - 1)), leaf.ndim - 1)
+        if is_inner(name)
+        else None
         for name, leaf in named(params).items()
     }
     theirs = optax.contrib.muon(1.0, consistent_rms=0.2, muon_weight_dimension_numbers=axes)
@@ -169,7 +178,13 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
 
         task = unshear_task(NET, training)
         return loop.train(
-            task, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
+            task,
+            training,
+            batches,
+            lambda: iter([small.pair(1000, 4)]),
+            0,
+            folder,
+            epoch_images=small.IMAGES,
         )
 
     full = train(tmp_path / "full")

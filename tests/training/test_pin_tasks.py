@@ -27,7 +27,8 @@ KEY = jax.random.key(0)
 def batch(seed=0):
     rng = np.random.default_rng(seed)
     moved = {
-        name: (REST + rng.normal(0, 1, (6, 19, 2))).astype(np.float32) for name in ("canonical_pins", "sheared_pins")
+        name: (REST + rng.normal(0, 1, (6, 19, 2))).astype(np.float32)
+        for name in ("canonical_pins", "sheared_pins")
     }
     return moved | {"pins": moved["sheared_pins"], "pose": POSES}
 
@@ -45,7 +46,11 @@ def test_every_part_is_taught_by_its_own_losses():
             return task.terms(variables | {"params": params}, batch(), KEY)[0][term].sum()
 
         slopes = jax.jit(jax.grad(loss))(variables["params"])
-        return {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
+        return {
+            part
+            for part, slope in slopes.items()
+            if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))
+        }
 
     assert reached("supervised") == {"E", "pose", "DC"}
     assert reached("reconstruction") == {"E", "pose", "shear", "DS"}
@@ -61,10 +66,16 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
         return task.terms(variables | {"params": params}, batch() | {TAPS: taps}, KEY)[0][name]
 
     np.testing.assert_allclose(
-        term(variables["params"]), distance(unshear(net, variables, taps), taps, variables), rtol=1e-5
+        term(variables["params"]),
+        distance(unshear(net, variables, taps), taps, variables),
+        rtol=1e-5,
     )
     slopes = jax.jit(jax.grad(lambda params: term(params).sum()))(variables["params"])
-    taught = {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
+    taught = {
+        part
+        for part, slope in slopes.items()
+        if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))
+    }
     assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
     plain = task.terms(variables, batch(), KEY)[0]
     np.testing.assert_array_equal(term(variables["params"], "supervised"), plain["supervised"])
@@ -73,7 +84,11 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
     task = pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
-    variables, pins, other = task.init(KEY), batch(3)["sheared_pins"][:2], batch(4)["sheared_pins"][:2]
+    variables, pins, other = (
+        task.init(KEY),
+        batch(3)["sheared_pins"][:2],
+        batch(4)["sheared_pins"][:2],
+    )
     named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
     wanted = distance(unshear(net, variables, pins), unshear(net, variables, other), variables)
     np.testing.assert_allclose(named["alike"], wanted, rtol=1e-5)
@@ -97,7 +112,9 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
     task = pin_posenet_task(net, Training(), TARGETS, REST, 1.0, render=render)
     named = task.terms(variables, batch(), KEY)[0]
     read = predict(net, variables, render(seen[0]))
-    np.testing.assert_allclose(named["rendered"], jnp.abs(read - seen[0]).sum(-1) / seen[0].shape[1], rtol=1e-5)
+    np.testing.assert_allclose(
+        named["rendered"], jnp.abs(read - seen[0]).sum(-1) / seen[0].shape[1], rtol=1e-5
+    )
     np.testing.assert_array_equal(named["pose"], plain.terms(variables, batch(), KEY)[0]["pose"])
     other = task.terms(variables, batch(), jax.random.key(1))[0]["rendered"]
     assert np.any(np.asarray(other) != np.asarray(named["rendered"]))
@@ -109,9 +126,13 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(target):
     task = pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0, teacher)
     variables, given = task.init(KEY), batch()
     first = task.validate(variables, given)["pose"]
-    other = task.validate(variables, given | {"canonical_pins": given["canonical_pins"] + 3})["pose"]
+    other = task.validate(variables, given | {"canonical_pins": given["canonical_pins"] + 3})[
+        "pose"
+    ]
     turned = task.validate(variables, given | {"pose": POSES[::-1]})["pose"]
-    assert np.any(other != first) == (target == "tap") and np.any(turned != first) == (target == "label")
+    assert np.any(other != first) == (target == "tap") and np.any(turned != first) == (
+        target == "label"
+    )
     with pytest.raises(UserError, match="pose_weight: a PoseNet is needed"):
         pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0)
 
@@ -122,7 +143,8 @@ def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
     sure = np.array([1, 0, 1, 1, 0, 1])
     weight = np.float32([2, 2, 1, 0, 1, 1])
     plain, weighed = (
-        task.terms(variables, batch() | more, KEY)[0]["supervised"] for more in ({}, {"sure": sure, "weight": weight})
+        task.terms(variables, batch() | more, KEY)[0]["supervised"]
+        for more in ({}, {"sure": sure, "weight": weight})
     )
     np.testing.assert_allclose(weighed, plain * sure * weight, rtol=1e-6)
 
@@ -174,10 +196,14 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
         return task.validate(variables | {"params": params}, given)["slide"].sum()
 
     slope = jax.grad(slide)(variables["params"], given)
-    assert {name for name, part in slope.items() if any(np.any(x) for x in jax.tree.leaves(part))} == {"ES", "shear"}
+    assert {
+        name for name, part in slope.items() if any(np.any(x) for x in jax.tree.leaves(part))
+    } == {"ES", "shear"}
     assert not np.any(slope["shear"]["kernel"][:, 3])  # a fourth number is free
     unknown = given | {"felt": np.full_like(given["felt"], np.nan)}
-    assert all(np.all(x == 0) for x in jax.tree.leaves(jax.grad(slide)(variables["params"], unknown)))
+    assert all(
+        np.all(x == 0) for x in jax.tree.leaves(jax.grad(slide)(variables["params"], unknown))
+    )
 
 
 def test_exchanged_codes_are_taught_where_partners_are_given():
@@ -186,7 +212,11 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     # without partners a slide's pose code is to agree with its tap's
-    assert set(task.terms(variables, given, KEY)[0]) == {"supervised", "reconstruction", "agreement"}
+    assert set(task.terms(variables, given, KEY)[0]) == {
+        "supervised",
+        "reconstruction",
+        "agreement",
+    }
     tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
     assert np.all(tap["agreement"] == 0)
     terms = task.terms(variables, given | partners, KEY)[0]
@@ -204,5 +234,11 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
         ("agreement_weight", "agreement"),
         ("swap_weight", "swap"),
     ):  # nothing is drawn that has no weight
-        alone = pin_unshear_task(PinUnshear(**SMALL, apart=True), Training(**{weight: 0.5}), TARGETS, REST, 1.0)
-        assert set(alone.terms(variables, given | partners, KEY)[0]) == {"supervised", "reconstruction", left}
+        alone = pin_unshear_task(
+            PinUnshear(**SMALL, apart=True), Training(**{weight: 0.5}), TARGETS, REST, 1.0
+        )
+        assert set(alone.terms(variables, given | partners, KEY)[0]) == {
+            "supervised",
+            "reconstruction",
+            left,
+        }

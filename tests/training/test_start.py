@@ -32,7 +32,10 @@ def tree(value, **shapes):
 def test_what_both_have_is_taken_and_nothing_else():
     found = begin_from(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
-    assert float(found["params"]["E"]["kernel"].min()) == 1 and float(found["params"]["DS"]["kernel"].max()) == 0
+    assert (
+        float(found["params"]["E"]["kernel"].min()) == 1
+        and float(found["params"]["DS"]["kernel"].max()) == 0
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +57,9 @@ def test_weights_that_do_not_fit_are_refused(start, line):
 
 NETWORK = "disentangled"
 SIMULATED = Experiment(name="small", claim="none", networks=(NETWORK,), other_jitters_mm=(1.0,))
-RECORDED = replace(SIMULATED, paired=Recorded(digest="aa+pcc+bb"), pose=RecordedTaps(), other_jitters_mm=())
+RECORDED = replace(
+    SIMULATED, paired=Recorded(digest="aa+pcc+bb"), pose=RecordedTaps(), other_jitters_mm=()
+)
 
 
 def beginning(experiment, folder):
@@ -69,11 +74,15 @@ def keep(folder, **model):
 def test_what_was_learnt_through_others_is_known(tmp_path):
     first = keep(tmp_path / "first", data=data_of(SIMULATED, NETWORK, None))
     second = keep(tmp_path / "second", data=data_of(RECORDED, NETWORK, first))
-    pairs, taps = (fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose))
+    pairs, taps = (
+        fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)
+    )
     assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", pairs])
     taught = replace(SIMULATED, train=replace(SIMULATED.train, pose_weight=0.5))
     assert data_of(taught, NETWORK, None) == sorted([pairs, taps])
-    with pytest.raises(UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"):
+    with pytest.raises(
+        UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"
+    ):
         check_unseen(second, ["bb", "cc"])
     check_unseen(second, ["cc"])
 
@@ -113,7 +122,9 @@ def test_released_weights_say_what_they_learnt_from(name):
 
 def trained(folder, start):
     """One step so short that weights stay where they begin."""
-    training = replace(small.TRAINING, epochs=0.25, learning_rate=1e-12, averaging=0.0, l1=0.0, l2=0.0)
+    training = replace(
+        small.TRAINING, epochs=0.25, learning_rate=1e-12, averaging=0.0, l1=0.0, l2=0.0
+    )
     return loop.train(
         unshear_task(small.NET, training),
         training,
@@ -130,14 +141,25 @@ def trained(folder, start):
 def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     """Those hold E, the pose code and DC: the rest is as fresh as without them."""
     there = unshearnet.init(small.NET, jax.random.key(5))
-    released = {kind: {m: v for m, v in parts.items() if m not in ("shear", "DS")} for kind, parts in there.items()}
+    released = {
+        kind: {m: v for m, v in parts.items() if m not in ("shear", "DS")}
+        for kind, parts in there.items()
+    }
     trained(tmp_path / "started", Start(released, "of these"))
     trained(tmp_path / "fresh", None)
-    found, fresh = (checkpoint.load_best(tmp_path / name)["params"] for name in ("started", "fresh"))
+    found, fresh = (
+        checkpoint.load_best(tmp_path / name)["params"] for name in ("started", "fresh")
+    )
     for module in ("E", "pose", "DC"):
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), found[module], there["params"][module])
+        jax.tree.map(
+            lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9),
+            found[module],
+            there["params"][module],
+        )
     for module in ("shear", "DS"):
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), found[module], fresh[module])
+        jax.tree.map(
+            lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), found[module], fresh[module]
+        )
     assert not np.allclose(found["E"]["First_0"]["kernel"], fresh["E"]["First_0"]["kernel"])
     assert json.loads((tmp_path / "started" / "model.json").read_text())["start"] == "of these"
     assert "start" not in json.loads((tmp_path / "fresh" / "model.json").read_text())

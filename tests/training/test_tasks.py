@@ -26,7 +26,13 @@ import small
 WATCHED = replace(small.TRAINING, pose_weight=0.5)
 AGAINST_LABELS = replace(WATCHED, pose_target="label")
 UNET = UNet(small.SIZE, small.NET.widths)
-WEIGHTS = (1.0, 1.0, 4.0, 1.0, 1.0)  # of x, yaw, edge distance and both outputs of the edge's direction
+WEIGHTS = (
+    1.0,
+    1.0,
+    4.0,
+    1.0,
+    1.0,
+)  # of x, yaw, edge distance and both outputs of the edge's direction
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +54,10 @@ def gradient_of(task, variables, batch, name):
 
 def with_poses(batch):
     poses = jax.random.uniform(jax.random.key(8), (len(batch["sheared"]), 6), minval=-1.0)
-    return batch | {"pose": poses[:, :4] * np.array([5, 5, 45, 1]), "edge": poses[:, 4:] * np.array([5, 180])}
+    return batch | {
+        "pose": poses[:, :4] * np.array([5, 5, 45, 1]),
+        "edge": poses[:, 4:] * np.array([5, 180]),
+    }
 
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
@@ -57,7 +66,10 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     named = jax.jit(task.validate)(variables, batch)
     unsheared = jax.jit(unshearnet.unshear, static_argnums=0)
-    image, read = unsheared(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255), jax.jit(teacher)
+    image, read = (
+        unsheared(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255),
+        jax.jit(teacher),
+    )
     expected = losses.pose(read(image), read(canonical), WEIGHTS)
     assert float(expected.min()) > 0
     np.testing.assert_allclose(named["pose"], expected, rtol=1e-5)
@@ -68,7 +80,8 @@ def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
     task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose")
     largest = {
-        name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
+        name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part))
+        for name, part in gradient.items()
     }
     assert all(largest[name] > 0 for name in ("E", "pose", "DC"))
     assert all(largest[name] == 0 for name in ("shear", "DS"))
@@ -90,7 +103,9 @@ def test_without_weight_the_teacher_is_never_asked():
 
     task = unshear_task(small.NET, small.TRAINING, asked)
     variables = jax.jit(task.init)(jax.random.key(0))
-    assert "pose" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
+    assert (
+        "pose" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
+    )
     assert "pose" not in jax.eval_shape(task.validate, variables, small.pair(3, 4))
 
 
@@ -101,7 +116,9 @@ def test_a_u_net_can_be_taught_too(teacher):
     image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     expected = losses.pose(read(image), read(canonical), WEIGHTS)
-    np.testing.assert_allclose(jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
+    )
 
 
 def test_a_weight_without_a_teacher_is_refused():
@@ -109,14 +126,23 @@ def test_a_weight_without_a_teacher_is_refused():
         unshear_task(small.NET, WATCHED)
 
 
-@pytest.mark.parametrize("net", [small.NET, pytest.param(UNET, marks=pytest.mark.long)], ids=["unshear", "unet"])
+@pytest.mark.parametrize(
+    "net", [small.NET, pytest.param(UNET, marks=pytest.mark.long)], ids=["unshear", "unet"]
+)
 def test_against_labels_the_tap_does_not_enter(teacher, net):
-    task, batch = unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS), with_poses(small.pair(3, 4))
+    task, batch = (
+        unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS),
+        with_poses(small.pair(3, 4)),
+    )
     variables = jax.jit(task.init)(jax.random.key(0))
-    image = jax.jit(unshear, static_argnums=0)(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    image = jax.jit(unshear, static_argnums=0)(
+        net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
+    )
     targets = posenet.pose_targets(batch, small.TARGETS)
     expected = losses.pose(jax.jit(teacher)(image), targets, WEIGHTS)
-    np.testing.assert_allclose(jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
+    )
     terms = jax.jit(task.terms)
     trained, other = (
         terms(variables, given, jax.random.key(2))[0]
@@ -153,7 +179,11 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     training = replace(small.TRAINING, swap_weight=2.0, agreement_weight=0.5, slide_weight=3.0)
     task = unshear_task(net, training, slides=slides)
     variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)
-    same = given | {"other": given["sheared"], "swapped": given["sheared"], "felt": np.zeros((4, 2), np.float32)}
+    same = given | {
+        "other": given["sheared"],
+        "swapped": given["sheared"],
+        "felt": np.zeros((4, 2), np.float32),
+    }
     terms = jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
     named = terms(same)
     assert set(named) == {"supervised", "patch", "reconstruction", "swap", "agreement", "slide"}
@@ -161,13 +191,19 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     np.testing.assert_allclose(named["swap"], named["reconstruction"], rtol=1e-6)
     other = terms(same | {"swapped": given["canonical"]})["agreement"]
     assert np.all(named["agreement"] < 1e-6 * other)
-    tap = replace(training, swap_weight=0.0)  # where poses share no slides, that of a slide and that of its tap
-    alone = unshear_task(net, tap, slides=slides).terms(variables, given | {"felt": same["felt"]}, jax.random.key(2))[0]
+    tap = replace(
+        training, swap_weight=0.0
+    )  # where poses share no slides, that of a slide and that of its tap
+    alone = unshear_task(net, tap, slides=slides).terms(
+        variables, given | {"felt": same["felt"]}, jax.random.key(2)
+    )[0]
     assert "swap" not in alone
     np.testing.assert_allclose(
         alone["agreement"], terms(same | {"swapped": given["canonical"]})["agreement"], rtol=1e-4
     )
     assert [task.weights[name] for name in ("swap", "agreement", "slide")] == [2.0, 0.5, 3.0]
-    z_s = np.asarray(unshearnet.encode(net, variables, jnp.asarray(given["sheared"], jnp.float32) / 255)[1])
+    z_s = np.asarray(
+        unshearnet.encode(net, variables, jnp.asarray(given["sheared"], jnp.float32) / 255)[1]
+    )
     known = task.validate(variables, given | {"felt": 2 * z_s[:, 0, 0, :2]})
     np.testing.assert_allclose(known["slide"], 0, atol=1e-10)

@@ -32,7 +32,9 @@ def touched(twist_deg, across_mm):
     angle = np.radians(twist_deg)
     normal = np.array([np.cos(angle), np.sin(angle)])
     away = (REST - MIDDLE) @ normal - 5 * across_mm
-    return REST + 2 * np.outer(away / 8 * np.exp(-((away / 12) ** 2)) + 0.3 * np.exp(-((away / 20) ** 2)), normal)
+    return REST + 2 * np.outer(
+        away / 8 * np.exp(-((away / 12) ** 2)) + 0.3 * np.exp(-((away / 20) ** 2)), normal
+    )
 
 
 def contacts(count, sense):
@@ -48,7 +50,9 @@ def test_a_sixth_of_a_turn_takes_every_pin_to_another(jit):
     pins = REST + RNG.normal(0, 1, (2, *REST.shape))
     got = (jax.jit(turned) if jit else turned)(turns, k, jnp.asarray(pins))
     rotation = np.asarray(turns.rotation[k], np.float64)
-    lands = np.argmin(np.linalg.norm((MIDDLE + (REST - MIDDLE) @ rotation.T)[:, None] - REST, axis=-1), axis=1)
+    lands = np.argmin(
+        np.linalg.norm((MIDDLE + (REST - MIDDLE) @ rotation.T)[:, None] - REST, axis=-1), axis=1
+    )
     wanted = np.empty_like(pins)
     wanted[:, lands] = MIDDLE + (pins - MIDDLE) @ rotation.T
     np.testing.assert_allclose(got, wanted, atol=1e-3)
@@ -73,7 +77,9 @@ def test_pins_that_are_not_seen_count_as_untouched():
     still = pins.copy()
     still[0, 5] = REST[5]
     turns = turns_of(REST, 1)
-    np.testing.assert_array_equal(turned(turns, 3, jnp.asarray(pins)), turned(turns, 3, jnp.asarray(still)))
+    np.testing.assert_array_equal(
+        turned(turns, 3, jnp.asarray(pins)), turned(turns, 3, jnp.asarray(still))
+    )
 
 
 @pytest.mark.parametrize("sense", [1, -1])
@@ -84,7 +90,9 @@ def test_the_twist_turns_and_nothing_else(sense):
     after = poses.copy()
     after[:, 5] += sense * 360 * k / ANGLES
     wanted = pose_targets({"pose": jnp.asarray(after, jnp.float32)}, targets)
-    np.testing.assert_allclose(turned_outputs(turns_of(REST, sense), k, outputs, targets), wanted, atol=1e-5)
+    np.testing.assert_allclose(
+        turned_outputs(turns_of(REST, sense), k, outputs, targets), wanted, atol=1e-5
+    )
 
 
 @pytest.mark.parametrize("sense", [1, -1])

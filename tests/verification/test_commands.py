@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_values_that_begin_with_a_minus_are_values():
-    words = commands.join_numbers(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-.5,-2"])
+    words = commands.join_numbers(
+        ["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-.5,-2"]
+    )
     assert words == ["plan", "--pose=-1,0,0,2", "--level", "auto", "--move=-.5,-2"]
 
 
@@ -49,7 +51,11 @@ def test_files_that_would_be_lost_are_refused_in_one_line(verification, tmp_path
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "experiment.json").write_text('{"unshear": {}}')
     (tmp_path / "a").symlink_to("a")
-    for file, reason in ((".", "is a folder"), ("run/b", "files of its own"), ("a/b", "leads back to itself")):
+    for file, reason in (
+        (".", "is a folder"),
+        ("run/b", "files of its own"),
+        ("a/b", "leads back to itself"),
+    ):
         answer = verification("verify", "--json", tmp_path / file)
         assert (answer.code, answer.err.count("\n")) == (2, 1)
         assert reason in answer.err

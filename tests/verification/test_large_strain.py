@@ -37,9 +37,19 @@ def tube(inner, outer, height, columns, rows):
     grid = np.stack(np.meshgrid(r, z, indexing="ij"), -1).reshape(-1, 2)
     at = np.arange(len(grid)).reshape(len(r), len(z))
     offsets = [(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)]
-    elements = np.array([[at[2 * i + a, 2 * j + b] for a, b in offsets] for i in range(columns) for j in range(rows)])
-    used, numbered = np.unique(elements, return_inverse=True)  # a grid has a middle that an 8-node element has not
-    surface = np.searchsorted(used, [[at[2 * i, 0], at[2 * i + 1, 0], at[2 * i + 2, 0]] for i in range(columns)])
+    elements = np.array(
+        [
+            [at[2 * i + a, 2 * j + b] for a, b in offsets]
+            for i in range(columns)
+            for j in range(rows)
+        ]
+    )
+    used, numbered = np.unique(
+        elements, return_inverse=True
+    )  # a grid has a middle that an 8-node element has not
+    surface = np.searchsorted(
+        used, [[at[2 * i, 0], at[2 * i + 1, 0], at[2 * i + 2, 0]] for i in range(columns)]
+    )
     nothing = np.zeros(len(elements), bool)
     return Mesh(grid[used], numbered.reshape(elements.shape), nothing, np.zeros(0, int), surface)
 
@@ -77,7 +87,9 @@ def test_forces_and_tangent_are_derivatives_of_the_energy():
     slope = (energy(body, moved + h * way) - energy(body, moved - h * way)) / (2 * h)
     assert forces(body, moved) @ way.ravel() == pytest.approx(slope, rel=1e-7)
     change = (forces(body, moved + h * way) - forces(body, moved - h * way)) / (2 * h)
-    np.testing.assert_allclose(tangent(body, moved) @ way.ravel(), change, atol=1e-6 * np.abs(change).max())
+    np.testing.assert_allclose(
+        tangent(body, moved) @ way.ravel(), change, atol=1e-6 * np.abs(change).max()
+    )
 
 
 def test_rigid_motions_cost_nothing():
@@ -104,7 +116,9 @@ def test_patch_a_boundary_stretched_evenly_stretches_everything_evenly():
     r, z = mesh.nodes.T
     inside = (r < 3) & (z > 0) & (z < 2)
     r, z = np.interp(r, range(4), [0.0, 0.5, 1.3, 2.0]), np.interp(z, range(3), [0.0, 0.4, 1.0])
-    mesh = replace(mesh, nodes=np.stack([r, z + 0.2 * r], -1))  # uneven and skewed; curved sides need more points
+    mesh = replace(
+        mesh, nodes=np.stack([r, z + 0.2 * r], -1)
+    )  # uneven and skewed; curved sides need more points
     body = uniform(mesh, 1.0, 0.45)
     even = mesh.nodes * [0.25, -0.35]  # stretches 1.25 and 0.65
     held = np.union1d(2 * np.flatnonzero(~inside)[:, None] + np.arange(2), 2 * mesh.axis)
@@ -129,9 +143,13 @@ def test_a_cylinder_squeezed_without_friction(stretch):
         made = equilibrium(body, face, depth, made, held)
         assert made.converged
     shear, first = lame(0.1, 0.49)
-    side = brentq(lambda t: shear * (t * t - 1) + first * np.log(t * t * stretch), 1.0, 2.0)  # no stress at the side
+    side = brentq(
+        lambda t: shear * (t * t - 1) + first * np.log(t * t * stretch), 1.0, 2.0
+    )  # no stress at the side
     nominal = shear * (stretch - 1 / stretch) + first * np.log(side**2 * stretch) / stretch
-    np.testing.assert_allclose(made.moved, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7)
+    np.testing.assert_allclose(
+        made.moved, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7
+    )
     assert made.push.sum() == pytest.approx(-nominal * np.pi * 2**2, rel=1e-7)
     np.testing.assert_allclose(deformation(body, made.moved)[1], side**2 * stretch, rtol=1e-7)
 
@@ -152,13 +170,19 @@ def inflation_error(columns, rows):
         assert made.converged
     pressure = forces(body, made.moved)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
     shear, _ = lame(1.0, 0.4999)
-    exact, _ = quad(lambda r: shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r, 1.6, np.sqrt(4 + change))
+    exact, _ = quad(
+        lambda r: shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r,
+        1.6,
+        np.sqrt(4 + change),
+    )
     return abs(pressure / exact - 1)
 
 
 def test_a_thick_tube_blown_up():
     """Plane strain, incompressible: sigma_theta - sigma_r = mu (l^2 - l^-2), integrated over dr / r (Ogden 1984, sec. 5.3)."""
-    assert inflation_error(6, 1) < 2e-4  # a Poisson ratio of 0.4999 instead of 0.5 is worth about 1e-4
+    assert (
+        inflation_error(6, 1) < 2e-4
+    )  # a Poisson ratio of 0.4999 instead of 0.5 is worth about 1e-4
 
 
 def test_a_small_press_is_the_linear_one():
@@ -196,7 +220,9 @@ def test_pins_are_levers_on_the_inner_face():
     base = rest - TACTIP_331.pin_length_mm * inward
     normal = inward @ np.linalg.inv(squeeze)  # of a face that deforms: F^-T n
     expected = (
-        base @ squeeze + lift + TACTIP_331.pin_length_mm * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        base @ squeeze
+        + lift
+        + TACTIP_331.pin_length_mm * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     )
     np.testing.assert_allclose(pins_at(TACTIP_331, mesh, moved), expected, atol=2e-3)
 
@@ -230,7 +256,11 @@ def test_rows_follow_the_order_given_and_no_contact_moves_nothing():
     np.testing.assert_array_equal(made.depth_mm, [0.5, -1.0, 0.2, 0.0])
     assert made.converged.all() and made.force_n[0] > made.force_n[2] > 0
     for row in (1, 3):
-        assert made.force_n[row] == 0 and made.contact_radius_mm[row] == 0 and made.max_stretch[row] == 1
+        assert (
+            made.force_n[row] == 0
+            and made.contact_radius_mm[row] == 0
+            and made.max_stretch[row] == 1
+        )
         np.testing.assert_array_equal(made.pins[row], pin_tips(TACTIP_331))
 
 
@@ -242,7 +272,11 @@ def test_what_does_not_converge_is_said_and_not_shown():
 
     made = press(TACTIP_331, [-1.0, 2.0, 3.0], 4.0, hesitant)
     np.testing.assert_array_equal(made.converged, [True, False, False])
-    assert np.isnan(made.pins[1:]).all() and np.isnan(made.force_n[1:]).all() and made.residual[1] > 1e-9
+    assert (
+        np.isnan(made.pins[1:]).all()
+        and np.isnan(made.force_n[1:]).all()
+        and made.residual[1] > 1e-9
+    )
 
 
 @pytest.mark.parametrize("depths", [[], [np.nan], [-np.inf], [12.0], 3.0])

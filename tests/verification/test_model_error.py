@@ -26,8 +26,12 @@ def test_one_pin_in_ten_shows_in_the_percentile_and_not_in_the_mean():
     moved = REST.copy()
     moved[::10, 0] += 1.0
     error, px = pin_error(TACTIP_331, moved, REST), px_apart(TACTIP_331, moved, REST)
-    assert (error.rms_mm, error.p95_mm, error.max_px) == pytest.approx((np.sqrt(34 / 331), 1, px.max()))
-    assert error.rms_px == pytest.approx(np.sqrt(np.mean(px**2))) and error.p95_px > 0.8 * error.max_px
+    assert (error.rms_mm, error.p95_mm, error.max_px) == pytest.approx(
+        (np.sqrt(34 / 331), 1, px.max())
+    )
+    assert (
+        error.rms_px == pytest.approx(np.sqrt(np.mean(px**2))) and error.p95_px > 0.8 * error.max_px
+    )
 
 
 def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_with_the_body():
@@ -35,15 +39,24 @@ def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_wi
     plane = np.zeros((3, 3))
     plane[::2, ::2], plane[1, 1] = generator.normal(size=(2, 2)), generator.normal()
     angle = 0.7
-    turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    turn = np.array(
+        [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    )
     with jax.enable_x64(True):
         small = np.eye(3) + 1e-4 * plane
-        assert float(logarithmic(small, 1.0, 20.0)) == pytest.approx(float(neo_hookean(small, 1.0, 20.0)), rel=2e-3)
+        assert float(logarithmic(small, 1.0, 20.0)) == pytest.approx(
+            float(neo_hookean(small, 1.0, 20.0)), rel=2e-3
+        )
         large = np.eye(3) + 0.2 * plane
-        same, turned = float(logarithmic(large, 1.0, 20.0)), float(logarithmic(turn @ large, 1.0, 20.0))
+        same, turned = (
+            float(logarithmic(large, 1.0, 20.0)),
+            float(logarithmic(turn @ large, 1.0, 20.0)),
+        )
         assert turned == pytest.approx(same, rel=1e-9)
         stretched = np.diag([np.exp(0.5), np.exp(-0.25), np.exp(-0.25)])
-        assert float(logarithmic(stretched, 1.0, 20.0)) == pytest.approx(0.5**2 + 2 * 0.25**2, rel=1e-6)
+        assert float(logarithmic(stretched, 1.0, 20.0)) == pytest.approx(
+            0.5**2 + 2 * 0.25**2, rel=1e-6
+        )
 
 
 @pytest.mark.long
@@ -51,6 +64,8 @@ def test_the_linear_dome_is_good_at_small_depth_and_worse_deeper():
     shallow, deep = model_error(TACTIP_331, (0.5, 4.0))
     assert shallow.converged and deep.converged
     assert shallow.rms_px < 0.2 < deep.rms_px < deep.motion_px
-    assert deep.material_px < deep.rms_px / 4  # rotations, not the law, are what a linear dome misses
+    assert (
+        deep.material_px < deep.rms_px / 4
+    )  # rotations, not the law, are what a linear dome misses
     assert shallow.strained == 0 < deep.strained
     assert shallow.force_ratio == pytest.approx(1, abs=0.2)

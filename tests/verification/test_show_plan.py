@@ -24,10 +24,22 @@ def test_a_slide():
     rows = by_name(shown)
     assert set(rows) == {"", module.TOGETHER, *OMISSIONS}
     needs = rows[""]
-    assert needs["touching"] and needs["friction"] and needs["converged"] and 0 < needs["nodes"] < needs["nodes_of"]
+    assert (
+        needs["touching"]
+        and needs["friction"]
+        and needs["converged"]
+        and 0 < needs["nodes"] < needs["nodes_of"]
+    )
     assert rows["nodes"]["matters"] and rows["nodes"]["ms"] > 0 and rows["nodes"]["max_px"] < 0.3
-    assert rows["steps"]["matters"] and not rows["friction"]["matters"] and not rows["grouping"]["matters"]
-    assert f"{needs['nodes']} of {needs['nodes_of']}" in shown.text and "makes no difference here" in shown.text
+    assert (
+        rows["steps"]["matters"]
+        and not rows["friction"]["matters"]
+        and not rows["grouping"]["matters"]
+    )
+    assert (
+        f"{needs['nodes']} of {needs['nodes_of']}" in shown.text
+        and "makes no difference here" in shown.text
+    )
 
 
 def test_nothing_is_touched():
@@ -38,12 +50,19 @@ def test_nothing_is_touched():
 
 def test_no_friction():
     rows = by_name(show_plan("disk", (-6, 0, 0, 0.8), move=(0.4, 0), friction=0.0, sensor=SMALL))
-    assert not rows[""]["friction"] and rows["friction"]["matters"] and rows["friction"]["rms_px"] < 0.1
+    assert (
+        not rows[""]["friction"]
+        and rows["friction"]["matters"]
+        and rows["friction"]["rms_px"] < 0.1
+    )
 
 
 def test_a_level_that_leaves_nothing_out():
     shown = show_plan("disk", (-6, 0, 0, 0.8), level="default", sensor=SMALL)
-    assert not any(row.get("matters") for row in shown.rows) and "not left out at this level" in shown.text
+    assert (
+        not any(row.get("matters") for row in shown.rows)
+        and "not left out at this level" in shown.text
+    )
 
 
 def test_groups_hold_every_scene_once():
@@ -54,7 +73,10 @@ def test_groups_hold_every_scene_once():
 
     shown = show_grouping(3, sensor=SMALL, scenes=shallow)
     for kind in ("slide", "tap"):
-        assert sum(row["scenes"] for row in shown.rows if row["kind"] == kind and not row["omission"]) == 3
+        assert (
+            sum(row["scenes"] for row in shown.rows if row["kind"] == kind and not row["omission"])
+            == 3
+        )
     assert any(row["omission"] == "grouping" for row in shown.rows)
 
 

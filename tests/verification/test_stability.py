@@ -37,18 +37,36 @@ def test_cases_are_many_and_their_names_differ():
 def test_a_contact_that_is_solved():
     row = stability.examine(cases.one_path("small", SHALLOW, sensor=cases.HALF_SIZE))
     assert row.outcome == stability.SOLVED and row.holds and row.finite and row.converged
-    assert row.float_px <= stability.PRECISION_PX and row.nodes > 0 and row.iterations > 0 and row.ms > 0
+    assert (
+        row.float_px <= stability.PRECISION_PX
+        and row.nodes > 0
+        and row.iterations > 0
+        and row.ms > 0
+    )
 
 
 @pytest.mark.long
 def test_nodes_that_stand_there_twice_change_nothing():
-    (case,) = [case for case in cases.all_cases() if case.name.startswith("contact nodes that stand there twice")]
+    (case,) = [
+        case
+        for case in cases.all_cases()
+        if case.name.startswith("contact nodes that stand there twice")
+    ]
     row = stability.examine(case)
     assert row.holds and row.twin_px < stability.PRECISION_PX
 
 
 @pytest.mark.parametrize(
-    "part", ["point with", "scene with", "friction nan", "friction -", "stimulus ", "depth 20", "NaN forces"]
+    "part",
+    [
+        "point with",
+        "scene with",
+        "friction nan",
+        "friction -",
+        "stimulus ",
+        "depth 20",
+        "NaN forces",
+    ],
 )
 def test_senseless_contacts_are_refused_by_name(part):
     rows = stability.stability(part)
@@ -69,7 +87,9 @@ PINS = np.zeros((cases.HALF_SIZE.pins, 3))
         (lambda level, retry: answer(PINS * np.nan), "not finite"),
         (lambda level, retry: answer(PINS + (level == "auto")), "converged to something else"),
         (
-            lambda level, retry: answer(PINS + 0.05 * (getattr(level, "precision", "") == "float64")),
+            lambda level, retry: answer(
+                PINS + 0.05 * (getattr(level, "precision", "") == "float64")
+            ),
             "float32 is too coarse",
         ),
         (lambda level, retry: 1 / 0, "crashed"),
@@ -78,7 +98,11 @@ PINS = np.zeros((cases.HALF_SIZE.pins, 3))
 def test_what_is_wrong_does_not_pass(solve, outcome):
     row = stability.examine(made_up(solve))
     assert row.outcome == outcome and not row.holds and stability.failed([row])
-    assert row.scene == "the line" and "the line" in stability.table([row]) and "--only" in stability.table([row])
+    assert (
+        row.scene == "the line"
+        and "the line" in stability.table([row])
+        and "--only" in stability.table([row])
+    )
 
 
 def test_what_says_that_it_has_not_converged_is_given_up_and_shown():
@@ -92,12 +116,23 @@ def test_what_nothing_could_be_compared_with_is_not_called_solved():
     """No tight solution: the reference judges; without that one it is said that nothing did."""
 
     def tight_fails(reference):
-        return lambda level, retry: answer(PINS + (level == "auto") * 0.001, converged=level in ("auto", reference))
+        return lambda level, retry: answer(
+            PINS + (level == "auto") * 0.001, converged=level in ("auto", reference)
+        )
 
     row = stability.examine(made_up(tight_fails("reference")))
-    assert row.outcome == stability.UNCOMPARED and row.holds and np.isnan(row.float_px) and row.tight_px > 0
+    assert (
+        row.outcome == stability.UNCOMPARED
+        and row.holds
+        and np.isnan(row.float_px)
+        and row.tight_px > 0
+    )
     assert np.isnan(stability.examine(made_up(tight_fails("none"))).tight_px)
-    off = made_up(lambda level, retry: answer(PINS + 10 * (level == "auto"), converged=level in ("auto", "reference")))
+    off = made_up(
+        lambda level, retry: answer(
+            PINS + 10 * (level == "auto"), converged=level in ("auto", "reference")
+        )
+    )
     assert stability.examine(off).outcome == "converged to something else"
     lone = made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS, converged=False))
     assert stability.examine(lone).outcome == stability.UNCOMPARED
@@ -129,7 +164,9 @@ def test_a_line_says_what_sets_a_sensor_apart():
     assert "skin_modulus_mpa=7.0" in cases.one_path("any", SHALLOW, sensor=sensor).line
 
 
-@pytest.mark.parametrize(("asked", "said"), [("frictoin", "some do friction"), ("0x0q", "some do network, ")])
+@pytest.mark.parametrize(
+    ("asked", "said"), [("frictoin", "some do friction"), ("0x0q", "some do network, ")]
+)
 def test_cases_are_reported_by_words_of_their_names(asked, said):
     with pytest.raises(UserError, match=f"--only '{asked}': no case's name contains this; {said}"):
         stability.stability(asked)

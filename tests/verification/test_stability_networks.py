@@ -21,7 +21,11 @@ from verification.network_trainings import SHALLOW, steps_case
 FINE = judge.Found({"values": np.ones(3)})
 LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
 NAN = steps_case(
-    "NaN", SHALLOW, change=network_trainings._nan, expects=(judge.STOPPED,), words=network_trainings._words()
+    "NaN",
+    SHALLOW,
+    change=network_trainings._nan,
+    expects=(judge.STOPPED,),
+    words=network_trainings._words(),
 )
 
 
@@ -68,7 +72,10 @@ def test_cases_are_many_and_their_names_differ():
 
 def test_only_those_asked_for_run(monkeypatch):
     ran = []
-    cases = [made_up(lambda folder: ran.append(1) or FINE), replace(made_up(lambda folder: 1 / 0), name="another")]
+    cases = [
+        made_up(lambda folder: ran.append(1) or FINE),
+        replace(made_up(lambda folder: 1 / 0), name="another"),
+    ]
     rows = stability.stability("made up", cases)
     assert [row.outcome for row in rows] == [judge.FINITE] and ran == [1] and rows[0].holds
 
@@ -93,7 +100,10 @@ def test_what_is_wrong_does_not_pass(found, outcome):
 
 
 def test_the_array_that_is_not_finite_is_named():
-    assert judge.examine(made_up(lambda folder: judge.Found({"a": {"b": [1.0, np.nan]}}))).said == "a.b.1"
+    assert (
+        judge.examine(made_up(lambda folder: judge.Found({"a": {"b": [1.0, np.nan]}}))).said
+        == "a.b.1"
+    )
 
 
 def test_a_traceback_is_a_failure():
@@ -139,10 +149,26 @@ def test_a_kept_checkpoint_must_be_usable(spoil):
 
 def test_the_papers_start_is_that_of_its_experiment():
     paper = load_experiment(Path(__file__).parents[2] / "experiments" / "paper.py")
-    assert (paper.unshear, paper.posenet) == (network_trainings.PAPER_NET, network_trainings.PAPER_POSENET)
+    assert (paper.unshear, paper.posenet) == (
+        network_trainings.PAPER_NET,
+        network_trainings.PAPER_POSENET,
+    )
     ours = network_trainings.PAPER
-    for field in ("optimiser", "learning_rate", "beta1", "beta2", "l1", "l2", "kernels", "averaging"):
-        assert getattr(ours, field) == getattr(paper.train, field) == getattr(paper.train_posenet, field)
+    for field in (
+        "optimiser",
+        "learning_rate",
+        "beta1",
+        "beta2",
+        "l1",
+        "l2",
+        "kernels",
+        "averaging",
+    ):
+        assert (
+            getattr(ours, field)
+            == getattr(paper.train, field)
+            == getattr(paper.train_posenet, field)
+        )
     for field in ("patch_weight", "crops", "crop_px", "reconstruction_weight"):
         assert getattr(ours, field) == getattr(paper.train, field)
 
@@ -150,7 +176,11 @@ def test_the_papers_start_is_that_of_its_experiment():
 @pytest.mark.long
 def test_kernels_that_outweigh_the_loss_are_reported():
     heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
-    assert heavy.holds and heavy.said.startswith("l1 and l2 weigh") and "kernels shrink first" in heavy.said
+    assert (
+        heavy.holds
+        and heavy.said.startswith("l1 and l2 weigh")
+        and "kernels shrink first" in heavy.said
+    )
 
 
 def test_steps_pass_with_their_figures():
@@ -172,8 +202,12 @@ def test_a_nan_stops_a_training_and_the_row_says_what_is_kept():
 
 def test_a_training_that_does_not_see_is_caught():
     """Without its two looks the case that must stop ends with numbers that are not finite."""
-    floats = lambda step, terms, batch, folder: {name: float(value) for name, value in terms.items()}  # noqa: E731
-    row = judge.examine(guarded(floats, check_state))  # the state's look comes too late to name the step
+
+    def floats(step, terms, batch, folder):
+        return {name: float(value) for name, value in terms.items()}
+
+    # the state is checked too late to name the step
+    row = judge.examine(guarded(floats, check_state))
     assert not row.holds and row.outcome.startswith("stopped by a line without 'step 7")
     row = judge.examine(guarded(floats, lambda *_: None))
     assert not row.holds and row.outcome == "not finite"
@@ -191,8 +225,12 @@ USUAL = steps_case("usual", SHALLOW)
     ],
     ids=["training", "black", "equal"],
 )
-def test_a_root_of_what_is_not_positive_is_caught(monkeypatch, compiled_anew, less, case, outcome, said):
-    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less))
+def test_a_root_of_what_is_not_positive_is_caught(
+    monkeypatch, compiled_anew, less, case, outcome, said
+):
+    monkeypatch.setattr(
+        losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less)
+    )
     row = judge.examine(case)
     assert not row.holds and row.outcome == outcome and said in row.said
 
@@ -201,7 +239,11 @@ def test_a_root_of_what_is_not_positive_is_caught(monkeypatch, compiled_anew, le
     ("power", "name", "outcome"),
     [
         (lambda x, weight: x**weight, "inverted", "not finite"),
-        (lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0), "a NaN", "hides a NaN"),
+        (
+            lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0),
+            "a NaN",
+            "hides a NaN",
+        ),
     ],
     ids=["of what is negative", "that hides a NaN"],
 )
@@ -211,7 +253,9 @@ def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcom
     assert not row.holds and row.outcome == outcome
 
 
-@pytest.mark.parametrize("part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"])
+@pytest.mark.parametrize(
+    "part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"]
+)
 def test_cases_that_take_seconds_hold(part):
     rows = stability.stability(part)
     assert rows and not stability.failed(rows), stability.table(rows)
@@ -242,7 +286,9 @@ def test_images_are_what_their_names_say():
     floats = spoilt(as_floats, batch)
     assert floats["sheared"].dtype == np.float32 and set(np.unique(floats["sheared"])) == {0, 1}
     made = {name: kind(floats["canonical"]) for name, kind in KINDS.items()}
-    constants = [np.unique(made[name]).tolist() for name in ("constant grey", "all black", "all white")]
+    constants = [
+        np.unique(made[name]).tolist() for name in ("constant grey", "all black", "all white")
+    ]
     assert constants == [[0.5], [0], [1]]
     np.testing.assert_array_equal(made["inverted"], 1 - floats["canonical"])
     assert (np.diff(made["alike"], axis=0) == 0).all()
@@ -250,7 +296,11 @@ def test_images_are_what_their_names_say():
     assert (apart == 2).all()  # each has its own pixel inverted
     assert np.argwhere(np.isnan(with_nan(batch["canonical"]))).tolist() == [[1, 16, 16, 0]]
     labels = poses(3, 4, 32)
-    assert labels["pose"].shape == (4, 4) and labels["edge"].shape == (4, 2) and np.isfinite(labels["pose"]).all()
+    assert (
+        labels["pose"].shape == (4, 4)
+        and labels["edge"].shape == (4, 2)
+        and np.isfinite(labels["pose"]).all()
+    )
 
 
 @pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.Found({"a": np.nan}), 1)])

@@ -35,7 +35,14 @@ def test_elements(check):
 
 CHEAP = (
     *(normal.hertz, shear.cattaneo_mindlin, pytest.param(shear.cycle, marks=pytest.mark.long)),
-    *(laws.of_the_compliance, laws.of_random_paths, laws.no_contact, laws.turned, laws.closed_loop, laws.of_increments),
+    *(
+        laws.of_the_compliance,
+        laws.of_random_paths,
+        laws.no_contact,
+        laws.turned,
+        laws.closed_loop,
+        laws.of_increments,
+    ),
 )
 
 
@@ -87,7 +94,11 @@ def test_the_table_gives_what_was_missed():
     ]
     text = table(rows)
     assert (
-        text.index("a group") < text.index("one") < text.index("MISSED") < text.index("another") < text.index("0.1 px")
+        text.index("a group")
+        < text.index("one")
+        < text.index("MISSED")
+        < text.index("another")
+        < text.index("0.1 px")
     )
     assert as_dict(rows[0])["holds"] is False
 

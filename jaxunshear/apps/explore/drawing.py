@@ -43,14 +43,21 @@ def map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
     parts = [f'<path d="{"".join(lines)}" stroke="#dfe4ec" stroke-width="1" fill="none"/>']
     if line is not None:
         shown = _path(to_px(np.array(line)), closed=False) if len(line) > 1 else ""
-        parts.append(f'<path d="{shown}" stroke="#1c2330" stroke-width="3" fill="#c9d3e4" fill-opacity=".6"/>')
+        parts.append(
+            f'<path d="{shown}" stroke="#1c2330" stroke-width="3" fill="#c9d3e4" fill-opacity=".6"/>'
+        )
         return "".join(parts)
     shape = "".join(_path(to_px(curve)) for curve in outlines(touch.stimulus, HALF_MM))
-    parts.append(f'<path d="{shape}" fill="#c9d3e4" stroke="#67758d" stroke-width="2" fill-rule="evenodd"/>')
+    parts.append(
+        f'<path d="{shape}" fill="#c9d3e4" stroke="#67758d" stroke-width="2" fill-rule="evenodd"/>'
+    )
     parts.append(_scale_bar())
     end = np.array(touch.pose[:2])
     (x, y), (from_x, from_y) = to_px(end), to_px(end - touch.move)
-    radius, contact = touch.sensor.dome_radius_mm * PX_PER_MM, reach_mm(touch.sensor, touch.pose[3]) * PX_PER_MM
+    radius, contact = (
+        touch.sensor.dome_radius_mm * PX_PER_MM,
+        reach_mm(touch.sensor, touch.pose[3]) * PX_PER_MM,
+    )
     yaw = np.radians(touch.pose[2])
     tip = to_px(end + touch.sensor.dome_radius_mm * np.array([np.cos(yaw), np.sin(yaw)]))
     moved = "" if touch.move == (0, 0) else _slide(from_x, from_y, x, y, radius)
@@ -88,7 +95,12 @@ def pins_svg(pins: np.ndarray, state: np.ndarray, size: int) -> str:
     for kind in (FREE, STUCK, SLIPPING):
         here = state == kind
         tips = rest[here] + STRETCH * (moved[here] - rest[here])
-        lines = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(rest[here], tips, strict=True))
+        lines = "".join(
+            f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}"
+            for (a, b), (c, d) in zip(rest[here], tips, strict=True)
+        )
         parts.append(f'<path d="{lines}" stroke="{COLOURS[kind]}" stroke-width="2.5" fill="none"/>')
-        parts += [f'<circle cx="{c:.1f}" cy="{d:.1f}" r="4" fill="{COLOURS[kind]}"/>' for c, d in tips]
+        parts += [
+            f'<circle cx="{c:.1f}" cy="{d:.1f}" r="4" fill="{COLOURS[kind]}"/>' for c, d in tips
+        ]
     return "".join(parts)

@@ -24,7 +24,14 @@ from jaxunshear.image.pins import detect
 from jaxunshear.image.png import eight_bit
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.understood import ANY, inverse, verdict
-from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, frame_for, perceiver
+from jaxunshear.inference.perceiver import (
+    AS_RECORDED,
+    UNSHEARED,
+    Answers,
+    Perceiver,
+    frame_for,
+    perceiver,
+)
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import edge_teller
@@ -41,7 +48,9 @@ NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this
 class Picture(NamedTuple):
     """What there is to see of one touch, or of one recorded image."""
 
-    images: dict[str, np.ndarray]  # by SHEARED, UNSHEARED and TAP, as far as there is one: (S, S) uint8
+    images: dict[
+        str, np.ndarray
+    ]  # by SHEARED, UNSHEARED and TAP, as far as there is one: (S, S) uint8
     poses: dict[
         str, dict[str, float]
     ]  # by TRUE, SHEARED and UNSHEARED: by quantity, mm and deg; NaN where there is none
@@ -56,7 +65,9 @@ class Explorer:
     experiment: Experiment
     paired: PairedData  # how frames of the simulated sensor are taken and prepared
     perceive: Perceiver  # of simulated frames
-    recordings: Callable[[], Perceiver]  # of recorded ones; raises UserError where these cannot be read
+    recordings: Callable[
+        [], Perceiver
+    ]  # of recorded ones; raises UserError where these cannot be read
     own: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
 
     @property
@@ -114,16 +125,24 @@ def make_explorer(
     """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
     paired, _ = simulated_of(experiment, "explore")
     pins = over_pins(experiment)
-    perceive = perceiver(folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None)
+    perceive = perceiver(
+        folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None
+    )
 
     @lru_cache(maxsize=1)
     def recordings() -> Perceiver:
-        return perceiver(folder, experiment, True, frame_for(like, experiment) if like else None) if pins else perceive
+        return (
+            perceiver(folder, experiment, True, frame_for(like, experiment) if like else None)
+            if pins
+            else perceive
+        )
 
     return Explorer(experiment, paired, perceive, recordings, own)
 
 
-def _add_answer(images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers) -> str:
+def _add_answer(
+    images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers
+) -> str:
     """Adds the networks' answer on one image to its pictures and numbers; what hinders it, in one line."""
     if answers.doubt[0]:
         return f"no unsheared image: {answers.doubt[0]}"
@@ -140,7 +159,9 @@ def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
     distance, angle = _edge_of(touch.stimulus)(np.array([touch.pose[:3]]))[0]
     edge = (float(distance), float(angle)) if abs(distance) < NO_EDGE_MM else (np.nan, np.nan)
     known = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
-    return {name: known[field][column] for name, (field, column) in SIMULATED.items() if name in names}
+    return {
+        name: known[field][column] for name, (field, column) in SIMULATED.items() if name in names
+    }
 
 
 @lru_cache(maxsize=32)
@@ -156,6 +177,10 @@ def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
 def _simulated_frame(sensor: Sensor, paired: PairedData) -> Frame:
     """What the simulator's frames have in common."""
     lattice = undeformed(sensor, paired.camera, paired.preprocess)
-    image = render(paired, sensor, pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1)[0][0]
+    image = render(paired, sensor, pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1)[0][
+        0
+    ]
     size = paired.preprocess.size
-    return Frame(View(), lattice.place, lattice.shell, lattice.spacing, detect(image).radius, size, size)
+    return Frame(
+        View(), lattice.place, lattice.shell, lattice.spacing, detect(image).radius, size, size
+    )

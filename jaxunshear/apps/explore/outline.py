@@ -22,7 +22,9 @@ GRID_MM = 0.4  # between the points that outlines are sought from
 def drawn(points: np.ndarray) -> Stimulus:
     """A closed curve through points (N, 2) mm of the target frame as a stimulus. Raises UserError where it is none."""
     points = np.asarray(points, float).reshape(-1, 2)
-    corners = simplified(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
+    corners = (
+        simplified(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
+    )
     return stimulus_of(Outline(DRAWN, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
 
 

@@ -31,7 +31,9 @@ STYLE = Path(__file__).with_name("page.css")
 def build(explorer: Explorer) -> None:
     """One tab."""
     stimulus = (*explorer.own, explorer.stimuli["disk"])[0]
-    tab = Tab(explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4))
+    tab = Tab(
+        explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
+    )
     ui.add_css(STYLE.read_text())
     ui.colors(primary="#1f6feb")
     with ui.element("div").classes("explore"):
@@ -52,12 +54,17 @@ def _map(tab: Tab) -> None:
     watched = ["pointerdown", "pointermove", "pointerup", "pointercancel", "pointerleave"]
     with ui.element("div").classes("card"):
         tab.parts["map"] = ui.interactive_image(
-            size=(MAP_PX, MAP_PX), events=watched, on_mouse=lambda event: on_map(tab, event), sanitize=False
+            size=(MAP_PX, MAP_PX),
+            events=watched,
+            on_mouse=lambda event: on_map(tab, event),
+            sanitize=False,
         ).classes("map")
         tab.parts["place"] = ui.label("").classes("hint")
         with ui.element("div").classes("buttons"):
             ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
-            ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props("outline dense no-caps")
+            ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props(
+                "outline dense no-caps"
+            )
 
 
 def _controls(tab: Tab) -> None:
@@ -76,18 +83,28 @@ def _controls(tab: Tab) -> None:
             on_change=lambda event: on_change(tab, sensor=SENSORS[event.value]),
         ).props("dense outlined options-dense")
         depth = ui.number(
-            "depth, mm", value=touch.pose[3], step=0.1, on_change=lambda event: on_pose(tab, 3, event.value)
+            "depth, mm",
+            value=touch.pose[3],
+            step=0.1,
+            on_change=lambda event: on_pose(tab, 3, event.value),
         )
         depth.props("dense outlined")
         _slider("depth", 0.1, DEEPEST_MM, 0.1).bind_value(depth, "value")
-        yaw = ui.number("yaw, deg", value=touch.pose[2], step=1, on_change=lambda event: on_pose(tab, 2, event.value))
+        yaw = ui.number(
+            "yaw, deg",
+            value=touch.pose[2],
+            step=1,
+            on_change=lambda event: on_pose(tab, 2, event.value),
+        )
         yaw.props("dense outlined")
         _slider("yaw", -180, 180, 1).bind_value(yaw, "value")
         friction = ui.number(
             "friction",
             value=touch.friction,
             step=0.05,
-            on_change=lambda event: event.value is not None and on_change(tab, friction=float(event.value)),
+            on_change=lambda event: (
+                event.value is not None and on_change(tab, friction=float(event.value))
+            ),
         ).props("dense outlined")
         _slider("friction", 0, 1.5, 0.05).bind_value(friction, "value")
 
@@ -106,7 +123,9 @@ def _pictures(tab: Tab) -> None:
     with ui.element("div").classes("below"):
         with ui.element("figure").classes("card"):
             ui.label("pins and skin").classes("title")
-            tab.parts["pins"] = ui.interactive_image(size=(PINS_PX, PINS_PX), sanitize=False).classes("pins")
+            tab.parts["pins"] = ui.interactive_image(
+                size=(PINS_PX, PINS_PX), sanitize=False
+            ).classes("pins")
             with ui.element("div").classes("legend"):
                 for kind in ("stick", "slip", "free"):
                     ui.label(kind).classes(kind)
@@ -116,7 +135,10 @@ def _pictures(tab: Tab) -> None:
             with ui.element("div").classes("card"):
                 ui.label("pose, as it is and as it is read").classes("title")
                 heads = {"quantity": ""} | COLUMNS
-                columns = [{"name": key, "label": text, "field": key, "align": "right"} for key, text in heads.items()]
+                columns = [
+                    {"name": key, "label": text, "field": key, "align": "right"}
+                    for key, text in heads.items()
+                ]
                 tab.parts["poses"] = ui.table(rows=[], columns=columns, row_key="quantity").props(
                     "flat dense hide-bottom"
                 )
@@ -127,7 +149,9 @@ def _pictures(tab: Tab) -> None:
                     auto_upload=True,
                     max_file_size=LARGEST_BYTES,
                     on_upload=lambda event: on_file(tab, event),
-                    on_rejected=lambda: show(tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"),
+                    on_rejected=lambda: show(
+                        tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"
+                    ),
                 ).props("flat bordered hide-upload-btn").classes("drop")
 
 

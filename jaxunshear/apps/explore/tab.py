@@ -28,7 +28,9 @@ class Tab:
     explorer: Explorer
     touch: Touch
     start: tuple[float, float] = (0.0, 0.0)  # mm: where the sensor was pressed down
-    line: list[tuple[float, float]] | None = None  # mm: an outline that is being drawn; None where none is
+    line: list[tuple[float, float]] | None = (
+        None  # mm: an outline that is being drawn; None where none is
+    )
     pressed: bool = False
     wanted: Touch | None = None
     busy: bool = False
@@ -80,7 +82,9 @@ def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> No
     """All of a picture, or nothing beside the line that says why there is none."""
     images = picture.images if picture else {}
     for name in IMAGES:
-        tab.part(name, ui.interactive_image).set_source(data_url(images[name]) if name in images else "")
+        tab.part(name, ui.interactive_image).set_source(
+            data_url(images[name]) if name in images else ""
+        )
     pins = force = ""
     if picture and len(picture.state):
         pins = pins_svg(picture.pins, picture.state, len(images[SHEARED]))

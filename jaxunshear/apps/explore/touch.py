@@ -38,7 +38,9 @@ class Touch:
 
     stimulus: Stimulus
     sensor: Sensor
-    pose: tuple[float, float, float, float]  # at the end: x, y (mm), yaw (deg), depth (mm) in the target frame
+    pose: tuple[
+        float, float, float, float
+    ]  # at the end: x, y (mm), yaw (deg), depth (mm) in the target frame
     move: tuple[float, float]  # mm, target frame
     friction: float  # Coulomb coefficient
 
@@ -60,14 +62,25 @@ def feel(touch: Touch, level: Level = LEVEL) -> Felt:
     """Raises UserError for what the contact model does not cover, and where a contact does not converge."""
     try:
         contacts, skins = follow(
-            touch.sensor, (touch.stimulus,), path_of(scenes_of(touch)), level, batch=BATCH, retry=False
+            touch.sensor,
+            (touch.stimulus,),
+            path_of(scenes_of(touch)),
+            level,
+            batch=BATCH,
+            retry=False,
         )
     except UserError as error:
         raise UserError(str(error).removeprefix("scene 0: ")) from None
     if not contacts.converged.all():
         which = "slide" if not contacts.converged[0] else "tap"
-        raise UserError(f"the contact of this {which} did not converge: move the sensor a little, or press less deep")
-    return Felt(contacts.pins, skin_state(touch.sensor, skins.force_n[0], touch.friction), contacts.force_n[0])
+        raise UserError(
+            f"the contact of this {which} did not converge: move the sensor a little, or press less deep"
+        )
+    return Felt(
+        contacts.pins,
+        skin_state(touch.sensor, skins.force_n[0], touch.friction),
+        contacts.force_n[0],
+    )
 
 
 def skin_state(sensor: Sensor, force_n: np.ndarray, friction: float) -> np.ndarray:
@@ -99,6 +112,8 @@ def warming_touches(sensor: Sensor, friction: float) -> list[Touch]:
         for name, x in (("edge", 6.0), ("edge", 3.0), ("edge", 0.0), ("surface", 0.0)):
             pose = (x, 0.0, 0.0, float(depth))
             touch = Touch(stimulus_named(name), sensor, pose, slide[number % len(slide)], friction)
-            batches = plan_paths(sensor, obstacles_of((touch.stimulus,)), path_of(scenes_of(touch)), LEVEL, BATCH)
+            batches = plan_paths(
+                sensor, obstacles_of((touch.stimulus,)), path_of(scenes_of(touch)), LEVEL, BATCH
+            )
             found.setdefault(max(padded(len(batch.nodes), NODE_COUNTS) for batch in batches), touch)
     return list(found.values())

@@ -38,14 +38,18 @@ INPUTS = {
 }
 
 
-def export_model(model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None) -> float:
+def export_model(
+    model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
+) -> float:
     """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
     as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
     _check(out, batch, preprocess)
     folder = model_folder(model)
     experiment = load_settings(folder)
     if preprocess is not None and over_pins(experiment):
-        raise UserError(f"--preprocess: {model} reads pins, which are found outside of the file; leave it out")
+        raise UserError(
+            f"--preprocess: {model} reads pins, which are found outside of the file; leave it out"
+        )
     _check_extra(out.suffix)
     from jaxunshear.apps.export.parts import MOST, parts_of
 
@@ -59,7 +63,9 @@ def export_model(model: Path, out: Path, batch: int | None = None, preprocess: P
             f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MOST:g}: not written"
         )
     write_bytes(out, data)
-    print(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
+    print(
+        f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range"
+    )
     return off
 
 
@@ -73,7 +79,9 @@ def _check(out: Path, batch: int | None, preprocess: Path | None) -> None:
     if batch is not None and not 1 <= batch <= 4096:
         raise UserError(f"--batch {batch}: use 1 to 4096, or any")
     if preprocess is not None and out.suffix != ONNX:
-        raise UserError(f"--preprocess: frames are prepared in files that end in {ONNX} alone; leave it out")
+        raise UserError(
+            f"--preprocess: frames are prepared in files that end in {ONNX} alone; leave it out"
+        )
 
 
 def _check_extra(suffix: str) -> None:
@@ -98,7 +106,9 @@ def _onnx(
     camera = None
     if preprocess is not None:
         learnt = frame_learnt(folder, experiment)
-        camera = camera_of(preprocess, experiment.paired.preprocess, learnt.view if learnt else None)
+        camera = camera_of(
+            preprocess, experiment.paired.preprocess, learnt.view if learnt else None
+        )
     data = onnx_of(parts, batch, camera, _metadata(parts, experiment, camera))
     run = runner(data, parts)
     if camera is None:
@@ -118,7 +128,9 @@ def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
     given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
     # layers that are compiled for this processor stay here; a GPU is not to round
     with kernels.using(kernels.PLAIN), jax.default_matmul_precision("highest"):
-        return bytes(export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize())
+        return bytes(
+            export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize()
+        )
 
 
 def _stablehlo(parts: "Parts", batch: int | None) -> tuple[bytes, float]:
@@ -149,7 +161,10 @@ def _metadata(parts: "Parts", experiment: Experiment, camera: "Camera | None") -
     }
     if parts.rest is not None:
         rest = json.dumps(np.round(parts.rest.astype(float), 3).tolist())
-        return known | {"input": INPUTS["pins"].format(count=len(parts.rest), px=parts.size), "rest_px": rest}
+        return known | {
+            "input": INPUTS["pins"].format(count=len(parts.rest), px=parts.size),
+            "rest_px": rest,
+        }
     if camera is None:
         return known | {"input": INPUTS["image"].format(px=parts.size)}
     return known | {"input": INPUTS["frame"], "crop_px": ",".join(map(str, camera.box))}

@@ -33,12 +33,16 @@ def camera_of(path: Path, preprocess: Preprocess, view: View | None) -> Camera:
     frames = [_read(file) for file in recordings.files[:: -(-len(recordings.files) // SAMPLED)]]
     first = frames[0]
     if any(frame.dtype != np.uint8 for frame in frames):
-        raise UserError(f"--preprocess {path}: a frame of {first.dtype}; frames of 8 bits are prepared in the file")
+        raise UserError(
+            f"--preprocess {path}: a frame of {first.dtype}; frames of 8 bits are prepared in the file"
+        )
     if box is None or any(frame.shape != first.shape for frame in frames):
         raise UserError(f"--preprocess {path}: its images differ in size: name those of one camera")
     left, top, right, bottom = box
     if right - left != bottom - top:
-        raise UserError(f"--preprocess {path}: the crop {left},{top},{right},{bottom} is no square: name other frames")
+        raise UserError(
+            f"--preprocess {path}: the crop {left},{top},{right},{bottom} is no square: name other frames"
+        )
     return Camera(preprocess, box, np.stack(frames))
 
 
@@ -58,7 +62,9 @@ def prepare(graph: Graph, camera: Camera, frame: str) -> str:
         weights = np.zeros((channels[0], 1), np.float32)
         weights[:3, 0] = LUMA if channels[0] >= 3 else (1, 0, 0)[: channels[0]]
         grey = graph.add("Squeeze", graph.add("MatMul", grey, weights), np.array([-1]))
-    rows, columns = (_cut(*edges, preprocess.size) for edges in ((top, bottom, height), (left, right, width)))
+    rows, columns = (
+        _cut(*edges, preprocess.size) for edges in ((top, bottom, height), (left, right, width))
+    )
     small = _both_sides(graph, rows, grey, columns)
     local = mean_matrix(preprocess)
     level = graph.add("Add", _both_sides(graph, local, small, local), np.float32(preprocess.offset))
@@ -71,7 +77,9 @@ def prepare(graph: Graph, camera: Camera, frame: str) -> str:
 
 def as_bytes(graph: Graph, white: str) -> str:
     """Bool -> uint8 of {0, 255}."""
-    return graph.add("Cast", graph.add("Mul", graph.add("Cast", white, to=FLOAT), np.float32(255)), to=BYTE)
+    return graph.add(
+        "Cast", graph.add("Mul", graph.add("Cast", white, to=FLOAT), np.float32(255)), to=BYTE
+    )
 
 
 def prepared(camera: Camera, frames: np.ndarray) -> np.ndarray:
@@ -95,7 +103,9 @@ def _levels(graph: Graph, grey: str) -> tuple[str, str]:
     low, high = (graph.add(op, grey, axes=[1, 2]) for op in ("ReduceMin", "ReduceMax"))
     reach = graph.add("Sub", high, low)
     near = graph.add("Mul", reach, np.float32(0.1))
-    dark, bright = (graph.add("Less", graph.add("Sub", *pair), near) for pair in ((grey, low), (high, grey)))
+    dark, bright = (
+        graph.add("Less", graph.add("Sub", *pair), near) for pair in ((grey, low), (high, grey))
+    )
     of_two = graph.add("Cast", graph.add("Or", dark, bright), to=FLOAT)
     share = graph.add("ReduceMean", of_two, axes=[1, 2])
     apart = graph.add("GreaterOrEqual", reach, np.float32(0.25))

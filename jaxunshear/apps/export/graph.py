@@ -27,7 +27,9 @@ class Graph:
 
     def add(self, op: str, *given: str | np.ndarray | np.generic, **attributes: Any) -> str:
         """The name of the one array that a node gives; arrays among the given ones are its constants."""
-        names = [each if isinstance(each, str) else self._constant(np.asarray(each)) for each in given]
+        names = [
+            each if isinstance(each, str) else self._constant(np.asarray(each)) for each in given
+        ]
         name = f"{op}_{len(self._nodes)}"
         self._nodes.append(helper.make_node(op, names, [name], **attributes))
         return name
@@ -42,7 +44,10 @@ class Graph:
         given = [helper.make_tensor_value_info(name, kind, shape)]
         graph = helper.make_graph(self._nodes, "jaxunshear", given, self._outputs, self._constants)
         model = helper.make_model(
-            graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="jaxunshear"
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="jaxunshear",
         )
         helper.set_model_props(model, metadata)
         checker.check_model(model, full_check=True)
@@ -50,5 +55,7 @@ class Graph:
 
     def _constant(self, array: np.ndarray) -> str:
         name = f"constant_{len(self._constants)}"
-        self._constants.append(numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name))
+        self._constants.append(
+            numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name)
+        )
         return name

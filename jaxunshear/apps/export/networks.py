@@ -39,7 +39,9 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
     for i in range(len(net.widths) - 1):
         x = layers.transposed(x, ("DC", f"Up_{i}"))
     last = params["DC"]["Last_0"]
-    logits = graph.add("ConvTranspose", x, _turned(last["kernel"]), _single(last["bias"]), **QUARTER)
+    logits = graph.add(
+        "ConvTranspose", x, _turned(last["kernel"]), _single(last["bias"]), **QUARTER
+    )
     return graph.add("Sigmoid", logits)
 
 
@@ -53,13 +55,20 @@ def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen:
         trunk = _grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
         return _dense(graph, params["Dense_0"], trunk)
     layers = _Layers(graph, variables)
-    x = layers.convolution(layers.convolution(seen, ("First_0",), **QUARTER), ("Down_0",), **QUARTER)
-    for names in (("Same_1", "Same_0"), ("Same_2",)):  # Flax counts an outer call before the inner one
+    x = layers.convolution(
+        layers.convolution(seen, ("First_0",), **QUARTER), ("Down_0",), **QUARTER
+    )
+    for names in (
+        ("Same_1", "Same_0"),
+        ("Same_2",),
+    ):  # Flax counts an outer call before the inner one
         x = graph.add("MaxPool", x, kernel_shape=(2, 2), strides=(2, 2))
         for name in names:
             x = layers.convolution(x, (name,), pads=(1, 1, 1, 1))
     side, kernel = net.size // 16, params["Dense_0"]["kernel"]
-    channels_first = kernel.reshape(side, side, -1, kernel.shape[-1]).transpose(2, 0, 1, 3).reshape(kernel.shape)
+    channels_first = (
+        kernel.reshape(side, side, -1, kernel.shape[-1]).transpose(2, 0, 1, 3).reshape(kernel.shape)
+    )
     hidden = _dense(graph, params["Dense_0"] | {"kernel": channels_first}, graph.add("Flatten", x))
     return graph.add("Sigmoid", _dense(graph, params["Dense_1"], graph.add("Relu", hidden)))
 
@@ -101,11 +110,15 @@ class _Layers:
 
     def convolution(self, x: str, path: tuple[str, ...], **attributes: object) -> str:
         kernel, bias = self._folded(path)
-        return self._graph.add("Relu", self._graph.add("Conv", x, kernel.transpose(3, 2, 0, 1), bias, **attributes))
+        return self._graph.add(
+            "Relu", self._graph.add("Conv", x, kernel.transpose(3, 2, 0, 1), bias, **attributes)
+        )
 
     def transposed(self, x: str, path: tuple[str, ...]) -> str:
         kernel, bias = self._folded(path)
-        return self._graph.add("Relu", self._graph.add("ConvTranspose", x, _turned(kernel), bias, **QUARTER))
+        return self._graph.add(
+            "Relu", self._graph.add("ConvTranspose", x, _turned(kernel), bias, **QUARTER)
+        )
 
     def _folded(self, path: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Kernel (h, w, in, out) and bias (out,) of a convolution and its normalisation together."""
@@ -137,15 +150,23 @@ def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str
 
 
 def _grid_trunk(
-    graph: Graph, net: PinUnshear | PinPoseNet, variables: Variables, params: Variables, motions: str
+    graph: Graph,
+    net: PinUnshear | PinPoseNet,
+    variables: Variables,
+    params: Variables,
+    motions: str,
 ) -> str:
     """`pin_grid.GridTrunk`, channels first but where they are normalised."""
     grid = _single(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
-    by_axis = graph.add("Transpose", graph.add("Reshape", motions, np.array([-1, len(grid), 2])), perm=(0, 2, 1))
+    by_axis = graph.add(
+        "Transpose", graph.add("Reshape", motions, np.array([-1, len(grid), 2])), perm=(0, 2, 1)
+    )
     laid = graph.add("Reshape", graph.add("MatMul", by_axis, grid), np.array([-1, 2, side, side]))
     inside = _single(np.any(grid != 0, axis=0)).reshape(1, 1, side, side)
-    alike = graph.add("Mul", graph.add("Slice", laid, np.array([0]), np.array([1]), np.array([1])), np.float32(0))
+    alike = graph.add(
+        "Mul", graph.add("Slice", laid, np.array([0]), np.array([1]), np.array([1])), np.float32(0)
+    )
     x = graph.add("Concat", laid, graph.add("Add", alike, inside), axis=1)
     for i in range(len(net.convolved)):
         stride = 2 if i else 1
@@ -158,15 +179,21 @@ def _grid_trunk(
         )
         x = graph.add("Conv", x, kernel, bias, strides=(stride, stride), pads=pads)
         last = graph.add("Transpose", x, perm=(0, 2, 3, 1))
-        x = graph.add("Transpose", _normalised(graph, params[f"LayerNorm_{i}"], last), perm=(0, 3, 1, 2))
+        x = graph.add(
+            "Transpose", _normalised(graph, params[f"LayerNorm_{i}"], last), perm=(0, 3, 1, 2)
+        )
     flat = graph.add("Flatten", graph.add("Transpose", x, perm=(0, 2, 3, 1)))
-    return _normalised(graph, params[f"LayerNorm_{len(net.convolved)}"], _dense(graph, params["Dense_0"], flat))
+    return _normalised(
+        graph, params[f"LayerNorm_{len(net.convolved)}"], _dense(graph, params["Dense_0"], flat)
+    )
 
 
 def _normalised(graph: Graph, norm: Variables, x: str) -> str:
     """Over the last axis, and GELU."""
     scale, bias = _single(norm["scale"]), _single(norm["bias"])
-    return _gelu(graph, graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=LAYER_NORM_EPSILON))
+    return _gelu(
+        graph, graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=LAYER_NORM_EPSILON)
+    )
 
 
 def _gelu(graph: Graph, x: str) -> str:
@@ -199,5 +226,9 @@ def _motions(graph: Graph, variables: Variables, pins: str) -> str:
 def _places(graph: Graph, variables: Variables, motions: str) -> str:
     constants = variables["batch_stats"]
     rest = _single(constants["rest"])
-    moved = graph.add("Mul", graph.add("Reshape", motions, np.array([-1, *rest.shape])), _single(constants["spread"]))
+    moved = graph.add(
+        "Mul",
+        graph.add("Reshape", motions, np.array([-1, *rest.shape])),
+        _single(constants["spread"]),
+    )
     return graph.add("Add", moved, rest)

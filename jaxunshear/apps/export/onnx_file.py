@@ -12,7 +12,9 @@ from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json
 
 
-def onnx_of(parts: Parts, batch: int | None, camera: Camera | None, metadata: dict[str, str]) -> bytes:
+def onnx_of(
+    parts: Parts, batch: int | None, camera: Camera | None, metadata: dict[str, str]
+) -> bytes:
     """Input "frame" with a camera, else "image", or "pins"; outputs those of `parts.function_of`, "pose" as one array (B, K), and with a
     camera the prepared "image". `batch`: None for any. Raises ValueError where the graph is not sound."""
     graph, images = Graph(), parts.rest is None
@@ -24,7 +26,9 @@ def onnx_of(parts: Parts, batch: int | None, camera: Camera | None, metadata: di
         name, shape = "frame", camera.frames.shape[1:]
         seen = graph.add("Cast", white, to=FLOAT)
     else:
-        seen = graph.add("Div", graph.add("Cast", name, to=FLOAT), np.float32(255)) if images else name
+        seen = (
+            graph.add("Div", graph.add("Cast", name, to=FLOAT), np.float32(255)) if images else name
+        )
     if images:
         seen = graph.add("Unsqueeze", seen, np.array([1]))
     after = seen
@@ -50,7 +54,10 @@ def _confidence(graph: Graph, images: str) -> str:
     )
     some = graph.add("Greater", total, np.float32(0))
     return graph.add(
-        "Where", some, graph.add("Div", squares, graph.add("Where", some, total, np.float32(1))), np.float32(0)
+        "Where",
+        some,
+        graph.add("Div", squares, graph.add("Where", some, total, np.float32(1))),
+        np.float32(0),
     )
 
 

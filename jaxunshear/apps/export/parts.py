@@ -60,12 +60,25 @@ def parts_of(model: Path, experiment: Experiment) -> Parts:
     nets, variables, targets = trained(model, filter(None, (DISENTANGLED if pairs else "", reader)))
     parts = {name: Part(net, jax.device_get(variables[name])) for name, net in nets.items()}
     if not parts:
-        raise UserError(f"{model} holds no trained network that unshears or reads poses: train one, or name another")
+        raise UserError(
+            f"{model} holds no trained network that unshears or reads poses: train one, or name another"
+        )
     way = LEARNT if reader == POSENET_SHEARED else UNSHEARED if pairs else AS_RECORDED
     first = next(iter(parts.values()))
-    rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32) if over_pins(experiment) else None
+    rest = (
+        np.asarray(first.variables["batch_stats"]["rest"], np.float32)
+        if over_pins(experiment)
+        else None
+    )
     size = experiment.paired.preprocess.size
-    return Parts(parts.get(DISENTANGLED), parts.get(reader), targets.get(reader, ()), way if reader else "", rest, size)
+    return Parts(
+        parts.get(DISENTANGLED),
+        parts.get(reader),
+        targets.get(reader, ()),
+        way if reader else "",
+        rest,
+        size,
+    )
 
 
 def function_of(parts: Parts) -> Callable[[Array], Json]:
@@ -96,13 +109,20 @@ def examples(parts: Parts) -> np.ndarray:
         shares = np.linspace(0.02, 0.5, CHECKED)[:, None, None]
         coarse = 2 ** (np.arange(CHECKED) % 4)
         noise = random.random((CHECKED, *parts.shape))
-        white = [np.kron(x, np.ones((n, n)))[: len(x), : len(x)] for x, n in zip(noise < shares, coarse, strict=True)]
+        white = [
+            np.kron(x, np.ones((n, n)))[: len(x), : len(x)]
+            for x, n in zip(noise < shares, coarse, strict=True)
+        ]
         return np.uint8(255) * np.array(white, np.uint8)
     moved = parts.rest + random.normal(0, 0.01 * np.ptp(parts.rest), (CHECKED, *parts.rest.shape))
-    return np.where(random.random((CHECKED, len(parts.rest), 1)) < 0.02, np.nan, moved).astype(np.float32)
+    return np.where(random.random((CHECKED, len(parts.rest), 1)) < 0.02, np.nan, moved).astype(
+        np.float32
+    )
 
 
-def difference(parts: Parts, run: Run, given: np.ndarray, batch: int | None, prepared: Prepared | None = None) -> float:
+def difference(
+    parts: Parts, run: Run, given: np.ndarray, batch: int | None, prepared: Prepared | None = None
+) -> float:
     """Of `run` and `function_of`, as other commands run it, over all that is given: the largest, of each output's range. `batch`: how
     many `run` takes at once; None for any, which is one, and then the rest. With `prepared`, `run` is given frames: what it makes of
     them counts by the share of pixels that are otherwise, since one on the verge of the threshold may fall to either side, and its
@@ -119,7 +139,9 @@ def _batches(given: np.ndarray, batch: int | None) -> list[np.ndarray]:
     if batch is None:
         return [each for each in (given[:1], given[1:]) if len(each)]
     count = -(-len(given) // batch)
-    return list(np.resize(given, (count * batch, *given.shape[1:])).reshape(count, batch, *given.shape[1:]))
+    return list(
+        np.resize(given, (count * batch, *given.shape[1:])).reshape(count, batch, *given.shape[1:])
+    )
 
 
 def _differences(parts: Parts, found: Json, true: Json) -> Iterator[float]:
@@ -128,7 +150,11 @@ def _differences(parts: Parts, found: Json, true: Json) -> Iterator[float]:
     span = 1.0 if parts.rest is None else float(np.ptp(parts.rest))
     for name in ("unsheared", "confidence"):
         if name in true:
-            yield float(np.abs(found[name] - true[name]).max()) / (span if name == "unsheared" else 1)
+            yield float(np.abs(found[name] - true[name]).max()) / (
+                span if name == "unsheared" else 1
+            )
     for target in parts.targets:
         off = np.abs(found["pose"][target.name] - true["pose"][target.name])
-        yield float(np.max(np.minimum(off, 360 - off) / 180 if target.circle else off / target.reach))
+        yield float(
+            np.max(np.minimum(off, 360 - off) / 180 if target.circle else off / target.reach)
+        )

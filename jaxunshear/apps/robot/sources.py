@@ -36,7 +36,9 @@ class Frame(NamedTuple):
     view: View | None = None  # where it is known before: of the folder that it lies in
 
 
-def frames_of(source: str, preprocess: Preprocess, fps: float | None) -> tuple[Iterator[Frame], bool]:
+def frames_of(
+    source: str, preprocess: Preprocess, fps: float | None
+) -> tuple[Iterator[Frame], bool]:
     """Frames of a folder, an image, a video file or "camera:N", and whether they come at their own pace. Raises `UserError`.
 
     With `fps` a folder or video plays at that rate, as if it were a camera.
@@ -45,8 +47,14 @@ def frames_of(source: str, preprocess: Preprocess, fps: float | None) -> tuple[I
         return _latest(_camera(source)), True
     path = Path(source)
     if not path.exists():
-        raise UserError(f"{source} does not exist: name a folder, an image, a video file, or camera:0")
-    frames = _video(path) if path.is_file() and path.suffix.lower() in VIDEOS else _folder(path, preprocess)
+        raise UserError(
+            f"{source} does not exist: name a folder, an image, a video file, or camera:0"
+        )
+    frames = (
+        _video(path)
+        if path.is_file() and path.suffix.lower() in VIDEOS
+        else _folder(path, preprocess)
+    )
     return (_latest(_at_pace(frames, fps)), True) if fps else (frames, False)
 
 
@@ -55,7 +63,11 @@ def truth_of(source: str, experiment: Experiment) -> Callable[[int], Mapping[str
     if not Path(source).is_dir() or not isinstance(experiment.paired, Recorded):
         return None
     poses = read_recordings(source, Preprocess()).poses
-    return None if poses is None else lambda number: dict(zip(RECORDED, poses[number].tolist(), strict=True))
+    return (
+        None
+        if poses is None
+        else lambda number: dict(zip(RECORDED, poses[number].tolist(), strict=True))
+    )
 
 
 def _folder(path: Path, preprocess: Preprocess) -> Iterator[Frame]:
@@ -88,7 +100,9 @@ def _opencv() -> Any:
 def _video(path: Path) -> Iterator[Frame]:
     capture = _opencv().VideoCapture(str(path))
     if not capture.isOpened():
-        raise UserError(f"{path} cannot be read as a video: it is damaged, or its format is unknown")
+        raise UserError(
+            f"{path} cannot be read as a video: it is damaged, or its format is unknown"
+        )
     return _captured(capture, path.name, float("inf"))
 
 

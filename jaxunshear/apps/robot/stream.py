@@ -51,7 +51,9 @@ class Perceived(NamedTuple):
 
 
 Step = Callable[[np.ndarray], Perceived]  # of a binary image (S, S) uint8
-Truth = Callable[[int], Mapping[str, float]]  # labels of a frame by its number, those that are known
+Truth = Callable[
+    [int], Mapping[str, float]
+]  # labels of a frame by its number, those that are known
 
 
 class Robot(NamedTuple):
@@ -60,7 +62,9 @@ class Robot(NamedTuple):
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    expected: Expected | None = None  # how its sensor appears: confidence falls for what appears otherwise
+    expected: Expected | None = (
+        None  # how its sensor appears: confidence falls for what appears otherwise
+    )
     least: float = ENOUGH  # plausibility of a frame that is understood
 
 
@@ -77,7 +81,9 @@ def robot_of(
     least = ANY if force else ENOUGH
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment)
-        return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment), least)
+        return Robot(
+            step, experiment.paired.preprocess, None, expected_by(model, experiment), least
+        )
     perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
 
@@ -87,7 +93,12 @@ def robot_of(
         after = None if values.unsheared is None else values.unsheared[0]
         poses = values.poses.get(UNSHEARED) or next(iter(values.poses.values()), {})
         crisp = 1.0 if after is None else float(confidence(after[..., None]))
-        return Perceived(after, {name: float(value[0]) for name, value in poses.items()}, crisp, bool(seen.sure[0]))
+        return Perceived(
+            after,
+            {name: float(value[0]) for name, value in poses.items()},
+            crisp,
+            bool(seen.sure[0]),
+        )
 
     step_on(np.zeros((size, size), np.uint8))  # compiles
     return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
@@ -108,7 +119,9 @@ def step_of(model: Path, experiment: Experiment) -> Step:
     return step
 
 
-def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Variables, Array], tuple[Array, Array]]:
+def perceive_of(
+    forward: Forward, names: tuple[str, ...]
+) -> Callable[[Variables, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
@@ -164,7 +177,9 @@ def stream(
                 found.problems[str(error)] = found.problems.get(str(error), 0) + 1
                 _write(out, line | {"confidence": 0.0, "error": str(error)})
                 continue
-            line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
+            line |= {name: round(value, 4) for name, value in pose.items()} | {
+                "confidence": round(sure, 4)
+            }
             for name, off in _errors(pose, truth(frame.number) if truth else {}).items():
                 line[f"error_{name}"] = round(off, 4)
                 found.errors.setdefault(name, []).append(off)
@@ -189,7 +204,9 @@ def _answer(
     be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
-    image = prepare_frame(robot.preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels))
+    image = prepare_frame(
+        robot.preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels)
+    )
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
     asked = time.perf_counter()

@@ -23,11 +23,19 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
         features = {
             "canonical": image,
             "sheared": image,
-            "canonical_pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
-            "sheared_pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
-            "pose": tfds.features.Tensor(shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32),
+            "canonical_pins": tfds.features.Tensor(
+                shape=(pins, 2), dtype=np.float32, encoding="bytes"
+            ),
+            "sheared_pins": tfds.features.Tensor(
+                shape=(pins, 2), dtype=np.float32, encoding="bytes"
+            ),
+            "pose": tfds.features.Tensor(
+                shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32
+            ),
             "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
-            "move": tfds.features.Tensor(shape=(3 if settings.ranges.twist_deg else 2,), dtype=np.float32),
+            "move": tfds.features.Tensor(
+                shape=(3 if settings.ranges.twist_deg else 2,), dtype=np.float32
+            ),
             "friction": np.float32,
             "stimulus": tfds.features.ClassLabel(names=list(settings.names)),
             "pose_id": np.int32,
@@ -42,5 +50,7 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
         }
         return self._set_info(features, ("sheared", "canonical"))
 
-    def _generate_examples(self, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    def _generate_examples(
+        self, shots: Shots, paths: list[Path], split: str
+    ) -> Iterator[tuple[str, dict]]:
         yield from examples.paired_examples(self.builder_config.settings, shots, paths, split)

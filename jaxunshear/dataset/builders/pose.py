@@ -22,7 +22,9 @@ class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg
         features = {
             "image": tfds.features.Image(shape=(size, size, 1), encoding_format="png"),
             "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
-            "pose": tfds.features.Tensor(shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32),
+            "pose": tfds.features.Tensor(
+                shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32
+            ),
             "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
             "stimulus": tfds.features.ClassLabel(names=list(settings.names)),
             "pose_id": np.int32,
@@ -31,5 +33,7 @@ class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg
         }
         return self._set_info(features, ("image", "pose"))
 
-    def _generate_examples(self, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    def _generate_examples(
+        self, shots: Shots, paths: list[Path], split: str
+    ) -> Iterator[tuple[str, dict]]:
         yield from examples.pose_examples(self.builder_config.settings, shots, paths, split)

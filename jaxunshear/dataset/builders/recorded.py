@@ -36,12 +36,16 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         }
         return self._set_info(features, ("image", "pose"))
 
-    def _split_generators(self, dl_manager: tfds.download.DownloadManager) -> dict[str, Iterator[tuple[str, dict]]]:
+    def _split_generators(
+        self, dl_manager: tfds.download.DownloadManager
+    ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         contacts, frame, paths = recorded_examples.read(settings, sensor, self._unfinished)
         counts, more = recorded_examples.summary(contacts, frame, paths)
         self._keep_metadata(counts, **more)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
 
-    def _generate_examples(self, contacts: Contacts, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    def _generate_examples(
+        self, contacts: Contacts, paths: list[Path], split: str
+    ) -> Iterator[tuple[str, dict]]:
         yield from recorded_examples.examples(self.builder_config.settings, contacts, paths, split)

@@ -80,7 +80,10 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
                 if not Path(self.data_dir).exists():
                     for left in Path(self.data_dir).parent.glob("incomplete.*"):
                         shutil.rmtree(left)  # of a killed run: under the lock no other is at work
-                    defaults = {"file_format": "array_record", "download_dir": self._unfinished / "downloads"}
+                    defaults = {
+                        "file_format": "array_record",
+                        "download_dir": self._unfinished / "downloads",
+                    }
                     with _full_disk_is_an_os_error():
                         super().download_and_prepare(**{**defaults, **options})
         shutil.rmtree(self._unfinished, ignore_errors=True)
@@ -89,11 +92,16 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
-        sums = {path.name: sha256(path) for path in shards} | {configs.METADATA: checksum(dict(self.info.metadata))}
+        sums = {path.name: sha256(path) for path in shards} | {
+            configs.METADATA: checksum(dict(self.info.metadata))
+        }
         write_json(folder / configs.MANIFEST, sums)
 
     def _keep_metadata(self, counts: dict, **more: object) -> None:
-        versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}
+        versions = {
+            name: importlib.metadata.version(name)
+            for name in ("jax", "numpy", "tensorflow-datasets")
+        }
         described = configs.describe(self.builder_config.settings, self.builder_config.sensor)
         self.info.metadata.update(**described, counts=counts, versions=versions, **more)
 
@@ -113,10 +121,14 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here
 
-    def _split_generators(self, dl_manager: tfds.download.DownloadManager) -> dict[str, Iterator[tuple[str, dict]]]:
+    def _split_generators(
+        self, dl_manager: tfds.download.DownloadManager
+    ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         shots = draw(settings)
-        paths = simulate_chunks(settings, sensor, shots, self._unfinished, self.engine or simulator())
+        paths = simulate_chunks(
+            settings, sensor, shots, self._unfinished, self.engine or simulator()
+        )
         counts = summary(settings, shots, paths)
         for split, count in counts["written"].items():
             if not count:
@@ -153,7 +165,9 @@ def _alone(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UserError(f"another process is making the set in {folder}: wait for it, or stop it") from error
+            raise UserError(
+                f"another process is making the set in {folder}: wait for it, or stop it"
+            ) from error
         yield
     finally:
         os.close(handle)

@@ -25,7 +25,9 @@ from jax import Array, lax
 
 from jaxunshear.model.fast import native
 
-SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
+SLICE = (
+    1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
+)
 _NHWC = ("NHWC", "HWIO", "NHWC")
 
 
@@ -82,14 +84,20 @@ def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     if native.form() == "counted":
         return _gradient_as_convolution(x, dy)
     here = native.kernel_gradient if native.suits(x, dy) else _gradient_in_slices
-    return lax.platform_dependent(x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution)
+    return lax.platform_dependent(
+        x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution
+    )
 
 
-def _kernel_gradient_forward(x: Array, dy: Array, k: int, border: int) -> tuple[Array, tuple[Array, Array]]:
+def _kernel_gradient_forward(
+    x: Array, dy: Array, k: int, border: int
+) -> tuple[Array, tuple[Array, Array]]:
     return _kernel_gradient(x, dy, k, border), (x, dy)
 
 
-def _kernel_gradient_backward(k: int, border: int, saved: tuple[Array, Array], change: Array) -> tuple[Array, Array]:
+def _kernel_gradient_backward(
+    k: int, border: int, saved: tuple[Array, Array], change: Array
+) -> tuple[Array, Array]:
     """Both are convolutions again: the sum of change * dw is that of conv_valid(x, change) * dy."""
     x, dy = saved
     return _input_gradient(dy, change, border), conv_valid(x, change, border)
@@ -100,7 +108,9 @@ _kernel_gradient.defvjp(_kernel_gradient_forward, _kernel_gradient_backward)
 
 def _gradient_as_convolution(x: Array, dy: Array) -> Array:
     """The images as channels, the output's gradient as kernel."""
-    return lax.conv_general_dilated(x, dy, (1, 1), "VALID", dimension_numbers=("CHWN", "IHWO", "HWNC"))
+    return lax.conv_general_dilated(
+        x, dy, (1, 1), "VALID", dimension_numbers=("CHWN", "IHWO", "HWNC")
+    )
 
 
 def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
@@ -115,7 +125,9 @@ def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
     inner = k > 1 and border == k - 1
     if inner:
         h, w = h - border, w - border
-    step = max(s for s in range(1, images + 1) if images % s == 0 and (s == 1 or s * h * w <= SLICE))
+    step = max(
+        s for s in range(1, images + 1) if images % s == 0 and (s == 1 or s * h * w <= SLICE)
+    )
     wide = np.promote_types(x.dtype, np.float32)
     product = partial(jnp.matmul, preferred_element_type=wide)
 
@@ -130,7 +142,10 @@ def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
         else:
             still = at(dy, turn, 0, 0)
             pairs = [(at(x, turn, i, j), still) for i, j in shifts]
-        return [s + (product(a.T, b) if c <= n else product(b.T, a)) for s, (a, b) in zip(sums, pairs, strict=True)]
+        return [
+            s + (product(a.T, b) if c <= n else product(b.T, a))
+            for s, (a, b) in zip(sums, pairs, strict=True)
+        ]
 
     zero = jnp.zeros((c, n) if c <= n else (n, c), wide)
     sums = jnp.stack(lax.fori_loop(0, images // step, add, [zero] * len(shifts))).astype(x.dtype)

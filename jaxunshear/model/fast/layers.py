@@ -42,7 +42,9 @@ class First(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu("blocks", "blocks", name="norm")(outermost.first(x, w, compiled=train), train)
+        return NormRelu("blocks", "blocks", name="norm")(
+            outermost.first(x, w, compiled=train), train
+        )
 
 
 class Down(nn.Module):
@@ -54,7 +56,9 @@ class Down(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, self.width)).astype(x.dtype)
-        return NormRelu("plain", self.target, name="norm")(conv.conv_valid(x, conv.down_kernel(w)), train)
+        return NormRelu("plain", self.target, name="norm")(
+            conv.conv_valid(x, conv.down_kernel(w)), train
+        )
 
 
 class Same(nn.Module):
@@ -77,7 +81,9 @@ class Up(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu("blocks", self.target, name="norm")(conv.conv_valid(x, conv.up_kernel(w), 1), train)
+        return NormRelu("blocks", self.target, name="norm")(
+            conv.conv_valid(x, conv.up_kernel(w), 1), train
+        )
 
 
 class Last(nn.Module):

@@ -31,10 +31,22 @@ from jaxunshear.errors import Note, first_line
 from jaxunshear.storage import cache_folder
 
 SOURCES = sorted(Path(__file__).with_name("compiled").glob("*.[ch]*"))
-SYMBOLS = ("KernelGradient", "Gather", "Scatter", "Outer", "Moments", "AffineRelu", "Slopes", "Gradient")
+SYMBOLS = (
+    "KernelGradient",
+    "Gather",
+    "Scatter",
+    "Outer",
+    "Moments",
+    "AffineRelu",
+    "Slopes",
+    "Gradient",
+)
 NAMES = {symbol: f"jaxunshear_{symbol}" for symbol in SYMBOLS}
 LAYOUTS = ("plain", "padded", "blocks")  # in the order of layouts.h
-GROUPS, SPREAD = 8, 8  # of images at most; floats read, at least, for one of the sums that they hold apart
+GROUPS, SPREAD = (
+    8,
+    8,
+)  # of images at most; floats read, at least, for one of the sums that they hold apart
 BAND = 16384  # floats at most, of which moments and slopes are summed at once
 WIDEST = 16  # floats of a vector, at most
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-w")
@@ -73,7 +85,9 @@ def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     size, groups = k * k * c * n, 1  # of images
     while 2 * groups <= min(len(x), GROUPS) and SPREAD * 2 * groups * size <= x.size + dy.size:
         groups *= 2
-    parts = _call("KernelGradient", (groups, k * k, min(c, n), max(c, n)), x, dy, k=k, border=border)
+    parts = _call(
+        "KernelGradient", (groups, k * k, min(c, n), max(c, n)), x, dy, k=k, border=border
+    )
     sums = parts.sum(0) if groups > 1 else parts[0]
     return (sums if c <= n else sums.swapaxes(1, 2)).reshape(k, k, c, n)
 
@@ -113,7 +127,15 @@ def moments(x: Array, *, source: str) -> tuple[Array, Array]:
 
 
 def affine_relu(x: Array, factor: Array, shift: Array, *, source: str, target: str) -> Array:
-    return _call("AffineRelu", _shape(x.shape, source, target), x, factor, shift, source=source, target=target)
+    return _call(
+        "AffineRelu",
+        _shape(x.shape, source, target),
+        x,
+        factor,
+        shift,
+        source=source,
+        target=target,
+    )
 
 
 def slopes(
@@ -133,9 +155,11 @@ def _shape(shape: tuple[int, ...], source: str, target: str) -> tuple[int, ...]:
     b, h, w, c = shape
     rows, columns, channels = (2 * h - 2, 2 * w - 2, c // 4) if source == "blocks" else (h, w, c)
     blocks = (b, rows // 2 + 1, columns // 2 + 1, 4 * channels)
-    return {"plain": (b, rows, columns, channels), "padded": (b, rows + 2, columns + 2, channels), "blocks": blocks}[
-        target
-    ]
+    return {
+        "plain": (b, rows, columns, channels),
+        "padded": (b, rows + 2, columns + 2, channels),
+        "blocks": blocks,
+    }[target]
 
 
 def _bands(x: Array, source: str) -> tuple[int, int, int]:
@@ -148,8 +172,13 @@ def _bands(x: Array, source: str) -> tuple[int, int, int]:
 
 
 def _call(name: str, shape: tuple[int, ...], *arrays: Array, **attributes: int | str) -> Array:
-    numbers = {key: np.int64(LAYOUTS.index(v) if isinstance(v, str) else v) for key, v in attributes.items()}
-    call = jax.ffi.ffi_call(NAMES[name], jax.ShapeDtypeStruct(shape, jnp.float32), vmap_method="sequential")
+    numbers = {
+        key: np.int64(LAYOUTS.index(v) if isinstance(v, str) else v)
+        for key, v in attributes.items()
+    }
+    call = jax.ffi.ffi_call(
+        NAMES[name], jax.ShapeDtypeStruct(shape, jnp.float32), vmap_method="sequential"
+    )
     return call(*arrays, **numbers)
 
 
@@ -169,20 +198,32 @@ def _load() -> bool:
             return False
         library = _library(compiler)
         for symbol, name in NAMES.items():
-            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
+            jax.ffi.register_ffi_target(
+                name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu"
+            )
     except (subprocess.SubprocessError, OSError, ValueError, RuntimeError) as error:
         said = (getattr(error, "stderr", None) or b"").decode(errors="replace").splitlines()
         reason = next((line for line in said if "error" in line), first_line(error))
-        warnings.warn(f"training takes its slower form (CXX=none: without this note): {reason}", Note, stacklevel=2)
+        warnings.warn(
+            f"training takes its slower form (CXX=none: without this note): {reason}",
+            Note,
+            stacklevel=2,
+        )
         return False
     return True
 
 
 def _library(compiler: list[str]) -> ctypes.CDLL:
     """For this source, compiler, processor, user and JAX, from the cache folder where it is there and complete."""
-    macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])  # identify compiler and processor
-    reported = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
-    key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + reported + macros).hexdigest()[:16]
+    macros = _run(
+        [*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
+    )  # identify compiler and processor
+    reported = "\n".join(
+        [*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]
+    ).encode()
+    key = hashlib.sha256(
+        b"".join(source.read_bytes() for source in SOURCES) + reported + macros
+    ).hexdigest()[:16]
     path = cache_folder().absolute() / f"compiled-{key}.so"
     with contextlib.suppress(OSError):  # not there
         if _is_intact(path):

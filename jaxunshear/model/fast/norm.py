@@ -28,7 +28,9 @@ def relayout(x: Array, source: str, target: str) -> Array:
     """An image in another layout."""
     if source == target:
         return x
-    padded = conv.pad(x, 1) if source == "plain" else conv.from_blocks(x) if source == "blocks" else x
+    padded = (
+        conv.pad(x, 1) if source == "plain" else conv.from_blocks(x) if source == "blocks" else x
+    )
     if target == "plain":
         return padded[:, 1:-1, 1:-1]
     return conv.to_blocks(padded) if target == "blocks" else padded
@@ -43,7 +45,9 @@ def inside(height: int, width: int) -> np.ndarray:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(3, 4))
-def norm_relu(x: Array, scale: Array, bias: Array, source: str, target: str) -> tuple[Array, Array, Array]:
+def norm_relu(
+    x: Array, scale: Array, bias: Array, source: str, target: str
+) -> tuple[Array, Array, Array]:
     """ReLU(batch norm(x)) in layout `target`, and the batch's mean and variance (C,) that it used.
 
     x is in layout `source`, "plain" or "blocks": only pixels inside count, what lies outside comes out as zero. The gradient runs
@@ -78,7 +82,9 @@ def _backward(
 norm_relu.defvjp(_forward, _backward)
 
 
-def affine_relu(x: Array, scale: Array, bias: Array, mean: Array, variance: Array, source: str, target: str) -> Array:
+def affine_relu(
+    x: Array, scale: Array, bias: Array, mean: Array, variance: Array, source: str, target: str
+) -> Array:
     """ReLU(batch norm) with given statistics (C,), zero outside the image, in layout `target`."""
     return _affine_relu_by_xla(x, *_line(scale, bias, mean, variance), source=source, target=target)
 
@@ -102,7 +108,9 @@ def _moments_by_xla(x: Array, *, source: str) -> tuple[Array, Array]:
     return mean, _sums((images - _wide(mean, source)) ** 2, x, source) / count
 
 
-def _affine_relu_by_xla(x: Array, factor: Array, shift: Array, *, source: str, target: str) -> Array:
+def _affine_relu_by_xla(
+    x: Array, factor: Array, shift: Array, *, source: str, target: str
+) -> Array:
     """max(factor x + shift, 0)."""
     y = jax.nn.relu(_images(x) * _wide(factor, source) + _wide(shift, source))
     return relayout(_inside(y, x, source).reshape(x.shape).astype(x.dtype), source, target)
@@ -153,8 +161,13 @@ def _compiled(by_xla: Callable[..., Answer], run: Callable[..., Answer]) -> Call
         here = partial(by_xla, **layouts)
         if not native.takes(x, *more, source=layouts["source"]):
             return here(x, *more)
-        both = jax.custom_vjp(lambda *given: lax.platform_dependent(*given, cpu=partial(run, **layouts), default=here))
-        both.defvjp(lambda *given: (both(*given), given), lambda given, change: jax.vjp(here, *given)[1](change))
+        both = jax.custom_vjp(
+            lambda *given: lax.platform_dependent(*given, cpu=partial(run, **layouts), default=here)
+        )
+        both.defvjp(
+            lambda *given: (both(*given), given),
+            lambda given, change: jax.vjp(here, *given)[1](change),
+        )
         return both(x, *more)
 
     return choose

@@ -30,7 +30,9 @@ def first(x: Array, w: Array, compiled: bool = False) -> Array:
 
 def last(x: Array, w: Array, compiled: bool = False) -> Array:
     """What lies outside the blocks' image must be zero. `compiled` as in `first`."""
-    image = jax.ShapeDtypeStruct((len(x), 4 * (x.shape[1] - 1), 4 * (x.shape[2] - 1), w.shape[3]), x.dtype)
+    image = jax.ShapeDtypeStruct(
+        (len(x), 4 * (x.shape[1] - 1), 4 * (x.shape[2] - 1), w.shape[3]), x.dtype
+    )
     if compiled and native.suits_image(image, w):
         # Flax's kernels are turned
         return scatter(x, jnp.flip(w, (0, 1)).reshape(16, -1))
@@ -55,9 +57,18 @@ def outer(image: Array, blocks: Array) -> Array:
     return _on_cpu(native.outer, _outer, image, blocks)
 
 
-gather.defvjp(lambda x, k: (gather(x, k), (x, k)), lambda given, dy: (scatter(dy, given[1]), outer(given[0], dy)))
-scatter.defvjp(lambda y, k: (scatter(y, k), (y, k)), lambda given, dx: (gather(dx, given[1]), outer(dx, given[0])))
-outer.defvjp(lambda x, y: (outer(x, y), (x, y)), lambda given, dk: (scatter(given[1], dk), gather(given[0], dk)))
+gather.defvjp(
+    lambda x, k: (gather(x, k), (x, k)),
+    lambda given, dy: (scatter(dy, given[1]), outer(given[0], dy)),
+)
+scatter.defvjp(
+    lambda y, k: (scatter(y, k), (y, k)),
+    lambda given, dx: (gather(dx, given[1]), outer(dx, given[0])),
+)
+outer.defvjp(
+    lambda x, y: (outer(x, y), (x, y)),
+    lambda given, dk: (scatter(given[1], dk), gather(given[0], dk)),
+)
 
 
 def _on_cpu(run: Callable[..., Array], plain: Callable[..., Array], *given: Array) -> Array:
@@ -66,12 +77,16 @@ def _on_cpu(run: Callable[..., Array], plain: Callable[..., Array], *given: Arra
 
 def _gather(image: Array, kernel: Array) -> Array:
     w = kernel.reshape(4, 4, 1, -1)
-    y = lax.conv_general_dilated(image, w, (2, 2), 2 * [(1, 1)], dimension_numbers=("NHWC", "HWIO", "NHWC"))
+    y = lax.conv_general_dilated(
+        image, w, (2, 2), 2 * [(1, 1)], dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
     return relayout(y, "plain", "blocks")
 
 
 def _scatter(blocks: Array, kernel: Array) -> Array:
-    image = jax.ShapeDtypeStruct((len(blocks), *(4 * (n - 1) for n in blocks.shape[1:3]), 1), blocks.dtype)
+    image = jax.ShapeDtypeStruct(
+        (len(blocks), *(4 * (n - 1) for n in blocks.shape[1:3]), 1), blocks.dtype
+    )
     return jax.linear_transpose(partial(_gather, kernel=kernel), image)(blocks)[0]
 
 

@@ -11,11 +11,15 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 
-def convolution(x: Array, kernel: Array, strides: Sequence[int], padding: str, **more: Any) -> Array:
+def convolution(
+    x: Array, kernel: Array, strides: Sequence[int], padding: str, **more: Any
+) -> Array:
     """As `lax.conv_general_dilated` of x (B, H, W, C) and a kernel (k, k, C, N), which computes it where there is no CPU. `more` is
     what Flax names beside: nothing of it is dilated or in groups."""
     plain = partial(lax.conv_general_dilated, window_strides=strides, padding=padding, **more)
-    return lax.platform_dependent(x, kernel, cpu=partial(_product, strides=strides, padding=padding), default=plain)
+    return lax.platform_dependent(
+        x, kernel, cpu=partial(_product, strides=strides, padding=padding), default=plain
+    )
 
 
 def _product(x: Array, kernel: Array, strides: Sequence[int], padding: str) -> Array:

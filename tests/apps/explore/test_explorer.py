@@ -37,7 +37,9 @@ def explorer():
 
 @pytest.fixture(scope="module")
 def touch(explorer):
-    return Touch(STIMULI["disk"], explorer.experiment.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4)
+    return Touch(
+        STIMULI["disk"], explorer.experiment.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,10 @@ def test_a_picture_holds_both_kinds_of_image_and_what_is_read_of_them(explorer, 
         (SHEARED, TAP, UNSHEARED), (size, size)
     )
     assert not np.array_equal(picture.images[SHEARED], picture.images[TAP])
-    apart = {n: np.abs(picture.images[n].astype(int) - picture.images[TAP]).mean() for n in (SHEARED, UNSHEARED)}
+    apart = {
+        n: np.abs(picture.images[n].astype(int) - picture.images[TAP]).mean()
+        for n in (SHEARED, UNSHEARED)
+    }
     assert apart[UNSHEARED] < apart[SHEARED]
     assert not picture.note
     assert set(picture.poses) == {TRUE, SHEARED, UNSHEARED}
@@ -75,7 +80,9 @@ def test_the_same_touch_gives_the_same_bits(explorer, touch, picture):
 def test_a_slide_drags_the_skin_behind_it(touch, picture):
     slide, tap = feel(touch).tips
     assert np.linalg.norm(slide - tap, axis=-1).max() > 0.1
-    np.testing.assert_array_less(picture.force_n @ [1, 0, 0], 0)  # friction holds the sensor back, yawed by 20 deg
+    np.testing.assert_array_less(
+        picture.force_n @ [1, 0, 0], 0
+    )  # friction holds the sensor back, yawed by 20 deg
     assert set(picture.state) == {FREE, SLIPPING} or set(picture.state) == {FREE, STUCK, SLIPPING}
 
 

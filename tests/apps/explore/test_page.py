@@ -16,7 +16,10 @@ from PIL import Image
 pytest.importorskip("nicegui", reason="needs the extra `explore`")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium")
-pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium"),
+]
 PATIENCE = 120_000  # ms: the first picture of another sensor makes its dome
 
 
@@ -24,11 +27,15 @@ PATIENCE = 120_000  # ms: the first picture of another sensor makes its dome
 def address(tmp_path_factory):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("PYTEST")
+    }
     folder = tmp_path_factory.mktemp("explore")
     words = [sys.executable, "-m", "jaxunshear", "explore", "--port", str(port)]
     with (folder / "errors").open("w") as errors:
-        server = subprocess.Popen(words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True)
+        server = subprocess.Popen(
+            words, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=errors, text=True
+        )
         line = server.stdout.readline()
         assert line.startswith(f"http://127.0.0.1:{port}"), (folder / "errors").read_text()
         yield f"http://127.0.0.1:{port}"
@@ -54,14 +61,20 @@ class Tab:
         self.problems, self.asked = [], []
         self.page = browser.new_page(**view)
         self.page.set_default_timeout(PATIENCE)
-        self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))
+        self.page.on(
+            "console",
+            lambda message: message.type == "error" and self.problems.append(message.text),
+        )
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(address)
         self.page.locator(".time", has_text="computed").wait_for()
 
     def images(self):
-        return {n: self.page.locator(f".{n} img").get_attribute("src") for n in ("sheared", "unsheared", "tap")}
+        return {
+            n: self.page.locator(f".{n} img").get_attribute("src")
+            for n in ("sheared", "unsheared", "tap")
+        }
 
     def pose(self):
         rows = self.page.locator(".q-table tbody tr").all_inner_texts()
@@ -168,7 +181,10 @@ def test_a_drawn_outline(tab):
     assert "crosses itself" in tab.problem() or "encloses" in tab.problem()
     tab.page.get_by_text("Draw an outline").click()
     tab.changed(lambda: tab.drag((0.5, 0.5), (0.3, 0.7), (0.2, 0.4), (0.5, 0.48)))
-    assert tab.page.locator(".q-select", has_text="stimulus").locator("span").first.inner_text() == "drawn"
+    assert (
+        tab.page.locator(".q-select", has_text="stimulus").locator("span").first.inner_text()
+        == "drawn"
+    )
     assert abs(float(tab.pose()["edge, mm"][0])) < 1.0
 
 
@@ -206,7 +222,9 @@ def test_two_tabs_do_not_disturb_each_other(tab, browser, address):
 
 
 def test_a_phone(browser, address):
-    phone = Tab(browser, address, viewport={"width": 375, "height": 812}, has_touch=True, is_mobile=True)
+    phone = Tab(
+        browser, address, viewport={"width": 375, "height": 812}, has_touch=True, is_mobile=True
+    )
     assert phone.page.evaluate("document.documentElement.scrollWidth") <= 375
     phone.changed(lambda: phone.drag((0.5, 0.5), (0.54, 0.5)))
     phone.close(address)

@@ -76,7 +76,9 @@ def drawn_of_pins(net, outputs=0):
 
 def images(net=NET):
     unshears = Part(net, drawn(lambda key: unshearnet.init(net, key)))
-    reads = Part(POSENET, drawn(lambda key: posenet.init(POSENET, posenet.outputs_of(TARGETS), key)))
+    reads = Part(
+        POSENET, drawn(lambda key: posenet.init(POSENET, posenet.outputs_of(TARGETS), key))
+    )
     return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
 
 
@@ -100,13 +102,17 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("case", "batch"), [*((case, 3) for case in CASES), ("images", None), ("pins", None)])
+@pytest.mark.parametrize(
+    ("case", "batch"), [*((case, 3) for case in CASES), ("images", None), ("pins", None)]
+)
 def test_onnxruntime_computes_what_jax_does(case, batch):
     parts = CASES[case]()
     run = runner(onnx_of(parts, batch, None, {}), parts)
     assert difference(parts, run, examples(parts), batch) < 2e-5
     poses = run(examples(parts)[:3]).get("pose", {})
-    assert all(np.ptp(pose) > 1e-3 for pose in poses.values())  # networks that saw nothing would agree, too
+    assert all(
+        np.ptp(pose) > 1e-3 for pose in poses.values()
+    )  # networks that saw nothing would agree, too
 
 
 def test_another_network_differs():
@@ -126,7 +132,9 @@ def test_a_full_circle_has_no_seam():
     outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
     graph, circle = Graph(), (targets.Target("edge_deg", "edge", 1, circle=True),)
     graph.give("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
-    session = onnxruntime.InferenceSession(graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString())
+    session = onnxruntime.InferenceSession(
+        graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
+    )
     off = session.run(None, {"outputs": outputs})[0][:, 0] - np.rad2deg(angle)
     np.testing.assert_allclose((off + 180) % 360 - 180, 0, atol=1e-4)
 
@@ -158,23 +166,37 @@ def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
     parts = images()
     run = runner(onnx_of(parts, None, camera, {}), parts)
     frames = np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
-    expected = np.stack([prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames])
+    expected = np.stack(
+        [prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames]
+    )
     assert 0.05 < np.mean(expected > 0) < 0.8
     np.testing.assert_array_equal(run(frames)["image"], expected)
 
 
 def test_frames_prepared_otherwise_differ(tmp_path):
-    camera, parts = camera_of(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None), images()
+    camera, parts = (
+        camera_of(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None),
+        images(),
+    )
     run = runner(onnx_of(parts, None, camera, {}), parts)
     assert difference(parts, run, camera.frames, None, lambda each: prepared(camera, each)) < 2e-5
-    assert difference(parts, run, camera.frames, None, lambda each: 255 - prepared(camera, each)) > 0.5
+    assert (
+        difference(parts, run, camera.frames, None, lambda each: 255 - prepared(camera, each)) > 0.5
+    )
 
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
     folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
-    for name, kind, part in (("disentangled", "unshear", parts.unshears), ("posenet", "posenet", parts.reads)):
-        settings = {"kind": kind, "net": dataclasses.asdict(part.net), "targets": targets.to_json(TARGETS)}
+    for name, kind, part in (
+        ("disentangled", "unshear", parts.unshears),
+        ("posenet", "posenet", parts.reads),
+    ):
+        settings = {
+            "kind": kind,
+            "net": dataclasses.asdict(part.net),
+            "targets": targets.to_json(TARGETS),
+        }
         checkpoint.write_settings(folder / name, settings)
         checkpoint.write_weights(folder / name, part.variables)
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
@@ -206,9 +228,14 @@ def test_stablehlo_of_one_batch(tmp_path):
 
     exported = export.deserialize(bytearray(stablehlo_of(pins(), 3)))
     assert exported.in_avals[0].shape == (3, *REST.shape)
-    products = [line for line in exported.mlir_module().splitlines() if "stablehlo.dot_general" in line]
+    products = [
+        line for line in exported.mlir_module().splitlines() if "stablehlo.dot_general" in line
+    ]
     assert products and all("HIGHEST" in line for line in products)  # a GPU would round
-    assert difference(pins(), lambda each: jax.device_get(exported.call(each)), examples(pins()), 3) < 2e-5
+    assert (
+        difference(pins(), lambda each: jax.device_get(exported.call(each)), examples(pins()), 3)
+        < 2e-5
+    )
 
 
 def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, tmp_path):
@@ -216,7 +243,11 @@ def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, t
     assert main(["export", str(run_dir), "--out", str(out), "--batch", "2"]) == 0
     session = onnxruntime.InferenceSession(out)
     known = session.get_modelmeta().custom_metadata_map
-    assert known["size_px"] == "32" and known["pose_of"] == "unsheared" and "simulated" in known["learnt"]
+    assert (
+        known["size_px"] == "32"
+        and known["pose_of"] == "unsheared"
+        and "simulated" in known["learnt"]
+    )
     names, units = known["names"].split(","), known["units"].split(",")
     assert units == [name.rpartition("_")[2] for name in names] and set(units) == {"mm", "deg"}
     assert session.get_inputs()[0].shape == [2, 32, 32] and known["jaxunshear"]
@@ -235,7 +266,9 @@ def test_skin_takes_pins(tmp_path):
     session = onnxruntime.InferenceSession(out)
     known = session.get_modelmeta().custom_metadata_map
     assert session.get_inputs()[0].shape == ["batch", 331, 2] and "331" in known["input"]
-    pins = (json.loads(known["rest_px"]) + np.random.default_rng(0).normal(0, 1, (3, 331, 2))).astype(np.float32)
+    pins = (
+        json.loads(known["rest_px"]) + np.random.default_rng(0).normal(0, 1, (3, 331, 2))
+    ).astype(np.float32)
     pins[0, :9] = np.nan
     forward, variables, learnt = load_forward(RELEASED / "skin", "disentangled")
     after, pose = jax.jit(forward)(variables, pins)
@@ -263,9 +296,15 @@ def test_what_differs_is_refused_and_leaves_nothing(run_dir, tmp_path, capsys):
         (["standard", "--out", "a.onnx", "--batch", "few"], "--batch few: use a number, or any"),
         (["standard", "--out", "a.onnx", "--batch", "0"], "--batch 0: use 1 to 4096"),
         (["nothing", "--out", "a.onnx"], "nothing holds no experiment.json"),
-        (["standard", "--out", "a.stablehlo", "--preprocess", "x"], "in files that end in .onnx alone"),
+        (
+            ["standard", "--out", "a.stablehlo", "--preprocess", "x"],
+            "in files that end in .onnx alone",
+        ),
         (["standard", "--out", "a.onnx", "--preprocess", "x"], "x does not exist"),
-        (["skin", "--out", "a.onnx", "--preprocess", "x"], "skin reads pins, which are found outside of the file"),
+        (
+            ["skin", "--out", "a.onnx", "--preprocess", "x"],
+            "skin reads pins, which are found outside of the file",
+        ),
         (["standard", "--out", str(RELEASED / "standard" / "a.onnx")], "which is a run or weights"),
     ],
 )
@@ -284,7 +323,11 @@ def test_a_missing_extra_is_named(tmp_path, absent, capsys):
 
 def test_a_robot_s_program_in_python(run_dir, tmp_path):
     program = ROOT / "examples" / "robot.py"
-    imported = {n.name for node in ast.walk(ast.parse(program.read_text())) for n in getattr(node, "names", [])}
+    imported = {
+        n.name
+        for node in ast.walk(ast.parse(program.read_text()))
+        for n in getattr(node, "names", [])
+    }
     assert imported == {"json", "sys", "time", "numpy", "onnxruntime"}
     folder = frames_in(tmp_path / "frames", "colour")
     out = tmp_path / "touch.onnx"
@@ -292,7 +335,11 @@ def test_a_robot_s_program_in_python(run_dir, tmp_path):
     frames = np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
     np.save(tmp_path / "frames.npy", frames)
     ran = subprocess.run(
-        [sys.executable, program, out, tmp_path / "frames.npy"], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, program, out, tmp_path / "frames.npy"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
     )
     lines = [json.loads(line) for line in ran.stdout.splitlines()]
     (pose,) = onnxruntime.InferenceSession(out).run(["pose"], {"frame": frames})
@@ -306,9 +353,15 @@ def test_a_robot_s_program_in_c(run_dir, tmp_path):
         pytest.skip("there is no C++ compiler")
     command = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", "-x", "c++"]
     (tmp_path / "headers.cpp").write_text("#include <onnxruntime_cxx_api.h>\n")
-    if subprocess.run([*command, "-fsyntax-only", tmp_path / "headers.cpp"], capture_output=True).returncode:
-        pytest.skip("ONNX Runtime's C++ headers are not installed: name their folder in CPLUS_INCLUDE_PATH")
-    (library,) = (Path(onnxruntime.__file__).parent / "capi").glob("libonnxruntime.so.*")  # Python's own
+    if subprocess.run(
+        [*command, "-fsyntax-only", tmp_path / "headers.cpp"], capture_output=True
+    ).returncode:
+        pytest.skip(
+            "ONNX Runtime's C++ headers are not installed: name their folder in CPLUS_INCLUDE_PATH"
+        )
+    (library,) = (Path(onnxruntime.__file__).parent / "capi").glob(
+        "libonnxruntime.so.*"
+    )  # Python's own
     for name in ("libonnxruntime.so", "libonnxruntime.so.1"):
         (tmp_path / name).symlink_to(library)
     linked = ["-L", tmp_path, "-lonnxruntime", f"-Wl,-rpath,{tmp_path}", "-o", tmp_path / "robot"]
@@ -316,7 +369,13 @@ def test_a_robot_s_program_in_c(run_dir, tmp_path):
     out = tmp_path / "touch.onnx"
     assert main(["export", str(run_dir), "--out", str(out), "--batch", "1"]) == 0
     images = 255 * np.random.default_rng(0).integers(0, 2, (3, SIZE, SIZE), np.uint8)
-    ran = subprocess.run([tmp_path / "robot", out], input=images.tobytes(), capture_output=True, check=True, timeout=60)
+    ran = subprocess.run(
+        [tmp_path / "robot", out],
+        input=images.tobytes(),
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
     words = [line.split() for line in ran.stdout.decode().splitlines()]
     session = onnxruntime.InferenceSession(out)
     poses = np.concatenate([session.run(["pose"], {"image": image[None]})[0] for image in images])

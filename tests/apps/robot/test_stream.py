@@ -40,7 +40,9 @@ def run(frames, live=False, seconds=0.0, images=None, inline=True):
         time.sleep(seconds)
         return step(image)
 
-    summary = stream(iter(frames), live, Robot(slow, EXPERIMENT.paired.preprocess, None), out, images, inline)
+    summary = stream(
+        iter(frames), live, Robot(slow, EXPERIMENT.paired.preprocess, None), out, images, inline
+    )
     return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
 
@@ -74,13 +76,24 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     preprocess = EXPERIMENT.paired.preprocess
     expected = expected_by(None, EXPERIMENT)
     known = undeformed(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
-    pins = np.uint8(255 * np.asarray(draw_dots(np.float32(known.place)[None], 1.5, preprocess.size))[0, ..., 0] + 0.5)
-    frames = [Frame(0, "pins", pins, ""), Frame(1, "noise", dots(), ""), Frame(2, "hidden", pins, "")]
+    pins = np.uint8(
+        255 * np.asarray(draw_dots(np.float32(known.place)[None], 1.5, preprocess.size))[0, ..., 0]
+        + 0.5
+    )
+    frames = [
+        Frame(0, "pins", pins, ""),
+        Frame(1, "noise", dots(), ""),
+        Frame(2, "hidden", pins, ""),
+    ]
 
     def answer(least):
         sure, out = iter((True, True, False)), io.StringIO()
-        robot = Robot(lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least)
-        summary = stream(iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number})
+        robot = Robot(
+            lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least
+        )
+        summary = stream(
+            iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number}
+        )
         return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
     summary, lines = answer(ENOUGH)
@@ -141,8 +154,12 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     writer.release()
     frames, live = frames_of(str(video), Preprocess(), None)
     shown = list(frames)
-    assert not live and [frame.name for frame in shown] == [f"touch.avi {number}" for number in range(4)]
-    left, right = (shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None)))
+    assert not live and [frame.name for frame in shown] == [
+        f"touch.avi {number}" for number in range(4)
+    ]
+    left, right = (
+        shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None))
+    )
     np.testing.assert_allclose(left, [0, 127, 255], atol=6)  # red, green, blue
     np.testing.assert_allclose(right, 0, atol=6)
     summary, lines = run(frames_of(str(video), Preprocess(), None)[0])
@@ -183,7 +200,9 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
     (tmp_path / "image_3.png").write_bytes(b"\x89PNG torn")
     frames, live = frames_of(str(tmp_path), Preprocess(), None)
     listed = list(frames)
-    assert not live and [frame.name for frame in listed] == [f"image_{n}.png" for n in (1, 2, 3, 10)]
+    assert not live and [frame.name for frame in listed] == [
+        f"image_{n}.png" for n in (1, 2, 3, 10)
+    ]
     assert listed[2].pixels is None and listed[2].problem
 
 
@@ -193,7 +212,9 @@ def test_sources_that_are_none(source, monkeypatch):
         frames_of(source, Preprocess(), None)
 
 
-@pytest.mark.parametrize("end", [KeyboardInterrupt(), UserError("camera 0 gave no frame 30 times in a row")])
+@pytest.mark.parametrize(
+    "end", [KeyboardInterrupt(), UserError("camera 0 gave no frame 30 times in a row")]
+)
 def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
     def camera():
         yield Frame(0, "a", dots(), "")
@@ -230,4 +251,6 @@ def test_frames_of_a_folder_are_cropped_as_elsewhere(tmp_path):
     for number, middle in enumerate((110, 120, 130)):
         Image.fromarray(disc(middle)).save(tmp_path / f"{number}.png")
     frames, _ = frames_of(str(tmp_path), Preprocess(size=128), None)
-    assert {frame.view for frame in frames} == {read_recordings(tmp_path, Preprocess(size=128)).common_view()}
+    assert {frame.view for frame in frames} == {
+        read_recordings(tmp_path, Preprocess(size=128)).common_view()
+    }

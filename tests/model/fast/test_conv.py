@@ -16,14 +16,18 @@ def normal(*shape: int, dtype=jnp.float32) -> jax.Array:
 
 
 def plain(x, w, stride=1, padding="VALID"):
-    return jax.lax.conv_general_dilated(x, w, (stride, stride), padding, dimension_numbers=("NHWC", "HWIO", "NHWC"))
+    return jax.lax.conv_general_dilated(
+        x, w, (stride, stride), padding, dimension_numbers=("NHWC", "HWIO", "NHWC")
+    )
 
 
 def close(got, expected, dtype) -> None:
     tolerance = 1e-5 if dtype == jnp.float32 else 1e-12
     assert got.shape == expected.shape
     assert got.dtype == dtype
-    np.testing.assert_allclose(got, expected, atol=tolerance * float(np.abs(expected).max()), rtol=0)
+    np.testing.assert_allclose(
+        got, expected, atol=tolerance * float(np.abs(expected).max()), rtol=0
+    )
 
 
 def same_function(ours: Callable, reference: Callable, x, w, dtype) -> None:
@@ -40,19 +44,30 @@ def same_function(ours: Callable, reference: Callable, x, w, dtype) -> None:
             close(one, wanted, dtype)
 
 
-@pytest.fixture(params=[jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)], ids=["f32", "f64"])
+@pytest.fixture(
+    params=[jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)], ids=["f32", "f64"]
+)
 def dtype(request):
     with jax.enable_x64(request.param == jnp.float64):
         yield request.param
 
 
-@pytest.mark.parametrize(("k", "c", "n"), [(1, 3, 5), (2, 3, 5), (2, 5, 3), (3, 4, 4), (3, 2, 7), (4, 6, 1)])
+@pytest.mark.parametrize(
+    ("k", "c", "n"), [(1, 3, 5), (2, 3, 5), (2, 5, 3), (3, 4, 4), (3, 2, 7), (4, 6, 1)]
+)
 def test_conv_valid_is_the_plain_convolution(k, c, n, dtype):
-    same_function(conv.conv_valid, plain, normal(3, 9, 7, c, dtype=dtype), normal(k, k, c, n, dtype=dtype), dtype)
+    same_function(
+        conv.conv_valid,
+        plain,
+        normal(3, 9, 7, c, dtype=dtype),
+        normal(k, k, c, n, dtype=dtype),
+        dtype,
+    )
 
 
 @pytest.mark.parametrize(
-    ("k", "border", "c", "n"), [(2, 1, 3, 5), (2, 1, 5, 3), (3, 1, 4, 4), (3, 2, 2, 7), (4, 2, 6, 1)]
+    ("k", "border", "c", "n"),
+    [(2, 1, 3, 5), (2, 1, 5, 3), (3, 1, 4, 4), (3, 2, 2, 7), (4, 2, 6, 1)],
 )
 def test_a_border_of_zeros_is_left_out_of_the_gradient(k, border, c, n, dtype):
     width = 2 * [(border, border)]
@@ -97,14 +112,20 @@ def transposed(x, w):
 
 def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
     def ours(x, w):
-        return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w), 1))[:, 1:-1, 1:-1]
+        return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w), 1))[
+            :, 1:-1, 1:-1
+        ]
 
-    same_function(ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype)
+    same_function(
+        ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype
+    )
 
 
 def test_up_equals_flax_conv_transpose():
     x, w = normal(2, 6, 6, 3), normal(4, 4, 3, 4)
-    flax = nn.ConvTranspose(4, (4, 4), (2, 2), padding="SAME", use_bias=False).apply({"params": {"kernel": w}}, x)
+    flax = nn.ConvTranspose(4, (4, 4), (2, 2), padding="SAME", use_bias=False).apply(
+        {"params": {"kernel": w}}, x
+    )
     ours = conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w)))[:, 1:-1, 1:-1]
     np.testing.assert_allclose(ours, flax, atol=1e-5)
 

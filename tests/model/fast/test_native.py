@@ -33,7 +33,8 @@ CASES = [
 def arrays(k, border, c, n, images, h, w):
     rng = np.random.default_rng(k + c + n)
     x = np.pad(
-        rng.normal(size=(images, h, w, c)).astype(np.float32), ((0, 0), (border, border), (border, border), (0, 0))
+        rng.normal(size=(images, h, w, c)).astype(np.float32),
+        ((0, 0), (border, border), (border, border), (0, 0)),
     )
     dy = rng.normal(size=(images, x.shape[1] - k + 1, x.shape[2] - k + 1, n)).astype(np.float32)
     return x, dy
@@ -43,7 +44,9 @@ def by_definition(x, dy, k):
     x, dy = np.float64(x), np.float64(dy)
     h, w = dy.shape[1:3]
     places = [[x[:, i : i + h, j : j + w] for j in range(k)] for i in range(k)]
-    return np.stack([[np.tensordot(place, dy, ((0, 1, 2), (0, 1, 2))) for place in row] for row in places])
+    return np.stack(
+        [[np.tensordot(place, dy, ((0, 1, 2), (0, 1, 2))) for place in row] for row in places]
+    )
 
 
 @compiled
@@ -53,7 +56,9 @@ def test_it_is_the_sum_it_says(case):
     x, dy = arrays(*case)
     expected = by_definition(x, dy, k)
     for run in (native.kernel_gradient, jax.jit(native.kernel_gradient, static_argnums=(2, 3))):
-        np.testing.assert_allclose(run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0)
+        np.testing.assert_allclose(
+            run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0
+        )
 
 
 @compiled
@@ -76,7 +81,9 @@ def test_the_network_takes_it_and_twice_gives_the_same_bits():
 def test_mapped_over_it_is_as_one_by_one():
     x, dy = (array.reshape(3, 2, *array.shape[1:]) for array in arrays(2, 0, 5, 16, 6, 6, 5))
     run = lambda x, dy: native.kernel_gradient(x, dy, 2, 0)  # noqa: E731
-    np.testing.assert_array_equal(jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)]))
+    np.testing.assert_array_equal(
+        jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)])
+    )
 
 
 @compiled
@@ -100,7 +107,11 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
 def reported(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
-    command = [sys.executable, "-c", f"from jaxunshear.model.fast import native; native.FLAGS += ('-O0',); {code}"]
+    command = [
+        sys.executable,
+        "-c",
+        f"from jaxunshear.model.fast import native; native.FLAGS += ('-O0',); {code}",
+    ]
     process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.split()[0], process.stderr
@@ -112,9 +123,7 @@ def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     folder, script, made = tmp_path / "cache", tmp_path / "compiler", tmp_path / "made"
     folder.mkdir()
     real = os.environ.get("CXX") or "c++"
-    again = (
-        f'for out; do :; done; if [ -f "{made}" ]; then cp "{made}" "$out"; else {real} "$@" && cp "$out" "{made}"; fi'
-    )
+    again = f'for out; do :; done; if [ -f "{made}" ]; then cp "{made}" "$out"; else {real} "$@" && cp "$out" "{made}"; fi'
     script.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec {real} "$@";; esac\n{again}\n')
     script.chmod(0o755)
     cache = {"JAXUNSHEAR_CACHE": str(folder), "CXX": str(script)}
@@ -159,8 +168,13 @@ def test_without_a_compiler_nothing_is_said(tmp_path):
 )
 def test_what_hinders_it_is_reported_once(tmp_path, cxx, cache, reason):
     (tmp_path / "file").touch()
-    for name, rest in (("probe", "exit 0"), ("broken", "echo no member named x: an error >&2; exit 1")):
-        (tmp_path / name).write_text(f'#!/bin/sh\ncase "$*" in *-dM*) echo a macro; exit 0;; esac\n{rest}\n')
+    for name, rest in (
+        ("probe", "exit 0"),
+        ("broken", "echo no member named x: an error >&2; exit 1"),
+    ):
+        (tmp_path / name).write_text(
+            f'#!/bin/sh\ncase "$*" in *-dM*) echo a macro; exit 0;; esac\n{rest}\n'
+        )
         (tmp_path / name).chmod(0o755)
     environment = {"JAXUNSHEAR_CACHE": str(tmp_path / cache), "CXX": cxx.format(folder=tmp_path)}
     answer, said = reported(environment)
@@ -183,4 +197,6 @@ def test_second_derivatives_are_those_of_the_plain_convolution():
         )
     )
     for got, expected in zip(ours, plain, strict=True):
-        np.testing.assert_allclose(got, expected, atol=1e-5 * float(jnp.abs(expected).max()), rtol=0)
+        np.testing.assert_allclose(
+            got, expected, atol=1e-5 * float(jnp.abs(expected).max()), rtol=0
+        )

@@ -25,7 +25,9 @@ def inputs(shape, offset=0.0):
 def flax_norm_relu(x, scale, bias):
     plain = nn.BatchNorm(use_running_average=False, use_fast_variance=False, epsilon=norm.EPSILON)
     stats = {"mean": jnp.zeros_like(scale), "var": jnp.ones_like(scale)}
-    y, _ = plain.apply({"params": {"scale": scale, "bias": bias}, "batch_stats": stats}, x, mutable=["batch_stats"])
+    y, _ = plain.apply(
+        {"params": {"scale": scale, "bias": bias}, "batch_stats": stats}, x, mutable=["batch_stats"]
+    )
     return jax.nn.relu(y)
 
 
@@ -69,7 +71,11 @@ def test_equals_flax(source, target, channels):
 @compiled
 @pytest.mark.parametrize(
     ("source", "target"),
-    [*WIDE, ("plain", "plain"), *(pytest.param(*layouts, marks=pytest.mark.long) for layouts in NARROW)],
+    [
+        *WIDE,
+        ("plain", "plain"),
+        *(pytest.param(*layouts, marks=pytest.mark.long) for layouts in NARROW),
+    ],
 )
 def test_compiled_passes_are_xla_s(source, target):
     """Bands and tails of every kind."""
@@ -84,7 +90,10 @@ def test_compiled_passes_are_xla_s(source, target):
         def passes(x, dy, factor, shift, mean, constant, tilt, at=at):
             return [
                 (norm._moments_by_xla(x, source=source), native.moments(x, source=source)),
-                (norm._affine_relu_by_xla(x, factor, shift, **at), native.affine_relu(x, factor, shift, **at)),
+                (
+                    norm._affine_relu_by_xla(x, factor, shift, **at),
+                    native.affine_relu(x, factor, shift, **at),
+                ),
                 (
                     norm._slopes_by_xla(x, dy, factor, shift, mean, **at),
                     native.slopes(x, dy, factor, shift, mean, **at),
@@ -98,16 +107,22 @@ def test_compiled_passes_are_xla_s(source, target):
         for expected, got in jax.jit(passes)(x, dy, factor, shift, mean, constant, tilt):
             for one, other in zip(jax.tree.leaves(expected), jax.tree.leaves(got), strict=True):
                 scale = float(jnp.abs(one).max())
-                np.testing.assert_allclose(other, one, atol=2e-6 * scale * (rows * columns) ** 0.5, rtol=0)
+                np.testing.assert_allclose(
+                    other, one, atol=2e-6 * scale * (rows * columns) ** 0.5, rtol=0
+                )
 
 
 @compiled
 def test_the_network_takes_the_compiled_passes_and_twice_gives_the_same_bits():
     x, scale, bias = inputs((5, 9, 9, 4 * 32))
     scale, bias = scale[:32], bias[:32]
-    grad = jax.jit(jax.grad(lambda x: jnp.sum(jnp.sin(norm.norm_relu(x, scale, bias, "blocks", "padded")[0]))))
+    grad = jax.jit(
+        jax.grad(lambda x: jnp.sum(jnp.sin(norm.norm_relu(x, scale, bias, "blocks", "padded")[0])))
+    )
     text = grad.lower(x).as_text()
-    assert all(native.NAMES[name] in text for name in ("Moments", "AffineRelu", "Slopes", "Gradient"))
+    assert all(
+        native.NAMES[name] in text for name in ("Moments", "AffineRelu", "Slopes", "Gradient")
+    )
     first = grad(x)
     for _ in range(5):
         np.testing.assert_array_equal(grad(x), first)
@@ -117,7 +132,9 @@ def test_what_is_not_finite_spoils_its_channel_alone():
     x, scale, bias = inputs((2, 4, 6, 32))
     x = x.at[1, 2, 3, 7].set(jnp.nan)
     for source in ("plain", "blocks"):
-        y, mean, variance = norm.norm_relu(norm.relayout(x, "plain", source), scale, bias, source, "plain")
+        y, mean, variance = norm.norm_relu(
+            norm.relayout(x, "plain", source), scale, bias, source, "plain"
+        )
         broken = np.isnan(np.asarray(y)).any((0, 1, 2))
         assert broken[7] and broken.sum() == 1
         assert np.isnan(mean[7]) and np.isnan(variance[7]) and np.isfinite(np.delete(mean, 7)).all()
@@ -146,7 +163,9 @@ def test_layouts_there_and_back(source, target):
 
 def test_gradient_outside_is_zero():
     x, scale, bias = inputs((2, 4, 4, 8))
-    gradient = jax.grad(lambda x: jnp.sum(norm.norm_relu(x, scale[:2], bias[:2], "blocks", "blocks")[0] ** 2))(x)
+    gradient = jax.grad(
+        lambda x: jnp.sum(norm.norm_relu(x, scale[:2], bias[:2], "blocks", "blocks")[0] ** 2)
+    )(x)
     outside = np.repeat(norm.inside(4, 4), 2, -1) == 0
     assert np.all(np.asarray(gradient)[:, outside] == 0)
     assert np.any(np.asarray(gradient)[:, ~outside] != 0)
@@ -170,7 +189,9 @@ def test_variance_of_a_large_offset_is_not_cancelled(channels):
 @pytest.mark.parametrize("channels", CHANNELS)
 def test_constant_channel_stays_finite(channels):
     x, ones = jnp.ones((2, 4, 4, channels)), jnp.ones(channels)
-    gradient = jax.grad(lambda x: jnp.sum(norm.norm_relu(x, ones, ones, "plain", "plain")[0] ** 2))(x)
+    gradient = jax.grad(lambda x: jnp.sum(norm.norm_relu(x, ones, ones, "plain", "plain")[0] ** 2))(
+        x
+    )
     assert np.all(np.isfinite(gradient))
 
 

@@ -55,7 +55,9 @@ def same_function(ours, reference, x, w, tolerance):
     for got in (both(ours), jax.jit(lambda: both(ours))()):
         for one, wanted in zip(got, expected, strict=True):
             assert one.dtype == wanted.dtype
-            np.testing.assert_allclose(one, wanted, atol=tolerance * float(np.abs(wanted).max()), rtol=0)
+            np.testing.assert_allclose(
+                one, wanted, atol=tolerance * float(np.abs(wanted).max()), rtol=0
+            )
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)])
@@ -72,7 +74,10 @@ def test_windows_are_the_plain_convolutions(dtype):
 @pytest.mark.parametrize(("images", "side", "channels"), SHAPES)
 def test_compiled_forms_are_the_plain_convolutions(images, side, channels):
     first, last = normal(4, 4, 1, channels), normal(4, 4, channels, 1)
-    assert "jaxunshear_Gather" in jax.jit(as_first(True)).lower(normal(images, side, side, 1), first).as_text()
+    assert (
+        "jaxunshear_Gather"
+        in jax.jit(as_first(True)).lower(normal(images, side, side, 1), first).as_text()
+    )
     same_function(as_first(True), plain_first, normal(images, side, side, 1), first, 1e-5)
     x = normal(images, side // 2, side // 2, channels)
     assert "jaxunshear_Scatter" in jax.jit(as_last(True)).lower(x, last).as_text()
@@ -103,9 +108,13 @@ def test_each_is_a_slope_of_the_others():
     for ours, reference, a, b in pairs:
         same_function(ours, reference, a, b, 1e-5)
         twice = [
-            jax.jit(jax.grad(lambda a, f=f, b=b: jnp.sum(jnp.sin(jax.grad(lambda b: jnp.sum(f(a, b) ** 2))(b) / 50))))(
-                a
-            )
+            jax.jit(
+                jax.grad(
+                    lambda a, f=f, b=b: jnp.sum(
+                        jnp.sin(jax.grad(lambda b: jnp.sum(f(a, b) ** 2))(b) / 50)
+                    )
+                )
+            )(a)
             for f in (ours, reference)
         ]
         np.testing.assert_allclose(*twice, atol=1e-4 * float(jnp.abs(twice[1]).max()), rtol=0)
@@ -125,7 +134,9 @@ def test_twice_gives_the_same_bits():
 def test_other_images_are_left_to_xla(image):
     assert not native.suits_image(jnp.zeros(image), jnp.zeros((4, 4, image[-1], 16)))
     assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 12)))
-    assert not native.suits_image(jnp.zeros((1, 8, 8, 1), jnp.bfloat16), jnp.zeros((4, 4, 1, 16), jnp.bfloat16))
+    assert not native.suits_image(
+        jnp.zeros((1, 8, 8, 1), jnp.bfloat16), jnp.zeros((4, 4, 1, 16), jnp.bfloat16)
+    )
     assert native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
     with native.taking("xla"):
         assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
@@ -136,4 +147,6 @@ def test_blocks_of_windows_keep_their_place():
     seen = outermost.windows(x)
     assert seen.shape == (1, 3, 3, 36)
     np.testing.assert_array_equal(seen[0, 1, 1].reshape(6, 6), x[0, 1:7, 1:7, 0])
-    np.testing.assert_array_equal(outermost.from_windows(jnp.ones((1, 3, 3, 36)))[0, :4, 0, 0], [1, 2, 2, 1])
+    np.testing.assert_array_equal(
+        outermost.from_windows(jnp.ones((1, 3, 3, 36)))[0, :4, 0, 0], [1, 2, 2, 1]
+    )

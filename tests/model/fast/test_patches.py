@@ -33,7 +33,9 @@ def test_values_and_gradients_are_those_of_a_convolution(side, stride, dtype):
             return jax.jit(jax.value_and_grad(loss, (0, 1), has_aux=True))(*given)
 
         ours, theirs = found(convolution), found(lax.conv_general_dilated)
-    near = partial(np.testing.assert_allclose, rtol=0, atol=(1e-4 if dtype is np.float32 else 1e-12))
+    near = partial(
+        np.testing.assert_allclose, rtol=0, atol=(1e-4 if dtype is np.float32 else 1e-12)
+    )
     assert all(leaf.dtype == dtype for leaf in jax.tree.leaves(ours))
     jax.tree.map(near, ours, theirs)
 
