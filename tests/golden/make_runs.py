@@ -37,9 +37,10 @@ SMALLEST = 1e-9  # a figure below it, as of a law that holds exactly, is roundin
 
 # Largest relative difference of a figure on other machines. Rounding was changed on one machine,
 # by XLA's optimisation and by AVX2, one core and no compiled layers: figures of the five sections
-# moved by 3e-5, 1e-4, 5e-4, 4e-6 and 6e-14 at most, and scores of pins by 3e-4. One percent more of a loss weight or of a
-# learning rate moves some figure of the three runs by 4e-4, 7e-4 and 0.09 at least. With a learning
-# rate of 3e-3 rounding moved the run over simulated pins by 15 %, so its test takes a smaller one.
+# moved by 3e-5, 1e-4, 5e-4, 4e-6 and 6e-14 at most, and scores of pins by 3e-4. One percent more of
+# a loss weight or of a learning rate moves some figure of the three runs by 4e-4, 7e-4 and 0.09 at
+# least. With a learning rate of 3e-3 rounding moved the run over simulated pins by 15 %, so its
+# test takes a smaller one.
 TOLERANCES = {
     "run over simulated images": 1e-4,
     "run over simulated pins": 3e-4,
