@@ -31,14 +31,22 @@ TESTS = (
 WRITE = "GOLDEN"  # a variable of the environment: the file that `hold` then writes to
 MACHINE = "machine"  # the section that says where the file was written
 DIGEST = "bits"  # the key of a digest, which is compared only on such a machine
+SCORED = "scores"  # the key of figures of few test examples
+LOOSER = 5  # times the tolerance, for scores
 SMALLEST = 1e-9  # a figure below it, as of a law that holds exactly, is rounding alone
 
+# Largest relative difference of a figure on other machines. Rounding was changed on one machine,
+# by XLA's optimisation and by AVX2, one core and no compiled layers: figures of the five sections
+# moved by 3e-5, 1e-4, 5e-4, 4e-6 and 6e-14 at most, and scores of pins by 3e-4. One percent more of
+# a loss weight or of a learning rate moves some figure of the three runs by 4e-4, 7e-4 and 0.09 at
+# least. With a learning rate of 3e-3 rounding moved the run over simulated pins by 15 %, so its
+# test takes a smaller one.
 TOLERANCES = {
-    "run over simulated images": 1e-3,
-    "run over simulated pins": 1e-3,
-    "run over recorded pins": 1e-2,
-    "contacts with the paper's shapes": 1e-3,
-    "verification on a half-space": 1e-3,
+    "run over simulated images": 1e-4,
+    "run over simulated pins": 3e-4,
+    "run over recorded pins": 5e-3,
+    "contacts with the paper's shapes": 1e-4,
+    "verification on a half-space": 1e-6,
 }
 
 NETWORKS = {
@@ -102,7 +110,8 @@ def differences(golden: Any, found: Any, tolerance: float, path: str = "") -> It
             if name not in golden or name not in found:
                 yield f"{path}{name}: {'not in the file' if name in found else 'only in the file'}"
             else:
-                yield from differences(golden[name], found[name], tolerance, f"{path}{name} / ")
+                within = tolerance * (LOOSER if name == SCORED else 1)
+                yield from differences(golden[name], found[name], within, f"{path}{name} / ")
     elif isinstance(golden, list) and isinstance(found, list) and len(golden) == len(found):
         for number, pair in enumerate(zip(golden, found, strict=True)):
             yield from differences(*pair, tolerance, f"{path}{number} / ")
@@ -156,7 +165,7 @@ def collect_run(folder: Path, data: Path) -> dict[str, Any]:
             networks[words] = {"first batch": batch} | _collect_network(folder / name)
     results = read_object(folder / "results.json") if (folder / "results.json").exists() else {}
     scores = {SCORES[name]: _to_plain(results[name]) for name in SCORES if results.get(name)}
-    return {"networks": networks, "scores": scores}
+    return {"networks": networks, SCORED: scores}
 
 
 def _collect_batch(experiment: Any, network: str, data: Path, folder: Path) -> dict[str, Any]:
