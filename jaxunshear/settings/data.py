@@ -33,12 +33,10 @@ class Ranges:
     depth_min_mm: float = 1.0  # indentation depth from this
     depth_max_mm: float = 6.0  # to this
     move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
-    twist_deg: float = (
-        0.0  # a slide turns within +- this while it moves, and ends at the pose's yaw
-    )
-    tilt_deg: float = (
-        0.0  # the sensor leans by up to this, any way: the same from first touch to the slide's end
-    )
+    # a slide turns within +- this while it moves, and ends at the pose's yaw
+    twist_deg: float = 0.0
+    # the sensor leans by up to this, any way: the same from first touch to the slide's end
+    tilt_deg: float = 0.0
 
     def rules(self) -> Iterator[Rule]:
         """What a sensor can reach is for `rules.py`."""
@@ -73,9 +71,8 @@ class PairedData:
     taps: int = 1  # canonical images a pose
     slides: int = 2  # sheared images a pose
     poses_a_slide: int = 1  # so many poses of a split share their slides (`dataset/factorial.py`)
-    tap_depth_jitter_mm: float = (
-        0.0  # a tap misses its slide's depth by up to this (the paper: 1.0)
-    )
+    # a tap misses its slide's depth by up to this (the paper: 1.0)
+    tap_depth_jitter_mm: float = 0.0
     seed: int = 0  # of poses and slides
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)

@@ -70,27 +70,23 @@ class Experiment:
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
-    unseen: tuple[
-        Touched, ...
-    ] = ()  # stimuli that no network sees in training, evaluated as a test of their own
-    other_jitters_mm: tuple[
-        float, ...
-    ] = ()  # tests of their own, with taps that miss the slide's depth by up to this
+    # stimuli that no network sees in training, evaluated as a test of their own
+    unseen: tuple[Touched, ...] = ()
+    # tests of their own, with taps that miss the slide's depth by up to this
+    other_jitters_mm: tuple[float, ...] = ()
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
     other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
     sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
-    targets: tuple[
-        str, ...
-    ] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
+    # of a pose, as targets.py writes them; none: all usual ones that the data vary
+    targets: tuple[str, ...] = ()
     paired: PairedData | Recorded = field(default_factory=PairedData)
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
     # all networks over pins: those of `unshear.input` "pins", and the renderer
     pins: PinNet = field(default_factory=PinNet)
-    train: Training = field(
-        default_factory=Training
-    )  # UnshearNets, and the U-Net of the same widths
+    # UnshearNets, and the U-Net of the same widths
+    train: Training = field(default_factory=Training)
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
     train_pins: Training = PINS  # networks over pins, in the place of the first two

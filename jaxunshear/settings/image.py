@@ -71,9 +71,8 @@ class Preprocess:
 
     size: int = 128  # output pixels, square
     block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
-    offset: float = (
-        0.08  # a pixel is white if it exceeds the local mean by this fraction of full scale
-    )
+    # a pixel is white if it exceeds the local mean by this fraction of full scale
+    offset: float = 0.08
     mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
     outer_pins: float = 0.375

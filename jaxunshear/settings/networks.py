@@ -24,9 +24,8 @@ class UnshearNet:
     # both codes are numbers without place; z_s has an encoder of its own, and DS teaches neither code
     apart: bool = False
     disentangled: bool = True  # of a network built from these settings; experiments leave it
-    input: Literal["images", "pins"] = (
-        "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
-    )
+    # "pins": networks over pins (`PinNet`) in the place of all of these
+    input: Literal["images", "pins"] = "images"
 
     def rules(self) -> Iterator[Rule]:
         yield (
@@ -91,9 +90,8 @@ class PinNet:
     convolved: tuple[int, ...] = ()
     # the same of posenet_sheared, which learns poses of slides directly; other PoseNets are dense
     direct_convolved: tuple[int, ...] = ()
-    noise_px: float = (
-        0.08  # added to the pins of training examples: as much as finding them errs by
-    )
+    # added to the pins of training examples: as much as finding them errs by
+    noise_px: float = 0.08
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too
     turned: float = 0.0

@@ -36,9 +36,8 @@ class Kind:
     title: str = ""  # of its images in tables and figures
     codes: bool = False  # it depends on how many numbers the codes have
     over_pins: bool = True  # whether it may read pins in the place of images
-    released: tuple[str, ...] | None = (
-        None  # the parts that go with released weights, () for all of it; None: it stays
-    )
+    # the parts that go with released weights, () for all of it; None: it stays
+    released: tuple[str, ...] | None = None
 
 
 _UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")

@@ -21,9 +21,8 @@ class Sensor:
     """
 
     name: str = "tactip331"  # as which it is listed
-    layout: Literal["rings", "hexagonal"] = (
-        "rings"  # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
-    )
+    # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
+    layout: Literal["rings", "hexagonal"] = "rings"
     rings: int = 10  # of pins, around the one at the apex
     pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
     pin_radius_mm: float = 0.45  # of a white tip

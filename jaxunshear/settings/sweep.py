@@ -41,9 +41,8 @@ class Sweep:
     seeds: tuple[int, ...] = (0,)
     networks: tuple[Network, ...] | None = None  # trained in each row; None: those of the base
     ablation: bool = False  # whether the decoders are fed spoilt codes, too
-    reference: str | None = (
-        None  # label of the cell to compare with; None: that of the base's own values
-    )
+    # label of the cell to compare with; None: that of the base's own values
+    reference: str | None = None
 
 
 def load_sweep(path: str | Path) -> Sweep:

@@ -21,13 +21,11 @@ class Training:
     # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
     optimiser: Literal["adam", "muon"] = "adam"
     learning_rate: float = 1e-3  # at the start
-    schedule: Literal["cosine", "steps"] = (
-        "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
-    )
+    # "cosine": to zero over the run; "steps": factors of `drops`
+    schedule: Literal["cosine", "steps"] = "cosine"
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
-    beta1: float = (
-        0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
-    )
+    # of Adam, which with "muon" trains the first and last layers, biases and normalisation
+    beta1: float = 0.5
     beta2: float = 0.999  # of Adam
     l1: float = 0.0  # weight of |w| of convolution and dense kernels, as `kernels` says, added up over all of them
     l2: float = 0.0  # weight of w^2, likewise
@@ -49,21 +47,16 @@ class Training:
     paired_share: float = 1.0
     tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in
     alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
-    pose_weight: float = (
-        0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
-    )
-    pose_target: Literal["tap", "label"] = (
-        "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
-    )
-    averaging: float = (
-        0.99  # decay of the exponential moving average of the weights; 0 switches it off
-    )
-    shift: float = (
-        0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
-    )
-    start: str = (
-        ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
-    )
+    # of what a PoseNet reads off the unsheared image, against `pose_target`
+    pose_weight: float = 0.0
+    # what the same PoseNet reads off the tap; or "label", the true pose
+    pose_target: Literal["tap", "label"] = "tap"
+    # decay of the exponential moving average of the weights; 0 switches it off
+    averaging: float = 0.99
+    # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
+    shift: float = 0.015
+    # weights to go on from: released ones by name, or a run's folder; none: fresh ones
+    start: str = ""
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
 
