@@ -125,6 +125,17 @@ def found_pins() -> str:
     return "\n".join(lines)
 
 
+def streamed() -> str:
+    """Print how long a robot's perception takes for one image, next to PyTorch."""
+    columns = ["px", "images", "ms, median", "ms, 99th percentile"]
+    lines = [as_line("one image at a time", columns), "|---|" + "---|" * len(columns)]
+    for row in take("bench_stream")["rows"]:
+        cells = [str(row["size"]), f"{row['steps']:,}"]
+        cells += [f"{row[name]:.1f}" for name in ("ms_per_image", "ms_p99")]
+        lines.append(as_line(row["name"], cells))
+    return "\n".join(lines)
+
+
 def touched() -> str:
     """Pictures of `explore`: how long they take."""
     lines = [
@@ -1001,7 +1012,15 @@ TABLES = {
     "docs/unshear-or-directly.md": (rivals,),
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
-    "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
+    "docs/applications.md": (
+        found_pins,
+        geometry,
+        servo,
+        servo_pins,
+        objects,
+        streamed,
+        perception,
+    ),
     "docs/codes.md": (
         parted_skin,
         parted_skin_errors,

@@ -386,7 +386,6 @@ def test_a_direct_posenet_that_convolves_serves_at_every_door(
     command, recording, slides, place, tmp_path
 ):
     """It also learns from rendered taps; nothing else reads its settings."""
-    pytest.importorskip("onnxruntime")
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     short = (*SHORT[:2], "--train_pins.epochs", "3", *SHORT[4:-2], "--paired.validation", "0.2")
     asked = ("--pins.direct_convolved", "4,6", "--paired.direct_taps", "rendered")

@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from jaxunshear.report.history import read_lines
 from jaxunshear.training.events import open_events, scalars
@@ -13,8 +12,6 @@ from jaxunshear.training.step import learning_rate
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
-
-tensorboardx = pytest.importorskip("tensorboardX")
 
 
 def read(folder):

@@ -1,7 +1,5 @@
 """Models as files for a computer without JAX: they compute what JAX computes, say what they are, and are refused where they do not."""
 
-# ruff: noqa: E402 - what needs the extra is imported once it is known to be there
-
 import ast
 import dataclasses
 import json
@@ -12,11 +10,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import onnxruntime
 import pytest
 from PIL import Image
-
-pytest.importorskip("onnx", reason="the extra `onnx` is not installed")
-onnxruntime = pytest.importorskip("onnxruntime", reason="the extra `onnx` is not installed")
 
 from jaxunshear import load_model
 from jaxunshear.apps.export.export import stablehlo_of

@@ -4,7 +4,6 @@ import base64
 import io
 import json
 import time
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -142,7 +141,6 @@ def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(chann
     assert len(shown) == 3 and all(np.array_equal(each, expected) for each in shown)
 
 
-@pytest.mark.skipif(find_spec("cv2") is None, reason="needs the extra `camera`")
 def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
     cv2 = sources._opencv()  # first, since it decides what OpenCV prints
     video = tmp_path / "touch.avi"
