@@ -81,7 +81,6 @@ EARLIER = {  # where these modules were at earlier commits
 }
 MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits
     "jaxunshear check identify": "docs/notebooks/identify.ipynb",
-    "jaxunshear check bench strangers": "tests/image/test_understood.py",
     "jaxunshear check bench": "python -m benchmarks",
     "jaxunshear check": "python -m verification",
 }
