@@ -17,7 +17,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.progress import Progress
-from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.scene.stimuli import get_stimulus
 from jaxunshear.settings.data import Ranges
 from jaxunshear.storage import Json
 
@@ -76,5 +76,5 @@ def _anywhere(explorer: Explorer, name: str, generator: np.random.Generator) -> 
     )
     far, way = generator.uniform(0, MOST_SLIDE_MM), generator.uniform(0, 2 * np.pi)
     move = (far * np.cos(way), far * np.sin(way))
-    stimulus = stimulus_named(name)
+    stimulus = get_stimulus(name)
     return Touch(stimulus, explorer.experiment.sensor, (x, y, yaw, depth), move, stimulus.friction)

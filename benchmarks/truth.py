@@ -13,7 +13,7 @@ import numpy as np
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.simulate import simulate
 from jaxunshear.errors import UserError
-from jaxunshear.metrics.machine import versions
+from jaxunshear.metrics.machine import list_versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
@@ -42,7 +42,7 @@ def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Lev
 
 def _key(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> str:
     found = hashlib.sha256(
-        json.dumps([asdict(sensor), names, asdict(level), versions()], sort_keys=True).encode()
+        json.dumps([asdict(sensor), names, asdict(level), list_versions()], sort_keys=True).encode()
     )
     for field in (scenes.stimulus.astype(np.int64), scenes.pose, scenes.move, scenes.friction):
         found.update(np.ascontiguousarray(field).tobytes())

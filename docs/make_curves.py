@@ -11,7 +11,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.metrics.machine import provenance
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.plain import plain
 from jaxunshear.storage import sealed, write_text
 from jaxunshear.style import DPI, LABEL, STYLE
@@ -94,7 +94,7 @@ def _short(value: float | None) -> float | None:
 if __name__ == "__main__":
     run = Path(sys.argv[1])
     rows = curves(run)
-    made = provenance(shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]]))
+    made = describe_provenance(shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]]))
     held = sealed(plain(made | {"network": NETWORK, "rows": rows}))
     write_text(RESULTS / f"{run.name}_curves.json", json.dumps(held) + "\n")
     picture(rows, RESULTS / f"{run.name}_curves.png")

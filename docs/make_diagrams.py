@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Wedge
 
-from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.style import FAINT, INK, STYLE
 
@@ -83,8 +83,8 @@ def dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
     radius = sensor.dome_radius_mm
     axes.add_patch(Wedge((x, radius), radius, 180, 360, fc=SKIN, ec="none"))
     axes.add_patch(Wedge((x, radius), radius - sensor.skin_mm, 180, 360, fc=GEL, ec="none"))
-    tips = pin_tips(sensor)
-    roots = tips - pin_levers(sensor)
+    tips = compute_pin_tips(sensor)
+    roots = tips - compute_pin_levers(sensor)
     for tip, root in zip(tips, roots, strict=True):
         if abs(tip[1]) < 0.1 * sensor.pin_spacing_mm:
             held = lag * np.exp(-((root[0] / (0.3 * radius)) ** 2))

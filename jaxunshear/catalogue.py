@@ -9,8 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, distances, stimulus_of
+from jaxunshear.scene.pin_layout import compute_pin_tips
+from jaxunshear.scene.stimuli import (
+    STIMULI,
+    TRAINING,
+    UNSEEN,
+    Stimulus,
+    compute_distances,
+    make_stimulus,
+)
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
@@ -51,7 +58,7 @@ def draw(kind: str, name: str, out: Path) -> None:
     """Draws a sensor's pins or a stimulus' outline (mm) to `out`, a PNG, SVG or PDF."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
-    subject = sensor_named(name) if kind == "sensors" else stimulus_of(touched(name))
+    subject = sensor_named(name) if kind == "sensors" else make_stimulus(touched(name))
     figure = Figure(figsize=(6, 6), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
     if isinstance(subject, Sensor):
@@ -65,7 +72,7 @@ def draw(kind: str, name: str, out: Path) -> None:
 
 def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
     axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
-    for x, y, _ in pin_tips(sensor):
+    for x, y, _ in compute_pin_tips(sensor):
         axes.add_patch(Circle((x, y), sensor.pin_radius_mm, color="black"))
     axes.autoscale_view()
     axes.set_title(f"{sensor.name}: {sensor.pins} pins, undeformed, as the camera sees them")
@@ -77,7 +84,7 @@ def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     reach, points = 2.1 * stimulus.extent_mm, 500
     side = np.linspace(-reach, reach, points, dtype=np.float32)
     xy = np.stack(np.meshgrid(side, side), axis=-1)
-    distance = distances(stimulus, xy)
+    distance = compute_distances(stimulus, xy)
     axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])
     if distance.max() > 0:
         axes.contour(side, side, distance, levels=[0], colors=["black"])

@@ -12,7 +12,7 @@ from jaxunshear.contact.skins import Contacts
 from jaxunshear.contact.state import contact_state
 from jaxunshear.contact.systems import dome
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.scene.stimuli import get_stimulus
 from jaxunshear.settings.sensor import Sensor
 
 
@@ -37,7 +37,7 @@ def follow_duplicated(
         mu = jnp.asarray([friction], level.precision)
         skin, quality = follow_path(
             system,
-            sample((stimulus_named("disk"),)),
+            sample((get_stimulus("disk"),)),
             jnp.zeros(1, jnp.int32),
             mu,
             path[1:],

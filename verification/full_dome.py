@@ -12,7 +12,7 @@ from jaxunshear.contact.level import LEVELS, Level
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
 from verification.px import px_apart
 from verification.tables import Row, vanishes
@@ -85,7 +85,7 @@ def turned(sensor: Sensor) -> list[Row]:
 
 def _at_angles(sensor: Sensor, pins: np.ndarray, degrees: float) -> np.ndarray:
     """Pins (P, 3) of a sensor that is turned by -`degrees`: their field, interpolated around each ring by its harmonics."""
-    field = pins - pin_tips(sensor)
+    field = pins - compute_pin_tips(sensor)
     made, start = np.zeros_like(pins), 0
     for ring in range(sensor.rings + 1):
         size = max(6 * ring, 1)
@@ -95,7 +95,7 @@ def _at_angles(sensor: Sensor, pins: np.ndarray, degrees: float) -> np.ndarray:
         moved = np.fft.irfft(waves * shift, size, axis=0)
         made[start : start + size] = _polar(moved, angle)
         start += size
-    return made + pin_tips(sensor)
+    return made + compute_pin_tips(sensor)
 
 
 def _polar(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -108,7 +108,7 @@ def mirrored(sensor: Sensor) -> list[Row]:
     made = _ends(
         sensor, [slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
     )
-    tips = pin_tips(sensor)
+    tips = compute_pin_tips(sensor)
     partner = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
     apart = px_apart(sensor, made.pins[0] * [1, -1, 1], made.pins[1][partner])
     return [

@@ -21,7 +21,7 @@ from jaxunshear.contact.elasticity import lame
 from jaxunshear.contact.mesh import Mesh, dome_mesh, edge_shapes, inner_face
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
 from verification.hyperelastic import (
     Body,
@@ -249,14 +249,14 @@ def pins_at(
     sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]
 ) -> Float[np.ndarray, "P 3"]:
     """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
-    flat = pin_lattice(sensor)
+    flat = compute_pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
     arcs, which = np.unique(np.round(arc, 9), return_inverse=True)
     change = (
         _tips(sensor, mesh, mesh.nodes + moved, arcs) - _tips(sensor, mesh, mesh.nodes, arcs)
     )[which.ravel()]
     around = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
-    return pin_tips(sensor) + np.concatenate([change[:, :1] * around, change[:, 1:]], -1)
+    return compute_pin_tips(sensor) + np.concatenate([change[:, :1] * around, change[:, 1:]], -1)
 
 
 def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:

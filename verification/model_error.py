@@ -17,8 +17,8 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.contact.systems import dome
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import path_of
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.paths import make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
 from verification.large_strain import contact_radius, press
@@ -62,7 +62,7 @@ def model_error(
     for i, depth in enumerate(depths):
         converged = bool(exact.converged[i] and straight.converged[i] and contacts.converged[i])
         figures = (
-            pin_error(sensor, exact.pins[i], pin_tips(sensor)).rms_px,
+            pin_error(sensor, exact.pins[i], compute_pin_tips(sensor)).rms_px,
             *pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
             pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
             _ratio(contacts.force_n[i, 2], exact.force_n[i]),
@@ -95,7 +95,7 @@ def _linear(sensor: Sensor, depths: Sequence[float], level: str) -> tuple[Contac
     """Pressed by the linear dome."""
     zeros = np.zeros(len(depths))
     pose = np.stack([zeros - INSIDE_MM, zeros, zeros, np.asarray(depths, float)], -1)
-    paths = path_of(Scenes(zeros.astype(int), pose, np.zeros((len(depths), 2)), zeros))
+    paths = make_paths(Scenes(zeros.astype(int), pose, np.zeros((len(depths), 2)), zeros))
     return follow(sensor, ("disk",), paths, level)
 
 

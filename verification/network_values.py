@@ -157,7 +157,7 @@ def _metrics() -> Iterator[NetworkCase]:
 def metric_of(name: str) -> Metric:
     if name == "ssim":
         return metrics.ssim
-    return functools.partial(metrics.ms_ssim, scales=metrics.scales_that_fit(SIZES[name]))
+    return functools.partial(metrics.ms_ssim, scales=metrics.count_scales(SIZES[name]))
 
 
 def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) -> Found:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
+from jaxunshear.scene.scene import Scenes, make_scenes, sample_poses, sample_slides
 from jaxunshear.scene.stimuli import SHAPES as NAMES
 from jaxunshear.settings.data import Ranges
 
@@ -16,8 +16,8 @@ def paper_scenes(kind: str, count: int, seed: int = 0) -> Scenes:
     for number in range(count):
         generator = np.random.default_rng((seed, number))
         depth = (ranges.depth_min_mm, ranges.depth_max_mm)
-        pose = draw_poses(generator, 1, ranges.lateral_mm, ranges.yaw_deg, depth)
-        single.append(np.concatenate([pose, draw_moves(generator, 1, ranges.move_mm)], axis=1))
+        pose = sample_poses(generator, 1, ranges.lateral_mm, ranges.yaw_deg, depth)
+        single.append(np.concatenate([pose, sample_slides(generator, 1, ranges.move_mm)], axis=1))
     drawn = np.concatenate(single) if single else np.zeros((0, 6))
     return make_scenes(
         NAMES, np.arange(count) % len(NAMES), drawn[:, :4], drawn[:, 4:] * (kind == "slide")

@@ -19,9 +19,9 @@ from jaxunshear.contact.scope import check_paths, level_named
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
+from jaxunshear.scene.paths import DEPTH, YAW, Paths, make_paths
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.stimuli import stimulus_of
+from jaxunshear.scene.stimuli import make_stimulus
 from jaxunshear.settings.outlines import touched as named
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
@@ -73,7 +73,7 @@ def show_plan(
     sensor: Sensor = TACTIP_331,
 ) -> Shown:
     """One contact that ends at pose (x, y, yaw, depth) after a slide and a turn; friction None: the stimulus' own."""
-    touched = stimulus_of(named(stimulus))
+    touched = make_stimulus(named(stimulus))
     points = np.zeros((3, 6))
     points[:, :4], points[:, 4:] = pose, tilt
     points[:2, :2] -= move
@@ -117,11 +117,11 @@ def show_grouping(
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
     how = level_named(level)
-    obstacles = sample(tuple(stimulus_of(name) for name in NAMES))
+    obstacles = sample(tuple(make_stimulus(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
-        work = _Work(sensor, NAMES, obstacles, path_of(scenes(kind, count)))
+        work = _Work(sensor, NAMES, obstacles, make_paths(scenes(kind, count)))
         batches = work.plan(how)
         alone = [
             len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes)

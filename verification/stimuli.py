@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.scene.shapes import disk, stroke
+from jaxunshear.scene.shapes import make_disk, make_stroke
 from jaxunshear.scene.stimuli import Stimulus
 
 _ARM = np.array(
@@ -16,11 +16,14 @@ _ARM = np.array(
 SHAPES = {
     shape.name: shape
     for shape in (
-        Stimulus("2-mm spiral arm", stroke(_ARM, 1.0), (3 + 2 * np.pi + 1.0, 0.0, 0.0), 17.0),
-        Stimulus("smaller than a pin", disk(0.3), (0.0, 0.0, 0.0), 0.3),
-        Stimulus("a point", disk(0.0), (0.0, 0.0, 0.0), 0.0),
+        Stimulus("2-mm spiral arm", make_stroke(_ARM, 1.0), (3 + 2 * np.pi + 1.0, 0.0, 0.0), 17.0),
+        Stimulus("smaller than a pin", make_disk(0.3), (0.0, 0.0, 0.0), 0.3),
+        Stimulus("a point", make_disk(0.0), (0.0, 0.0, 0.0), 0.0),
         Stimulus(
-            "a hair", stroke(np.array([[-40.0, 0.0], [40.0, 0.0]]), 0.0), (0.0, 0.0, 90.0), 40.0
+            "a hair",
+            make_stroke(np.array([[-40.0, 0.0], [40.0, 0.0]]), 0.0),
+            (0.0, 0.0, 90.0),
+            40.0,
         ),
         Stimulus("empty", lambda p: jnp.full(p.shape[:-1], 1e3, p.dtype), (0.0, 0.0, 0.0), 0.0),
         Stimulus(
@@ -30,6 +33,6 @@ SHAPES = {
         Stimulus(
             "infinite", lambda p: jnp.full(p.shape[:-1], jnp.inf, p.dtype), (0.0, 0.0, 0.0), 1.0
         ),
-        Stimulus("NaN target", disk(50.0), (np.nan, 0.0, 0.0), 50.0),
+        Stimulus("NaN target", make_disk(50.0), (np.nan, 0.0, 0.0), 50.0),
     )
 }

@@ -16,7 +16,7 @@ from jaxunshear.calibration.labels import HALF_PLANE, Motions, to_paths
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import project
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
-from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import Sensor
@@ -74,7 +74,7 @@ def probe(sensor: Sensor, ratio: float) -> Sensor:
 @lru_cache(maxsize=64)
 def interpolation(sensor: Sensor) -> np.ndarray:
     """(P, Q): the probe's pins to the sensor's."""
-    return interpolation_at(sensor, pin_lattice(sensor))
+    return interpolation_at(sensor, compute_pin_lattice(sensor))
 
 
 def interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ def displacements(
     moved, converged = np.zeros((len(paths), body.pins, 3), np.float32), np.zeros(len(paths), bool)
     if fine.any():
         solved, _ = follow(body, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
-        moved[fine] = solved.pins - pin_tips(body).astype(np.float32)
+        moved[fine] = solved.pins - compute_pin_tips(body).astype(np.float32)
         converged[fine] = solved.converged
     return moved, converged
 
@@ -158,7 +158,7 @@ def place_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pins (N, P, 2) px of an image of `size` from its middle for probe displacements (N, Q, 3), and (P, 2) undisturbed ones."""
     own = values.sensor(sensor)
-    tips = pin_tips(own)
+    tips = compute_pin_tips(own)
     rest = seen_at(values, sensor, size, tips)
     if moved is None:
         return rest[None], rest

@@ -16,7 +16,7 @@ from jaxunshear.image.camera import frame, outer_fraction
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import binarise
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
 
@@ -47,7 +47,7 @@ def contact_tips(
     fine = within_reach(sensor, paths)
     solved, _ = follow(sensor, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
     tips, converged = (
-        np.repeat(pin_tips(sensor)[None], len(paths), axis=0),
+        np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0),
         np.zeros(len(paths), bool),
     )
     tips[fine], converged[fine] = solved.pins, solved.converged

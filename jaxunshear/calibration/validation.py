@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxunshear.calibration.prediction import Values, interpolation_at, seen_at, spread
 from jaxunshear.calibration.statistics import less_mean
-from jaxunshear.scene.pins import pin_tips, tips_at
+from jaxunshear.scene.pin_layout import compute_pin_tips, compute_tips_at
 from jaxunshear.settings.sensor import Sensor
 
 FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
@@ -62,7 +62,7 @@ def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.nda
     own = values.sensor(sensor)
     angle = np.radians(np.linspace(0, FARTHEST_DEG, 500))
     line = np.stack([angle * own.dome_radius_mm, np.zeros_like(angle)], -1)
-    seen = seen_at(values, sensor, size, tips_at(own, line))[:, 0]
+    seen = seen_at(values, sensor, size, compute_tips_at(own, line))[:, 0]
     radius = np.linalg.norm(rest, axis=-1)
     arc = np.interp(radius, seen, line[:, 0])
     return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
@@ -74,7 +74,7 @@ def places(
     """(N, P, 2) px from the middle, of pins at `flat` (P, 2) mm of arc, for displacements (N, Q, 3) mm of the probe's pins."""
     weights = interpolation_at(sensor, flat)
     return seen_at(
-        values, sensor, size, tips_at(values.sensor(sensor), flat) + spread(weights, moved)
+        values, sensor, size, compute_tips_at(values.sensor(sensor), flat) + spread(weights, moved)
     )
 
 
@@ -87,7 +87,9 @@ def settled(
     flat = stand(values, sensor, size, wanted)
     for _ in range(SETTLING):
         simulated = places(values, sensor, size, flat, moved)
-        drift = np.mean(simulated, axis=0) - seen_at(values, sensor, size, tips_at(own, flat))
+        drift = np.mean(simulated, axis=0) - seen_at(
+            values, sensor, size, compute_tips_at(own, flat)
+        )
         flat = stand(values, sensor, size, wanted - drift)
     return flat, places(values, sensor, size, flat, moved)
 
@@ -95,11 +97,11 @@ def settled(
 def mm_per_px(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np.ndarray:
     """(P,) at the height of each untouched pin."""
     own, camera = values.sensor(sensor), values.camera(size)
-    apex = pin_tips(own)[0, 2]
+    apex = compute_pin_tips(own)[0, 2]
     return (
         camera.mm_across
         / size
-        * (camera.distance_mm - tips_at(own, flat)[:, 2])
+        * (camera.distance_mm - compute_tips_at(own, flat)[:, 2])
         / (camera.distance_mm - apex)
     )
 

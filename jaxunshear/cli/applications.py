@@ -43,11 +43,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if out.resolve() != home.resolve():
         check_apart(out, "--out")
     found = WORK[arguments.command].run(arguments, out, model)
-    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.results.stored import write
     from jaxunshear.results.trained import read_trained
 
-    results = provenance(command) | vars(found)
+    results = describe_provenance(command) | vars(found)
     if model:
         results |= read_trained(model[0], model[1].networks)
     if arguments.json:

@@ -48,7 +48,7 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns 0."""
-    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.places import check_beside
     from jaxunshear.storage import write_json
 
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_beside(arguments.recordings, arguments.out, "--out")
     found = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
     if arguments.json is not None:
-        write_json(arguments.json, provenance(command) | found)
+        write_json(arguments.json, describe_provenance(command) | found)
     return 0
 
 

@@ -30,9 +30,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     _check_port(arguments.port)
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.folders import load_settings, model_folder
-    from jaxunshear.scene.stimuli import stimulus_of
+    from jaxunshear.scene.stimuli import make_stimulus
 
-    own = tuple(map(stimulus_of, stimuli_of(arguments.stimulus))) if arguments.stimulus else ()
+    own = tuple(map(make_stimulus, stimuli_of(arguments.stimulus))) if arguments.stimulus else ()
     folder = model_folder(arguments.model)
     explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
     explorer.warm()

@@ -77,11 +77,11 @@ def add_stimulus(parser: argparse.ArgumentParser) -> None:
 
 def stimuli_of(text: str) -> tuple[Touched, ...]:
     """The objects that --stimulus names. Raises UserError."""
-    from jaxunshear.scene.stimuli import SHAPES, followed
+    from jaxunshear.scene.stimuli import SHAPES, get_closed_stimulus
 
     found = tuple(touched(name.strip()) for name in (SHAPES if text == "all" else text.split(",")))
     for one in found:
-        followed(one)
+        get_closed_stimulus(one)
     if len(set(stimulus_names(found))) < len(found):
         raise UserError(f"--stimulus {text}: name each once")
     return found

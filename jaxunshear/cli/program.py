@@ -141,7 +141,7 @@ def _write_rows(file: Path | None, rows: list[Json], command: str, packages: Seq
     """Write rows into `file`, if there is one, in the place of those written before."""
     if file is None:
         return
-    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.storage import write_json
 
-    write_json(file, provenance(command, *packages) | {"rows": rows})
+    write_json(file, describe_provenance(command, *packages) | {"rows": rows})

@@ -26,7 +26,7 @@ from jaxunshear.contact.state import contact_state
 from jaxunshear.contact.systems import dome, matrices, system_of
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
-from jaxunshear.scene.stimuli import Stimulus, stimulus_of
+from jaxunshear.scene.stimuli import Stimulus, make_stimulus
 from jaxunshear.settings.reach import ring_arcs, ring_spacing
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline
@@ -41,7 +41,7 @@ Stimuli = tuple[str | Outline | Stimulus, ...]
 
 def obstacles_of(names: Stimuli) -> Obstacles:
     """The shapes as the contact sees them; sampled once."""
-    return _obstacles(tuple(stimulus_of(name) for name in names))
+    return _obstacles(tuple(make_stimulus(name) for name in names))
 
 
 @lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand

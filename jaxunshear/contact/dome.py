@@ -22,7 +22,7 @@ from jaxunshear.contact.elasticity import Compliance, Response, isotropic, put_t
 from jaxunshear.contact.mesh import dome_mesh
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.settings.reach import RING_MM, ring_arcs, ring_spacing
 from jaxunshear.settings.sensor import Sensor, check_sensor
 from jaxunshear.storage import cache_folder
@@ -63,9 +63,9 @@ def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> 
     materials = np.where(mesh.skin[:, None, None], skin, gel)
     arcs = ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
-    levers, part = pin_levers(sensor), mesh.skin if varied else None
+    levers, part = compute_pin_levers(sensor), mesh.skin if varied else None
     return respond(
-        mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), levers, part, progress
+        mesh, materials, hats, compute_pin_tips(sensor), _harmonics(sensor), levers, part, progress
     )
 
 

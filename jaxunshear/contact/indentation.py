@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from jaxunshear.contact.skins import Skins
 from jaxunshear.contact.systems import dome
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import Sensor
 
 
@@ -33,7 +33,7 @@ def _above_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.nda
     across = np.linalg.norm(outward[:, :2], axis=-1)
     arc = sensor.dome_radius_mm * np.arctan2(across, -outward[:, 2])
     flat = outward[:, :2] * (arc / np.maximum(across, 1e-12))[:, None]
-    mesh, pins = Delaunay(flat), pin_lattice(sensor)
+    mesh, pins = Delaunay(flat), compute_pin_lattice(sensor)
     triangle = mesh.find_simplex(pins)
     beyond = triangle < 0
     transform = mesh.transform[triangle]

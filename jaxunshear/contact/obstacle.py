@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import Stimulus, signed_distance
+from jaxunshear.scene.stimuli import Stimulus, compute_signed_distance
 
 EDGE_RADIUS_MM = 1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
 REACH_MM = 125.0  # beyond every shape, seen from its target
@@ -36,7 +36,9 @@ def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
 
     def grid(stimulus: Stimulus) -> jax.Array:
-        row = lambda y: signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))  # noqa: E731
+        row = lambda y: compute_signed_distance(
+            stimulus, jnp.stack([line, jnp.full_like(line, y)], -1)
+        )
         return jax.jit(partial(jax.lax.map, row))(
             line
         )  # row by row: a shape of many segments needs memory

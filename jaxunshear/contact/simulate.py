@@ -27,7 +27,7 @@ from jaxunshear.contact.scope import (
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.contact.systems import dome
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import Paths, path_of
+from jaxunshear.scene.paths import Paths, make_paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
 
@@ -51,7 +51,7 @@ def simulate(
     """
     check_scenes(scenes)
     return follow(
-        sensor, names, path_of(scenes), level, batch=batch, retry=retry, progress=progress
+        sensor, names, make_paths(scenes), level, batch=batch, retry=retry, progress=progress
     )[0]
 
 
@@ -109,7 +109,7 @@ def plan(
 ) -> list[np.ndarray]:
     """The scenes' rows, batch by batch, as `simulate` groups them."""
     check_scenes(scenes)
-    paths = path_of(scenes)
+    paths = make_paths(scenes)
     check_paths(sensor, len(names), paths)
     return [
         part.rows

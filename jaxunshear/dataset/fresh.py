@@ -12,8 +12,8 @@ from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.shots import draw_paired
-from jaxunshear.scene.paths import path_of
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.paths import make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.settings.splits import BLOCK
 
@@ -52,7 +52,7 @@ def fresh_contacts(
             settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
         )
     shots = draw_paired(settings)
-    contacts, skins = follow(experiment.sensor, paired.stimuli, path_of(shots.scenes))
+    contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(shots.scenes))
     slid = np.flatnonzero(shots.slid)
     tapped = np.flatnonzero(~shots.slid)  # in the same order: one tap and one slide a pose
     good = contacts.converged[slid] & contacts.converged[tapped]
@@ -75,7 +75,7 @@ def fresh_contacts(
 def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
     paired, _ = simulated_of(experiment, "this")
-    tips = np.repeat(pin_tips(experiment.sensor)[None], count, axis=0)
+    tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
     return render(
         paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)
     )[0]

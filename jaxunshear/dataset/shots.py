@@ -12,11 +12,11 @@ import numpy as np
 from jaxunshear.angles import rotate_2d
 from jaxunshear.scene.scene import (
     Scenes,
-    draw_moves,
-    draw_poses,
-    draw_tilts,
-    edge_labels,
+    compute_edge_labels,
     make_scenes,
+    sample_poses,
+    sample_slides,
+    sample_tilts,
 )
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
@@ -39,7 +39,7 @@ class Shots(NamedTuple):
     split: np.ndarray  # (B,) index into `splits.SPLITS`
     edge: (
         np.ndarray
-    )  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.edge_labels`
+    )  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.compute_edge_labels`
 
 
 def check(settings: PairedData | PoseData) -> None:
@@ -58,17 +58,19 @@ def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
     ranges = settings.ranges
     depth = (ranges.depth_min_mm, ranges.depth_max_mm)
     generator = _generator(settings.seed, stimulus, "pose")
-    poses = draw_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
+    poses = sample_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
     if not ranges.tilt_deg:
         return poses
-    tilts = draw_tilts(_generator(settings.seed, stimulus, "tilt"), settings.poses, ranges.tilt_deg)
+    tilts = sample_tilts(
+        _generator(settings.seed, stimulus, "tilt"), settings.poses, ranges.tilt_deg
+    )
     return np.concatenate([poses, tilts], axis=1)
 
 
 def _slides(settings: PairedData, stimulus: str) -> np.ndarray:
     """(poses, slides, 2), or 3 with their twists."""
     ranges, shape = settings.ranges, (settings.poses, settings.slides)
-    moves = draw_moves(
+    moves = sample_slides(
         _generator(settings.seed, stimulus, "move"),
         settings.poses * settings.slides,
         ranges.move_mm,
@@ -157,7 +159,9 @@ def _shots(
         [np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names]
     )
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
-    return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(settings.stimuli, scenes))
+    return Shots(
+        scenes, pose_id, instance, slid, age, split, compute_edge_labels(settings.stimuli, scenes)
+    )
 
 
 def draw(settings: PairedData | PoseData) -> Shots:

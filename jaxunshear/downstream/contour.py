@@ -13,7 +13,12 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from jaxunshear.contact.obstacle import REACH_MM
-from jaxunshear.scene.stimuli import Stimulus, distances, outward_normal, signed_distance
+from jaxunshear.scene.stimuli import (
+    Stimulus,
+    compute_distances,
+    compute_outward_normal,
+    compute_signed_distance,
+)
 
 GRID_MM = 0.25
 SPACING_MM = 0.1
@@ -36,7 +41,7 @@ class Contour(NamedTuple):
 def outline(stimulus: Stimulus) -> Contour:
     """The longest closed curve on which the signed distance is zero, to about 0.01 mm."""
     line = np.arange(-REACH_MM, REACH_MM + GRID_MM / 2, GRID_MM)
-    distance = distances(stimulus, np.stack(np.meshgrid(line, line), -1))
+    distance = compute_distances(stimulus, np.stack(np.meshgrid(line, line), -1))
     curves = [line[0] + GRID_MM * curve[:, ::-1] for curve in find_contours(distance, 0.0)]
     curve = max(curves, key=_length)
     x, y = curve.T
@@ -60,7 +65,7 @@ def _on_edge(stimulus: Stimulus, points: np.ndarray) -> tuple[np.ndarray, np.nda
     """Normals (K, 2), and points (K, 2) moved along them onto the edge."""
 
     def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
+        return compute_signed_distance(stimulus, xy), compute_outward_normal(stimulus, xy)
 
     distance, normal = (
         np.asarray(value, float) for value in jax.jit(both)(jnp.asarray(points, jnp.float32))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxunshear.downstream.geometry import fit_inverse, indentation_of, relative_growth
 from jaxunshear.downstream.reconstruct import Fused, interpolated, ridge_shape, skin_places
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
 
 VORONOI, SKIN = "voronoi", "skin"
@@ -47,7 +47,7 @@ def makers_of(
     motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
     inverse = fit_inverse(lattice, motion, indentation_mm[followed])
-    tips = pin_tips(sensor)[:, :2]
+    tips = compute_pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
     undeformed = sensor.dome_radius_mm * (1 - towards_axis)

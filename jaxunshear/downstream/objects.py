@@ -31,7 +31,7 @@ from jaxunshear.inference import perception
 from jaxunshear.inference.perception import Unshear
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import ObjectScore
-from jaxunshear.scene.stimuli import distances, stimulus_of
+from jaxunshear.scene.stimuli import compute_distances, make_stimulus
 from jaxunshear.settings.experiment import Experiment, simulated_of
 
 EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
@@ -59,7 +59,7 @@ def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]
     distance = np.zeros(xy.shape[:2])
     for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
-        distance[rows] = distances(stimulus_of(touched), xy[rows])
+        distance[rows] = compute_distances(make_stimulus(touched), xy[rows])
     return makers_of(
         experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance
     )
@@ -86,7 +86,7 @@ def solids(
     for name, maker in makers.items():
         fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
         shape = maker.shape(fused)
-        true = distances(stimulus_of(course.stimulus), fused.xy) < 0
+        true = compute_distances(make_stimulus(course.stimulus), fused.xy) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
@@ -143,7 +143,7 @@ def _objects(
     makers: Mapping[str, Maker],
 ) -> Objects:
     course, walks = walked
-    line = outline(stimulus_of(course.stimulus))
+    line = outline(make_stimulus(course.stimulus))
     lattice = perception.lattice_of(experiment)
     typical: dict[tuple[str, str], Solid] = {}
     scores = []

@@ -19,7 +19,7 @@ from skimage.segmentation import watershed
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.downstream.contour import Contour, off
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
 
 CELL_MM = 0.5
@@ -43,7 +43,7 @@ class Fused(NamedTuple):
 def skin_places(sensor: Sensor) -> np.ndarray:
     """(P, 2) mm in the sensor frame: the outer face of the undeformed skin above each pin, seen from above."""
     centre = np.array([0, 0, sensor.dome_radius_mm])
-    outward = pin_tips(sensor) - centre
+    outward = compute_pin_tips(sensor) - centre
     return sensor.dome_radius_mm * outward[:, :2] / np.linalg.norm(outward, axis=-1, keepdims=True)
 
 

@@ -29,8 +29,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference.perception import Perceive
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.scene import edge_teller
-from jaxunshear.scene.stimuli import stimulus_of
+from jaxunshear.scene.scene import make_edge_labeler
+from jaxunshear.scene.stimuli import make_stimulus
 from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
@@ -106,14 +106,14 @@ def follow_contour(
     goes on from there. None: nowhere.
     `digests` of the networks of each way identify walks of other networks.
     """
-    stimulus = stimulus_of(course.stimulus)
+    stimulus = make_stimulus(course.stimulus)
     line = outline(stimulus)
     made = made_with(sensor, settings, digests)
     walks = _stored(file, course, tuple(ways), made) or _at_starts(
         course, line, tuple(ways), settings, made
     )
     total = walks.point.shape[1]
-    steer, report = jax.jit(control, static_argnums=0), edge_teller(stimulus)
+    steer, report = jax.jit(control, static_argnums=0), make_edge_labeler(stimulus)
     with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
         while walks.steps < total and np.any(walks.end == WALKING):
             _take_step(walks, course, sensor, settings, line, ways, steer, report)
@@ -228,7 +228,7 @@ def _touch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves the walks `rows` on to this step's points: images (W, S, S), and how the contact ends a walk (W,)."""
     began = time.perf_counter()
-    count, own = len(walks.way), stimulus_of(course.stimulus).friction
+    count, own = len(walks.way), make_stimulus(course.stimulus).friction
     friction = own if settings.friction is None else settings.friction
     points = np.zeros((len(rows), 2, 6))
     points[:, 0, :3] = walks.point[rows, max(step - 1, 0)]

@@ -16,7 +16,7 @@ from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, Course, Walks, follo
 from jaxunshear.errors import UserError
 from jaxunshear.inference import perception
 from jaxunshear.results.applications import WalkScore
-from jaxunshear.scene.stimuli import followed
+from jaxunshear.scene.stimuli import get_closed_stimulus
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import Sensor
@@ -69,7 +69,7 @@ def servo(
 
 def _check(course: Course, sensor: Sensor) -> None:
     """Raises UserError for what no walk can start with."""
-    followed(course.stimulus)
+    get_closed_stimulus(course.stimulus)
     if course.starts < 1:
         raise UserError(f"--starts {course.starts}: use at least 1")
     if course.seed < 0:

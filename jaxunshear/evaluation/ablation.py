@@ -17,8 +17,8 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
-from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.metrics.machine import provenance
+from jaxunshear.metrics import count_scales, format_ms_ssim_name
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
 from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
@@ -95,12 +95,12 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     results = {
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
-        "metric": {"ms_ssim": ms_ssim_name(scales_that_fit(net.size))},
+        "metric": {"ms_ssim": format_ms_ssim_name(count_scales(net.size))},
         "rows": rows_of(scores, poses),
         "contacts": total,
         "seed": SEED,
         **read_trained(run_dir, experiment.networks),
-        **provenance(command),
+        **describe_provenance(command),
     }
     write_json(Path(run_dir) / "ablation.json", results)
     return results

@@ -40,8 +40,8 @@ from jaxunshear.evaluation.summary import (
 )
 from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.image.framing import undeformed
-from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.metrics.machine import provenance
+from jaxunshear.metrics import count_scales, format_ms_ssim_name
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
 from jaxunshear.results.stored import write
 from jaxunshear.results.times import read_times
@@ -92,7 +92,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         ms_per_image=ms_per_image(run_dir, experiment.networks),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
         **read_trained(run_dir, experiment.networks),
-        **provenance(command),
+        **describe_provenance(command),
     )
     results = rounded(results)
     if gathered is not None:
@@ -215,7 +215,7 @@ def results_of(
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
     names, size = paired.names, paired.preprocess.size
-    scales = scales_that_fit(size)
+    scales = count_scales(size)
     targets = of_ranges(experiment.targets, paired.ranges)
     true = true_values(targets, labels)
     tested = further_tests(experiment) | {FOUND: paired}
@@ -223,7 +223,7 @@ def results_of(
         experiment=experiment.name,
         claim=experiment.claim,
         metric={
-            "ms_ssim": ms_ssim_name(scales),
+            "ms_ssim": format_ms_ssim_name(scales),
             "image_px": size,
             "scales": scales,
             "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides)",
@@ -231,7 +231,7 @@ def results_of(
             "pose_ratio": "error over the error on sheared images",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "difference": "disentangled less this network, contact by contact",
-            "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
+            "swap": f"mean squared error, SSIM and {format_ms_ssim_name(scales)} of a decoder's image with its target",
             "pins": "root mean square distance of pins, by identity, from the tap's; mean over slides",
             "followed": "of test images: share whose pins were identified for sure, and how far these were from the true ones",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",

@@ -30,8 +30,8 @@ from jaxunshear.evaluation.probed_slides import (
 from jaxunshear.evaluation.probes import FAMILIES
 from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, redrawn_means
-from jaxunshear.metrics.independence import r2
-from jaxunshear.metrics.machine import provenance
+from jaxunshear.metrics.independence import compute_r2
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
@@ -103,7 +103,7 @@ def leakage(
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         **read_trained(run_dir, experiment.networks),
-        **provenance(command),
+        **describe_provenance(command),
     }
     for row in rows:
         del row["estimate"]
@@ -124,7 +124,7 @@ def probe_quantity(
         name: np.sum(np.square(probe(codes[0], known, codes[1], groups) - true), axis=1)
         for name, probe in FAMILIES.items()
     }
-    families = {name: r2(errors, scatter) for name, errors in squares.items()}
+    families = {name: compute_r2(errors, scatter) for name, errors in squares.items()}
     best = max(families, key=families.__getitem__)
     return Estimate(best, squares[best], scatter, families)
 

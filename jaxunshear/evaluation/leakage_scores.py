@@ -8,7 +8,7 @@ from jaxunshear.evaluation.probed_slides import Split
 from jaxunshear.evaluation.probes import fit_whitening
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
-from jaxunshear.metrics.independence import hsic
+from jaxunshear.metrics.independence import compute_hsic
 from jaxunshear.storage import Json
 
 SEED = 0
@@ -33,10 +33,10 @@ def measure_independence(
         if not row["leak"] or row["ceiling"] is None:
             continue
         code, quantity = codes[row["code"]], test.wanted[row["what"]][row["quantity"]][chosen]
-        statistic, p = hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
+        statistic, p = compute_hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
         hidden = PLANTED * code.std(axis=0).max() * quantity / max(quantity.std(), 1e-12)
         planted = np.concatenate([code[shuffled], hidden], axis=1)
-        _, power = hsic(fit_whitening(planted).apply(planted), quantity, SEED)
+        _, power = compute_hsic(fit_whitening(planted).apply(planted), quantity, SEED)
         name = f"{row['quantity']} and {row['code']}"
         found.append(
             {"name": name, "hsic": statistic, "p": p, "planted p": power, "poses": len(chosen)}

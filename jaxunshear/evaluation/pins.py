@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.metrics.pins import pin_error
+from jaxunshear.metrics.pin_error import measure_pin_error
 
 
 def pin_errors(
@@ -26,7 +26,7 @@ def pin_errors(
     lie within half the tap's pitch. NaN where no pin found a partner.
     """
     limit = half_pitch(tap_pins)
-    found = {kind: pin_error(stack, tap_pins, limit) for kind, stack in images.items()}
+    found = {kind: measure_pin_error(stack, tap_pins, limit) for kind, stack in images.items()}
     squares = np.sum(np.square(sheared_pins.astype(np.float64) - tap_pins), axis=-1)
     found["true_slide"] = {"rms_px": float(np.sqrt(squares.mean()))}
     return {

@@ -24,7 +24,7 @@ from jaxunshear.evaluation.recorded_facts import counts_of, pairing_of, recordin
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses, redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
-from jaxunshear.metrics import ms_ssim_name, scales_that_fit
+from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.results.run import Results, Tables, TestData
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import POSENET, POSENETS
@@ -150,7 +150,7 @@ def results_of(
 ) -> Results:
     """All of the results that follow from the scores alone."""
     size = stored.size
-    scales = scales_that_fit(size)
+    scales = count_scales(size)
     pins = over_pins(experiment)
     found = _tables(slides, taps, targets)
     labels = slides.labels if slides is not None else taps.labels if taps is not None else {}
@@ -159,7 +159,7 @@ def results_of(
         claim=experiment.claim,
         simulated=False,
         metric={
-            "ms_ssim": ms_ssim_name(scales),
+            "ms_ssim": format_ms_ssim_name(scales),
             "image_px": size,
             "scales": scales,
             "input": experiment.unshear.input,
@@ -170,7 +170,7 @@ def results_of(
             "difference": "disentangled less this network, slide by slide",
             "swap": "of drawn pins"
             if pins
-            else f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image",
+            else f"mean squared error, SSIM and {format_ms_ssim_name(scales)} of a decoder's image",
             "pin_error": "of pins by identity, with the partner's"
             if pins
             else "matched centroids with the partner's pins",

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
-from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
+from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, ssim
 from jaxunshear.settings.registry import DISENTANGLED, UNSHEARING
 from jaxunshear.settings.targets import Targets
 
@@ -47,7 +47,7 @@ def target_of(cell: str) -> str:
 
 def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
     """CELL_METRICS as functions of two batches of images of `size` px; MS-SSIM with as many scales as these carry, at most five."""
-    scales = scales_that_fit(size)
+    scales = count_scales(size)
     return {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
 
 
@@ -73,7 +73,7 @@ def pose_scores(
     """Absolute pose errors, each (B,), named `<table>/<kind>/<quantity>`."""
     scores = {}
     for kind, predicted in poses.items():
-        for quantity, error in pose_errors(predicted, true).items():
+        for quantity, error in compute_pose_errors(predicted, true).items():
             scores[f"{table}/{kind}/{quantity}"] = error
     return scores
 
@@ -106,4 +106,4 @@ def chance(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
             middle[target.name][:] = np.degrees(
                 np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
             )
-    return {name: float(error.mean()) for name, error in pose_errors(middle, true).items()}
+    return {name: float(error.mean()) for name, error in compute_pose_errors(middle, true).items()}

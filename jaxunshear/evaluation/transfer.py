@@ -29,8 +29,8 @@ from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, perceiver
-from jaxunshear.metrics.machine import provenance
-from jaxunshear.metrics.pose import pose_errors
+from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 from jaxunshear.results.trained import read_trained
@@ -116,7 +116,7 @@ def score_transfer(
         counts=_count(known_half, tap_read, slide_read),
         time_s={"evaluate": time.perf_counter() - started},
         **read_trained(model, experiment.networks),
-        **provenance(command),
+        **describe_provenance(command),
     )
     return rounded(results)
 
@@ -288,7 +288,7 @@ def _errors_of(reader: PoseReader, pins: np.ndarray, labels: np.ndarray) -> dict
 
 def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
     true = {name: labels[:, RECORDED[name][1]] for name in found}
-    return {name: float(error.mean()) for name, error in pose_errors(found, true).items()}
+    return {name: float(error.mean()) for name, error in compute_pose_errors(found, true).items()}
 
 
 def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:

@@ -20,7 +20,7 @@ from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.recorded_facts import describe_test
 from jaxunshear.evaluation.within import coverage
-from jaxunshear.metrics.machine import provenance
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
 from jaxunshear.results.stored import read
 from jaxunshear.results.trained import read_trained
@@ -79,7 +79,7 @@ def score_recordings(
             trained_in=run_dir.name,
             time_s={"evaluate": time.perf_counter() - started},
             **read_trained(run_dir, experiment.networks),
-            **provenance(command),
+            **describe_provenance(command),
         )
     )
 

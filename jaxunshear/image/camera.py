@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Float32
 
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
 
@@ -60,7 +60,7 @@ def to_image_px(
 
 def outer_fraction(camera: Camera, sensor: Sensor) -> float:
     """Radius of the outermost undeformed pins as a fraction of the frame's width: the framing, comparable with real frames."""
-    tips = pin_tips(sensor)
+    tips = compute_pin_tips(sensor)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (camera.distance_mm - tips[:, 2])
     return float(_focal_px(camera, sensor) * radius.max() / camera.frame_px)
 

@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found, outline
 from jaxunshear.image.tracking import follow_all
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import Sensor
 
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
@@ -36,7 +36,10 @@ class Layout(NamedTuple):
 def layout_of(sensor: Sensor) -> Layout:
     """The pins of a sensor, in its order."""
     return Layout(
-        f"sensor '{sensor.name}' ({sensor.layout})", pin_lattice(sensor), shells(sensor), 60.0
+        f"sensor '{sensor.name}' ({sensor.layout})",
+        compute_pin_lattice(sensor),
+        shells(sensor),
+        60.0,
     )
 
 

@@ -5,12 +5,12 @@ import numpy as np
 
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.lattice import Lattice, make_lattice, shells
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.sensor import Sensor
 
 
 def undeformed(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
     """The lattice of a sensor that touches nothing, seen through this camera and prepared like all frames."""
-    px = project(camera, jnp.asarray(pin_tips(sensor), jnp.float32), sensor)
+    px = project(camera, jnp.asarray(compute_pin_tips(sensor), jnp.float32), sensor)
     return make_lattice(np.asarray(to_image_px(camera, preprocess, px), float), shells(sensor))

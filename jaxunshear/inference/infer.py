@@ -226,7 +226,7 @@ def _print_summary(notes: list[str], log: Log) -> None:
 
 
 def _measured(rows: list[Measurement]) -> Measured:
-    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.metrics.machine import describe_machine, list_versions
     from jaxunshear.source import read_source
 
-    return Measured(rows, machine(), versions(), read_source())
+    return Measured(rows, describe_machine(), list_versions(), read_source())

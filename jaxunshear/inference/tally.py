@@ -66,11 +66,11 @@ class LabelErrors:
     def add(self, rows: list[int], answers: "Answers") -> None:
         if self._true is None:
             return
-        from jaxunshear.metrics.pose import pose_errors
+        from jaxunshear.metrics.pose_error import compute_pose_errors
 
         true = {name: values[rows] for name, values in self._true.items()}
         for way, poses in answers.poses.items():
-            for name, error in pose_errors(
+            for name, error in compute_pose_errors(
                 {n: v[: len(rows)] for n, v in poses.items()}, true
             ).items():
                 self._found.setdefault(f"{way}.{name}", []).append(error[np.isfinite(error)])

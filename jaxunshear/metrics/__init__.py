@@ -1,6 +1,6 @@
 """Measures of images, pins and poses: pure functions on arrays."""
 
-from jaxunshear.metrics.images import ms_ssim, ms_ssim_name, mse, scales_that_fit, ssim
-from jaxunshear.metrics.pose import pose_errors
+from jaxunshear.metrics.images import count_scales, format_ms_ssim_name, ms_ssim, mse, ssim
+from jaxunshear.metrics.pose_error import compute_pose_errors
 
-__all__ = ["ms_ssim", "ms_ssim_name", "mse", "pose_errors", "scales_that_fit", "ssim"]
+__all__ = ["compute_pose_errors", "count_scales", "format_ms_ssim_name", "ms_ssim", "mse", "ssim"]

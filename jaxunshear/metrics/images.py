@@ -7,7 +7,7 @@ The choice that is not obvious: windows and means are separable, so each is a pr
 left and one from the right. On a CPU two matrix products are faster than a convolution with one channel, and their
 gradient is two more of them.
 
->>> ms_ssim(unsheared, tap, scales=scales_that_fit(128))   # (B, 128, 128, 1) in [0, 1] -> (B,)
+>>> ms_ssim(unsheared, tap, scales=count_scales(128))   # (B, 128, 128, 1) in [0, 1] -> (B,)
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the scales, finest firs
 _NOTHING = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean: 0
 
 
-def scales_that_fit(size: int) -> int:
+def count_scales(size: int) -> int:
     """How many scales of MS-SSIM fit an image of `size` pixels: at most 5, and the window must fit each; 0 below 11."""
     scales = 0
     while scales < len(WEIGHTS) and size >= WINDOW:
@@ -35,7 +35,7 @@ def scales_that_fit(size: int) -> int:
     return scales
 
 
-def ms_ssim_name(scales: int) -> str:
+def format_ms_ssim_name(scales: int) -> str:
     """The name a figure is reported under: `ms_ssim` only with all five scales, `ms_ssim@4` and the like otherwise."""
     return "ms_ssim" if scales == len(WEIGHTS) else f"ms_ssim@{scales}"
 
@@ -45,18 +45,18 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
 
     Contrast-structure at all scales but the coarsest, full SSIM there; each is averaged over its image, clamped at 0
     and raised to its weight. With fewer than five scales the first weights are used, made to sum to 1: another
-    quantity, to be reported under another name (`ms_ssim_name`). Images of odd size repeat their last row or column
+    quantity, to be reported under another name (`format_ms_ssim_name`). Images of odd size repeat their last row or column
     before a 2x2 mean. Values and gradients of finite images are finite; where a clamped factor makes the value 0, so is the
     gradient. An image with a NaN scores NaN.
 
     Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales that are no integer.
     """
-    a, b = _checked(a, b)
+    a, b = _check_images(a, b)
     if not isinstance(scales, int | np.integer) or not 1 <= scales <= len(WEIGHTS):
         raise ValueError(f"scales must be an integer, 1 to {len(WEIGHTS)}, not {scales}")
     scales = int(scales)
     size = min(a.shape[1:3])
-    if scales > (fit := scales_that_fit(size)):
+    if scales > (fit := count_scales(size)):
         height, width = a.shape[1:3]
         raise ValueError(
             f"a {height}x{width} image is too small for {scales} scales of MS-SSIM: {fit} fit"
@@ -69,7 +69,7 @@ def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
 
     Raises `ValueError` as `ms_ssim` does.
     """
-    a, b = _checked(a, b)
+    a, b = _check_images(a, b)
     if min(a.shape[1:3]) < WINDOW:
         raise ValueError(
             f"a {a.shape[1]}x{a.shape[2]} image is smaller than SSIM's window of {WINDOW} pixels"
@@ -79,11 +79,11 @@ def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
 
 def mse(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
     """Mean squared error of (B, H, W, 1) images in [0, 1]. Raises `ValueError` as `ms_ssim` does."""
-    a, b = _checked(a, b)
+    a, b = _check_images(a, b)
     return jnp.mean(jnp.square(a - b), axis=(1, 2, 3))
 
 
-def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+def _check_images(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     """Both as floating point of at least 32 bits."""
     a, b = jnp.asarray(a), jnp.asarray(b)
     if a.shape != b.shape or a.ndim != 4 or a.shape[-1] != 1:

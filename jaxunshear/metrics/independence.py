@@ -6,14 +6,14 @@ from jaxtyping import Float
 PERMUTATIONS = 199
 
 
-def r2(squares: Float[np.ndarray, "*N"], scatter: Float[np.ndarray, "*N"]) -> float:
+def compute_r2(squares: Float[np.ndarray, "*N"], scatter: Float[np.ndarray, "*N"]) -> float:
     """1 - SSE / SST of squared errors and squared distances from the mean: 1 where all is known, 0 where nothing is, below where a guess
     misleads; NaN where nothing varies."""
     total = float(np.sum(scatter, dtype=np.float64))
     return 1 - float(np.sum(squares, dtype=np.float64)) / total if total > 0 else float("nan")
 
 
-def hsic(
+def compute_hsic(
     one: Float[np.ndarray, "N F"], other: Float[np.ndarray, "M K"], seed: int = 0
 ) -> tuple[float, float]:
     """Hilbert-Schmidt independence criterion of N = M paired rows, with Gaussian kernels as wide as the median distance,
@@ -24,7 +24,7 @@ def hsic(
     """
     if len(one) < 4 or len(one) != len(other):
         raise ValueError("HSIC takes two arrays of one length, at least 4")
-    k, m = _centred(_kernel(one)), _centred(_kernel(other))
+    k, m = _centre_kernel(_kernel(one)), _centre_kernel(_kernel(other))
     scale = float(np.sqrt(np.sum(k * k) * np.sum(m * m)))
     if not scale:
         return 0.0, 1.0
@@ -44,5 +44,5 @@ def _kernel(values: np.ndarray) -> np.ndarray:
     return np.exp(-apart / middle) if middle > 0 else np.ones_like(apart)
 
 
-def _centred(kernel: np.ndarray) -> np.ndarray:
+def _centre_kernel(kernel: np.ndarray) -> np.ndarray:
     return kernel - kernel.mean(axis=0) - kernel.mean(axis=1, keepdims=True) + kernel.mean()

@@ -16,17 +16,17 @@ PACKAGES = (
 )
 
 
-def provenance(command: str, *more: str) -> Json:
+def describe_provenance(command: str, *more: str) -> Json:
     """Return the fields that every result has: its command, code, machine, and versions, those of `more` with them."""
     return {
         "command": command,
         "source": read_source(),
-        "machine": machine(),
-        "versions": versions(*more),
+        "machine": describe_machine(),
+        "versions": list_versions(*more),
     }
 
 
-def machine() -> Machine:
+def describe_machine() -> Machine:
     """Processor, usable cores, memory in GiB, system and JAX device of this machine."""
     import jax
 
@@ -40,7 +40,7 @@ def machine() -> Machine:
     )
 
 
-def versions(*more: str) -> dict[str, str]:
+def list_versions(*more: str) -> dict[str, str]:
     """Versions of Python, of each package that shapes the numbers, and of `more`; packages not installed are left out."""
     found = {"python": platform.python_version()}
     for package in (*PACKAGES, *more):

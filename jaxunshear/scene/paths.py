@@ -2,7 +2,7 @@
 
     press, slide and twist:  points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
 
-`Scenes` are the paper's two kinds of motion; `path_of` writes them out.
+`Scenes` are the paper's two kinds of motion; `make_paths` writes them out.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Paths:
         return Paths(self.stimulus[index], self.friction[index], self.points[index])
 
 
-def path_of(scenes: Scenes) -> Paths:
+def make_paths(scenes: Scenes) -> Paths:
     """Down at `pose - move`, then along `move` (nowhere for a tap): at one depth and one tilt, turning at an even pace."""
     points = np.zeros((len(scenes), 3, 6))
     points[..., : scenes.pose.shape[1]] = scenes.pose[:, None]

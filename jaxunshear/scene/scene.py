@@ -16,11 +16,16 @@ from jaxtyping import Bool, Float, Num
 
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_of
+from jaxunshear.scene.stimuli import (
+    Stimulus,
+    compute_outward_normal,
+    compute_signed_distance,
+    make_stimulus,
+)
 from jaxunshear.settings.stimuli import Outline
 
 NEAR_MM, TURN_DEG = 1.0, 30.0  # a direction that turns by more than this so near by is ambiguous
-RING = 16  # places that it is compared with
+AMBIGUITY_SAMPLES = 16  # places that it is compared with
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Scenes:
         )
 
 
-def draw_poses(
+def sample_poses(
     generator: np.random.Generator,
     count: int,
     lateral_mm: float,
@@ -57,7 +62,7 @@ def draw_poses(
     return generator.uniform(low, high, (count, 4))
 
 
-def draw_moves(
+def sample_slides(
     generator: np.random.Generator, count: int, move_mm: float
 ) -> Float[np.ndarray, "{count} 2"]:
     """Slide offsets in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
@@ -66,7 +71,7 @@ def draw_moves(
     return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
-def draw_tilts(
+def sample_tilts(
     generator: np.random.Generator, count: int, tilt_deg: float
 ) -> Float[np.ndarray, "{count} 2"]:
     """Tilts in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
@@ -85,20 +90,22 @@ def make_scenes(
     mu: float | None = None,
 ) -> Scenes:
     """Scenes with friction `mu`, or None for that of each stimulus' material."""
-    friction = np.array([stimulus_of(one).friction if mu is None else mu for one in stimuli])
+    friction = np.array([make_stimulus(one).friction if mu is None else mu for one in stimuli])
     return Scenes(
         np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus]
     )
 
 
-def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> Float[np.ndarray, "B 2"]:
+def compute_edge_labels(
+    stimuli: tuple[str | Outline, ...], scenes: Scenes
+) -> Float[np.ndarray, "B 2"]:
     """Signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
     and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
     smooth edge."""
     labels = np.zeros((len(scenes), 2))
     for index in np.unique(scenes.stimulus):
         here = scenes.stimulus == index
-        labels[here] = edge_teller(stimulus_of(stimuli[index]))(scenes.pose[here, :3])
+        labels[here] = make_edge_labeler(make_stimulus(stimuli[index]))(scenes.pose[here, :3])
     return labels
 
 
@@ -114,12 +121,12 @@ def has_one_edge(
     more than TURN_DEG anywhere on a circle of NEAR_MM about the sensor's point, or if it has no
     direction. `stimulus` is an index into `stimuli`; `pose` has x, y in mm in its first columns.
     """
-    angle = 2 * np.pi * np.arange(RING) / RING
+    angle = 2 * np.pi * np.arange(AMBIGUITY_SAMPLES) / AMBIGUITY_SAMPLES
     around = NEAR_MM * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     one = np.zeros(len(stimulus), bool)
     for index in np.unique(stimulus):
         here = stimulus == index
-        normal = jax.jit(partial(outward_normal, stimulus_of(stimuli[index])))
+        normal = jax.jit(partial(compute_outward_normal, make_stimulus(stimuli[index])))
         xy = jnp.asarray(pose[here, :2], jnp.float32)
         own, others = normal(xy), normal(xy[:, None] + jnp.asarray(around, jnp.float32)[None])
         turn = jnp.sum(own[:, None] * others, axis=-1)
@@ -127,12 +134,12 @@ def has_one_edge(
     return one
 
 
-def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
+def make_edge_labeler(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     """A function that gives the same two labels of points, x y mm and yaw deg; NaN where they are."""
 
     @jax.jit
     def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
+        return compute_signed_distance(stimulus, xy), compute_outward_normal(stimulus, xy)
 
     def report(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
         distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))

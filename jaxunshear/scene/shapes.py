@@ -5,7 +5,7 @@ the float; it is zero, never NaN, where all directions are as near, as in the mi
 
 A shape of one's own is a polygon, a stroke or any such function:
 
-    triangle = polygon(np.array([[0.0, 0.0], [30.0, 0.0], [0.0, 30.0]]))
+    triangle = make_polygon(np.array([[0.0, 0.0], [30.0, 0.0], [0.0, 30.0]]))
     Stimulus("triangle", triangle, target=(15.0, 0.0, -90.0), extent_mm=30.0)
 """
 
@@ -37,17 +37,17 @@ def _beside(table: np.ndarray, p: jax.Array) -> jax.Array:
     return jnp.asarray(table, p.dtype).reshape((1,) * (p.ndim - 1) + table.shape)
 
 
-def edge() -> Distance:
+def make_half_plane() -> Distance:
     """A half plane, its straight edge along y."""
     return lambda p: p[..., 0]
 
 
-def surface() -> Distance:
+def make_plane() -> Distance:
     """A plane without an edge: as if one were FAR_MM away, wherever it is asked."""
     return lambda p: jnp.full_like(p[..., 0], -FAR_MM)
 
 
-def disk(radius: float) -> Distance:
+def make_disk(radius: float) -> Distance:
     return lambda p: _length(p) - radius
 
 
@@ -56,7 +56,7 @@ def _fillet_centre(radius: float, offset: float, fillet: float) -> float:
     return float((offset + np.sqrt(2 * (radius + fillet) ** 2 - offset**2)) / 2)
 
 
-def clover(radius: float, offset: float, fillet: float) -> Distance:
+def make_clover(radius: float, offset: float, fillet: float) -> Distance:
     """Four disks about (+-offset, 0) and (0, +-offset); arcs of radius `fillet` round the four corners between them.
 
     What lies nearest to a point lies in the same eighth of the plane: there one lobe's arc passes into one fillet's, and the line
@@ -75,12 +75,12 @@ def clover(radius: float, offset: float, fillet: float) -> Distance:
     return distance
 
 
-def clover_corner(radius: float, offset: float, fillet: float) -> float:
+def compute_clover_corner(radius: float, offset: float, fillet: float) -> float:
     """x and y of the place where the diagonal leaves the clover."""
     return _fillet_centre(radius, offset, fillet) - fillet / float(np.sqrt(2))
 
 
-def teardrop(radius: float, tip_radius: float, length: float) -> Distance:
+def make_teardrop(radius: float, tip_radius: float, length: float) -> Distance:
     """Convex hull of a disk at the origin and a small one at (length, 0) (Quilez, 'uneven capsule')."""
     b = (radius - tip_radius) / length
     a = float(np.sqrt(1 - b * b))
@@ -95,7 +95,7 @@ def teardrop(radius: float, tip_radius: float, length: float) -> Distance:
     return distance
 
 
-def leaf(radius: float, offset: float, round_mm: float) -> Distance:
+def make_leaf(radius: float, offset: float, round_mm: float) -> Distance:
     """The overlap of two disks with centres (0, +-offset), its two tips rounded (Quilez, 'vesica')."""
     half = float(np.sqrt(radius**2 - offset**2))
 
@@ -134,7 +134,7 @@ def _on_curve(radius: Radius, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
     return jnp.stack([r * cos, r * sin], axis=-1), normal / jnp.sqrt(r**2 + rise**2)[..., None]
 
 
-def flower(mean: float, wave: float, petals: int) -> Distance:
+def make_flower(mean: float, wave: float, petals: int) -> Distance:
     """The outline `mean + wave cos(petals angle)`; by symmetry what is nearest to a point lies on the same half petal."""
     half = np.pi / petals
 
@@ -165,7 +165,7 @@ def flower(mean: float, wave: float, petals: int) -> Distance:
     return distance
 
 
-def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Distance:
+def make_spiral(inner: float, pitch: float, turns: float, half_width: float) -> Distance:
     """The curve `inner + pitch angle / 2 pi`, drawn with a round pen that nowhere reaches the next winding."""
     last = 2 * np.pi * turns
 
@@ -188,7 +188,7 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
     return distance
 
 
-def spiral_target(
+def compute_spiral_target(
     inner: float, pitch: float, half_width: float, turns: float
 ) -> tuple[float, float, float]:
     """x, y (mm) and direction of the outward normal (deg) where the outer side of a spiral stands after so many turns."""
@@ -218,7 +218,7 @@ def _along(
     return index, t, point
 
 
-def polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
+def make_polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
     """A closed polygon that does not cross itself.
 
     Beside a segment the distance is that from its line, which knows inside from outside and has a slope on the outline, too. At a
@@ -259,7 +259,7 @@ def polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
     return distance
 
 
-def stroke(points: Num[np.ndarray, "V 2"], half_width: float) -> Distance:
+def make_stroke(points: Num[np.ndarray, "V 2"], half_width: float) -> Distance:
     """An open curve through points, drawn with a round pen.
 
     Exact outside; inside it is so but where the pen covers its own track: at crossings, and on the inner side of sharp bends.

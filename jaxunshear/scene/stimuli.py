@@ -4,7 +4,7 @@ Each shape is written in a frame of its own and then seen from its target contac
 paper's Table 1 names: origin at the target, x along the outward normal (at a corner, the bisector), y along the edge.
 
     xy = jnp.array([[0.0, 0.0], [1.0, 0.0]])
-    signed_distance(STIMULI["disk"], xy)  # [0, 1] mm: on the edge, and 1 mm outside
+    compute_signed_distance(STIMULI["disk"], xy)  # [0, 1] mm: on the edge, and 1 mm outside
 
 Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a friction of their own,
 are the spirals; everything else is 3D-printed ABS. Beside its seven closed shapes stand what recordings are often of: a
@@ -23,17 +23,17 @@ from jaxtyping import Float
 from jaxunshear.errors import UserError
 from jaxunshear.scene.shapes import (
     Distance,
-    clover,
-    clover_corner,
-    disk,
-    edge,
-    flower,
-    leaf,
-    polygon,
-    spiral,
-    spiral_target,
-    surface,
-    teardrop,
+    compute_clover_corner,
+    compute_spiral_target,
+    make_clover,
+    make_disk,
+    make_flower,
+    make_half_plane,
+    make_leaf,
+    make_plane,
+    make_polygon,
+    make_spiral,
+    make_teardrop,
 )
 from jaxunshear.settings.stimuli import ABS_FRICTION, Outline
 
@@ -52,7 +52,9 @@ class Stimulus:
     material: str = "ABS"
 
 
-def signed_distance(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[jax.Array, "*B"]:
+def compute_signed_distance(
+    stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
+) -> Float[jax.Array, "*B"]:
     """Distance to the shape's edge in mm, negative inside; xy in mm in the target frame."""
     x, y, turn = stimulus.target
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
@@ -61,48 +63,52 @@ def signed_distance(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[j
     return stimulus.distance(jnp.stack(own, axis=-1))
 
 
-def distances(stimulus: Stimulus, xy: Float[np.ndarray, "N M 2"]) -> Float[np.ndarray, "N M"]:
-    """`signed_distance` of rows of points, row by row, since a shape of many segments needs memory."""
-    by_row = jax.jit(partial(jax.lax.map, partial(signed_distance, stimulus)))
+def compute_distances(
+    stimulus: Stimulus, xy: Float[np.ndarray, "N M 2"]
+) -> Float[np.ndarray, "N M"]:
+    """`compute_signed_distance` of rows of points, row by row, since a shape of many segments needs memory."""
+    by_row = jax.jit(partial(jax.lax.map, partial(compute_signed_distance, stimulus)))
     return np.asarray(by_row(jnp.asarray(xy, jnp.float32)))
 
 
-def outward_normal(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[jax.Array, "*B 2"]:
+def compute_outward_normal(
+    stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
+) -> Float[jax.Array, "*B 2"]:
     """Unit gradient of the signed distance: the direction away from the nearest edge."""
     flat = xy.reshape(-1, 2)
-    slope = jax.vmap(jax.grad(lambda p: signed_distance(stimulus, p)))(flat)
+    slope = jax.vmap(jax.grad(lambda p: compute_signed_distance(stimulus, p)))(flat)
     length = jnp.linalg.norm(slope, axis=-1, keepdims=True)
     return (slope / jnp.where(length > 0, length, 1)).reshape(xy.shape)
 
 
-_CORNER = clover_corner(28.0, 28.0, 4.0)
+_CORNER = compute_clover_corner(28.0, 28.0, 4.0)
 
 STIMULI = {  # their names: `StimulusName` of settings/stimuli.py
     stimulus.name: stimulus
     for stimulus in (
-        Stimulus("disk", disk(50.0), (50.0, 0.0, 0.0), 50.0),
-        Stimulus("clover", clover(28.0, 28.0, 4.0), (_CORNER, _CORNER, 45.0), 56.0),
-        Stimulus("teardrop", teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
-        Stimulus("flower", flower(38.0, 7.0, 5), (45.0, 0.0, 0.0), 45.0),
-        Stimulus("leaf", leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
+        Stimulus("disk", make_disk(50.0), (50.0, 0.0, 0.0), 50.0),
+        Stimulus("clover", make_clover(28.0, 28.0, 4.0), (_CORNER, _CORNER, 45.0), 56.0),
+        Stimulus("teardrop", make_teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
+        Stimulus("flower", make_flower(38.0, 7.0, 5), (45.0, 0.0, 0.0), 45.0),
+        Stimulus("leaf", make_leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
         Stimulus(
             "spiral_1",
-            spiral(9.0, 20.0, 2.0, 5.0),
-            spiral_target(9.0, 20.0, 5.0, 1.5),
+            make_spiral(9.0, 20.0, 2.0, 5.0),
+            compute_spiral_target(9.0, 20.0, 5.0, 1.5),
             54.0,
             ACRYLIC_FRICTION,
             "acrylic",
         ),
         Stimulus(
             "spiral_2",
-            spiral(14.0, 30.0, 1.25, 8.0),
-            spiral_target(14.0, 30.0, 8.0, 5 / 6),
+            make_spiral(14.0, 30.0, 1.25, 8.0),
+            compute_spiral_target(14.0, 30.0, 8.0, 5 / 6),
             60.0,
             ACRYLIC_FRICTION,
             "acrylic",
         ),
-        Stimulus("edge", edge(), (0.0, 0.0, 0.0), 25.0),
-        Stimulus("surface", surface(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("edge", make_half_plane(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("surface", make_plane(), (0.0, 0.0, 0.0), 25.0),
     )
 }
 TRAINING = ("disk", "clover", "teardrop")
@@ -110,31 +116,31 @@ UNSEEN = ("flower", "leaf", "spiral_1", "spiral_2")
 SHAPES = (*TRAINING, *UNSEEN)  # the paper's: each has an outline that closes
 
 
-def stimulus_named(name: str) -> Stimulus:
+def get_stimulus(name: str) -> Stimulus:
     if name not in STIMULI:
         raise UserError(f"stimulus '{name}' is unknown: use one of {', '.join(STIMULI)}")
     return STIMULI[name]
 
 
 @lru_cache(maxsize=64)
-def _of_outline(outline: Outline) -> Stimulus:
-    distance = polygon(np.array(outline.points))
+def _make_from_outline(outline: Outline) -> Stimulus:
+    distance = make_polygon(np.array(outline.points))
     return Stimulus(
         outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own"
     )
 
 
-def stimulus_of(touched: str | Outline | Stimulus) -> Stimulus:
+def make_stimulus(shape: str | Outline | Stimulus) -> Stimulus:
     """A shape by its name, or of an outline; the same one each time. Raises UserError for a name that there is not."""
-    if isinstance(touched, Stimulus):
-        return touched
-    return _of_outline(touched) if isinstance(touched, Outline) else stimulus_named(touched)
+    if isinstance(shape, Stimulus):
+        return shape
+    return _make_from_outline(shape) if isinstance(shape, Outline) else get_stimulus(shape)
 
 
-def followed(touched: str | Outline) -> Stimulus:
+def get_closed_stimulus(shape: str | Outline) -> Stimulus:
     """One with an outline to follow. Raises UserError."""
-    if isinstance(touched, str) and stimulus_named(touched).name not in SHAPES:
+    if isinstance(shape, str) and get_stimulus(shape).name not in SHAPES:
         raise UserError(
-            f"stimulus '{touched}' has no outline that closes: use one of {', '.join(SHAPES)}"
+            f"stimulus '{shape}' has no outline that closes: use one of {', '.join(SHAPES)}"
         )
-    return stimulus_of(touched)
+    return make_stimulus(shape)

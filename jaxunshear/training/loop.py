@@ -25,7 +25,7 @@ from jax import Array
 from jaxunshear import storage
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.metrics.machine import machine
+from jaxunshear.metrics.machine import describe_machine
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import native
 from jaxunshear.progress import Progress
@@ -256,7 +256,9 @@ def _ended(
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
         trained_on=replace(
-            machine(), kernels=kernels.described(), devices=devices.number if devices.mesh else None
+            describe_machine(),
+            kernels=kernels.described(),
+            devices=devices.number if devices.mesh else None,
         ),
         trained_by=read_source(),
     )

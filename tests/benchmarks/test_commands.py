@@ -51,7 +51,8 @@ def test_rows_are_written_with_the_command_and_the_rivals_versions(
     monkeypatch.setattr("benchmarks.bench_networks.table", lambda rows: "a table")
     asked = []
     monkeypatch.setattr(
-        "jaxunshear.metrics.machine.versions", lambda *more: asked.append(more) or {"python": "3"}
+        "jaxunshear.metrics.machine.list_versions",
+        lambda *more: asked.append(more) or {"python": "3"},
     )
     file = tmp_path / "rows.json"
     answer = benchmarks("train", "--size", "64", "--json", file)

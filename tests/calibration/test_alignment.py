@@ -10,7 +10,7 @@ from jaxunshear.calibration.statistics import Seen, camera_turn
 from jaxunshear.calibration.validation import places
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.scene.paths import DEPTH, TILT_X, X
-from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
@@ -33,7 +33,7 @@ def _contacts(count=24):
 def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
     """In place of the simulator: pins follow depth, distance and tilt smoothly, each in its own way; one contact is never solved."""
     end = to_paths(contacts, sensor, surface_mm, side, friction).points[:, -1]
-    tips = pin_tips(probe(sensor, ratio)) / 20
+    tips = compute_pin_tips(probe(sensor, ratio)) / 20
     yaw = np.radians(end[:, 2])
     turn = np.stack([np.cos(yaw), np.sin(yaw)], -1)
     along = tips[:, :2] @ turn.T  # (Q, N)
@@ -49,7 +49,7 @@ def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
 
 def _recorded(contacts):
     moved, _ = _like_a_skin(SENSOR, framed(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel)
-    place = places(VALUES, SENSOR, 128, pin_lattice(SENSOR), moved)
+    place = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
     shell = np.repeat(np.arange(11), [1] + [6 * k for k in range(1, 11)])
     count = np.zeros(len(place))
     lattice = make_lattice(place.mean(axis=0), shell)

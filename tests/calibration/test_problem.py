@@ -11,7 +11,7 @@ from jaxunshear.calibration.prediction import PROBE_RINGS, Values, skin_to_gel
 from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
 from jaxunshear.calibration.rendering import render
 from jaxunshear.calibration.statistics import observe
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
 from tests.calibration.conftest import GUESS, SMALL
 
@@ -21,7 +21,9 @@ RINGS = SMALL.rings
 
 @pytest.fixture(scope="module")
 def group():
-    seen = observe(render(GUESS, SMALL, np.repeat(pin_tips(SMALL)[None], COUNT, axis=0)), SMALL)
+    seen = observe(
+        render(GUESS, SMALL, np.repeat(compute_pin_tips(SMALL)[None], COUNT, axis=0)), SMALL
+    )
     poses = np.zeros((COUNT, 6))
     poses[:, 2] = 1.0 + 0.1 * np.arange(COUNT)
     return Group("one", seen, motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1))))

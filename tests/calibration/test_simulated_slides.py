@@ -10,7 +10,7 @@ from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
 from jaxunshear.calibration.validation import places
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
 KNOWN = Calibrated("small", SMALL, GUESS, 0.35)
@@ -21,7 +21,7 @@ COUNT = 40
 
 def _at(moved):
     """Pins (N, P, 2) px in the images of that camera."""
-    return places(KNOWN.values, SMALL, 128, pin_lattice(SMALL), moved) @ TURN.T + MIDDLE
+    return places(KNOWN.values, SMALL, 128, compute_pin_lattice(SMALL), moved) @ TURN.T + MIDDLE
 
 
 def _moved(poses, moves, friction):

@@ -19,7 +19,7 @@ from jaxunshear.calibration.statistics import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import outer_fraction
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
 
@@ -28,7 +28,7 @@ from jaxunshear.settings.sensor import TACTIP_331
 def images():
     """Two of undisturbed pins, 128 px."""
     return render(
-        Camera(frame_px=128), TACTIP_331, np.repeat(pin_tips(TACTIP_331)[None], 2, axis=0)
+        Camera(frame_px=128), TACTIP_331, np.repeat(compute_pin_tips(TACTIP_331)[None], 2, axis=0)
     )
 
 
@@ -43,7 +43,7 @@ def test_known_lattice(images):
     assert means["outermost ring, share of width"] == pytest.approx(
         outer_fraction(Camera(), TACTIP_331), rel=0.005
     )
-    tips = pin_tips(TACTIP_331)
+    tips = compute_pin_tips(TACTIP_331)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (Camera().distance_mm - tips[:, 2])
     ring = [radius[1 + 3 * k * (k - 1)] for k in range(1, 11)]
     for k in range(1, 10):

@@ -18,7 +18,7 @@ from jaxunshear.calibration.validation import (
     stand,
 )
 from jaxunshear.image.lattice import shells
-from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
@@ -29,7 +29,7 @@ NOISE_PX = 0.3
 def _moved(count: int = 30) -> np.ndarray:
     """Smooth displacements (N, Q, 3) mm of the probe's pins."""
     rng = np.random.default_rng(0)
-    tips = pin_tips(probe(SENSOR, VALUES.skin_to_gel)) / 20
+    tips = compute_pin_tips(probe(SENSOR, VALUES.skin_to_gel)) / 20
     basis = np.concatenate(
         [np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1
     )
@@ -51,12 +51,12 @@ def _value(rows, name):
 
 def test_pins_stand_where_the_camera_sees_them():
     _, rest = place_of(VALUES, SENSOR, 128, None)
-    assert np.abs(stand(VALUES, SENSOR, 128, rest) - pin_lattice(SENSOR)).max() < 2e-3
+    assert np.abs(stand(VALUES, SENSOR, 128, rest) - compute_pin_lattice(SENSOR)).max() < 2e-3
 
 
 def test_places_on_the_lattice_are_those_of_the_calibration():
     moved = _moved()
-    here = places(VALUES, SENSOR, 128, pin_lattice(SENSOR), moved)
+    here = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
     assert np.abs(here - place_of(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
     assert np.isfinite(interpolation(SENSOR)).all()
 
@@ -65,7 +65,7 @@ def test_rings_with_phases_of_their_own_are_followed():
     """Pins that stand between the simulated ones: their mean place, which contacts shift, says where."""
     moved = _moved()
     turn = 0.3 + 0.05 * shells(SENSOR)
-    flat = pin_lattice(SENSOR)
+    flat = compute_pin_lattice(SENSOR)
     flat = np.stack(
         [
             np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1],
@@ -77,7 +77,7 @@ def test_rings_with_phases_of_their_own_are_followed():
     found, simulated = settled(VALUES, SENSOR, 128, recorded, moved)
     assert np.abs(found - flat).max() < 0.05
     assert r2(*centred(recorded, simulated)) > 0.999
-    there = places(VALUES, SENSOR, 128, pin_lattice(SENSOR), moved)
+    there = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
     assert r2(*centred(recorded, there)) < 0.9
 
 
@@ -128,7 +128,7 @@ def test_rows_of_taps_and_slides_and_by_ring():
 def test_scale_at_the_height_of_a_pin():
     """A step of 0.01 mm along the middle's tangent, seen."""
     flat = np.array([[0.0, 0.0]])
-    moved = np.zeros((1, len(pin_tips(probe(SENSOR, 1.0))), 3))
+    moved = np.zeros((1, len(compute_pin_tips(probe(SENSOR, 1.0))), 3))
     step = moved.copy()
     step[..., 0] = 0.01
     seen = places(VALUES, SENSOR, 128, flat, step) - places(VALUES, SENSOR, 128, flat, moved)

@@ -17,7 +17,7 @@ from jaxunshear.contact import elasticity
 from jaxunshear.contact.dome import VERSION, compute_dome, dome, sensitivity
 from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.errors import UserError
-from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.settings.reach import contact_angle, deepest_mm, reach_mm, ring_arcs
 from jaxunshear.settings.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 
@@ -68,9 +68,9 @@ def test_the_deepest_contact_reaches_the_last_ring():
 def test_nodes_and_pins_stand_on_the_dome(small):
     centre = np.array([0, 0, SMALL.dome_radius_mm])
     np.testing.assert_allclose(np.linalg.norm(small.nodes - centre, axis=-1), 6.0, atol=1e-3)
-    stands = pin_tips(SMALL) - pin_levers(SMALL)
+    stands = compute_pin_tips(SMALL) - compute_pin_levers(SMALL)
     np.testing.assert_allclose(np.linalg.norm(stands - centre, axis=-1), 5.5)
-    np.testing.assert_allclose(np.linalg.norm(pin_levers(SMALL), axis=-1), 0.5)
+    np.testing.assert_allclose(np.linalg.norm(compute_pin_levers(SMALL), axis=-1), 0.5)
     assert small.w.shape == (3 * len(small.nodes),) * 2 and small.g.shape == (
         3 * SMALL.pins,
         3 * len(small.nodes),
@@ -163,7 +163,7 @@ def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
 )
 def test_impossible_sensors_are_refused_by_field(cache, wrong):
     (field,) = wrong
-    for attempt in (check_sensor, dome, pin_tips):
+    for attempt in (check_sensor, dome, compute_pin_tips):
         with pytest.raises(UserError, match=field):
             attempt(replace(TACTIP_331, **wrong))
     with pytest.raises(UserError, match="dome_radius_mm"):

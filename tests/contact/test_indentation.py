@@ -5,8 +5,8 @@ import pytest
 
 from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
-from jaxunshear.scene.paths import path_of
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.paths import make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import TACTIP_331, sensor_named
 
@@ -17,7 +17,7 @@ def pressed(sensor, x):
     """At (x, 0) mm from the disk's edge; from -20 mm on its face is all that the dome feels."""
     pose = np.array([[x, 0, 0, DEPTH]])
     scene = Scenes(np.zeros(1, int), pose, np.zeros((1, 2)), np.array([0.5]))
-    _, skins = follow(sensor, ("disk",), path_of(scene))
+    _, skins = follow(sensor, ("disk",), make_paths(scene))
     return indentation(sensor, skins)[0]
 
 
@@ -27,7 +27,7 @@ def pressed(sensor, x):
 def test_on_a_face_it_is_how_far_the_dome_would_reach_into_it(name):
     sensor = sensor_named(name)
     found = pressed(sensor, -20.0)
-    outward = pin_tips(sensor) - [0, 0, sensor.dome_radius_mm]
+    outward = compute_pin_tips(sensor) - [0, 0, sensor.dome_radius_mm]
     angle = np.arccos(-outward[:, 2] / np.linalg.norm(outward, axis=-1))
     reach = DEPTH - sensor.dome_radius_mm * (1 - np.cos(angle))  # along the axis
     inside = reach > 0.8
@@ -38,8 +38,8 @@ def test_on_a_face_it_is_how_far_the_dome_would_reach_into_it(name):
 
 def test_beside_an_edge_only_one_side_is_pressed_in():
     found = pressed(TACTIP_331, 0.0)
-    x = pin_tips(TACTIP_331)[:, 0]
-    near = np.linalg.norm(pin_tips(TACTIP_331)[:, :2], axis=-1) < 7
+    x = compute_pin_tips(TACTIP_331)[:, 0]
+    near = np.linalg.norm(compute_pin_tips(TACTIP_331)[:, :2], axis=-1) < 7
     assert found[near & (x < -4)].min() > found[near & (x > 4)].max()
 
 

@@ -12,9 +12,15 @@ from jaxunshear.contact.level import LEVELS, unabridged
 from jaxunshear.contact.obstacle import REACH_MM, distance_at, sample
 from jaxunshear.contact.plan import increments, make_plan, padded
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import Paths, path_of
-from jaxunshear.scene.scene import draw_moves, draw_poses, make_scenes
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, Stimulus, signed_distance, stimulus_named
+from jaxunshear.scene.paths import Paths, make_paths
+from jaxunshear.scene.scene import make_scenes, sample_poses, sample_slides
+from jaxunshear.scene.stimuli import (
+    STIMULI,
+    TRAINING,
+    Stimulus,
+    compute_signed_distance,
+    get_stimulus,
+)
 from jaxunshear.settings.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
@@ -22,7 +28,7 @@ RADIUS = TACTIP_331.dome_radius_mm
 
 @pytest.fixture(scope="module")
 def obstacles():
-    return sample(tuple(map(stimulus_named, TRAINING)))
+    return sample(tuple(map(get_stimulus, TRAINING)))
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +38,11 @@ def nodes():
 
 def mixed(count=200, seed=2):
     generator = np.random.default_rng(seed)
-    pose = draw_poses(generator, count, 5.0, 45.0, (1.0, 6.0))
-    move = draw_moves(generator, count, 2.5)
+    pose = sample_poses(generator, count, 5.0, 45.0, (1.0, 6.0))
+    move = sample_slides(generator, count, 2.5)
     move[::3] = 0
     pose[::10, 3] = -1.0
-    found = path_of(make_scenes(TRAINING, generator.integers(0, 3, count), pose, move))
+    found = make_paths(make_scenes(TRAINING, generator.integers(0, 3, count), pose, move))
     found.friction[5::20] = 0
     return found
 
@@ -112,7 +118,7 @@ def test_sampled_obstacles_agree_with_the_shapes():
     points = np.random.default_rng(0).uniform(-15, 15, (1, 500, 2))
     obstacles = sample(tuple(STIMULI.values()))
     for index, stimulus in enumerate(STIMULI.values()):
-        exact = np.asarray(signed_distance(stimulus, jnp.asarray(points, jnp.float32)))
+        exact = np.asarray(compute_signed_distance(stimulus, jnp.asarray(points, jnp.float32)))
         sampled = np.asarray(
             distance_at(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32))
         )

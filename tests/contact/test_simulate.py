@@ -9,22 +9,22 @@ from jaxunshear.contact.level import LEVELS, unabridged
 from jaxunshear.contact.plan import increments
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import Paths, path_of
-from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
+from jaxunshear.scene.paths import Paths, make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
+from jaxunshear.scene.scene import Scenes, make_scenes, sample_poses, sample_slides
 from jaxunshear.scene.stimuli import TRAINING
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
 from tests.golden import make_runs
 from verification.paper import NAMES, paper_scenes
 
-REST = pin_tips(TACTIP_331)
+REST = compute_pin_tips(TACTIP_331)
 
 
 def scenes(count=12, depth=(1.0, 3.0), seed=0, slide=True):
     generator = np.random.default_rng(seed)
-    pose = draw_poses(generator, count, 5.0, 45.0, depth)
-    move = draw_moves(generator, count, 2.5) * slide
+    pose = sample_poses(generator, count, 5.0, 45.0, depth)
+    move = sample_slides(generator, count, 2.5) * slide
     return make_scenes(TRAINING, generator.integers(0, 3, count), pose, move)
 
 
@@ -219,8 +219,8 @@ def test_a_mirrored_scene_gives_the_mirrored_pins():
     """Of shapes that are their own mirror images, under pins that are theirs."""
     shapes = ("disk", "clover", "teardrop", "flower", "leaf", "edge", "surface")
     generator = np.random.default_rng(4)
-    pose = draw_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
-    move, which = draw_moves(generator, 14, 2.5), np.arange(14) % len(shapes)
+    pose = sample_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
+    move, which = sample_slides(generator, 14, 2.5), np.arange(14) % len(shapes)
     there = simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose, move))
     other = simulate(
         TACTIP_331, shapes, make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1])
@@ -294,7 +294,7 @@ def test_what_does_not_converge_is_solved_again_and_said():
 
 
 def test_scenes_are_paths(contacts):
-    followed, skins = follow(TACTIP_331, TRAINING, path_of(scenes()))
+    followed, skins = follow(TACTIP_331, TRAINING, make_paths(scenes()))
     np.testing.assert_array_equal(followed.pins, contacts.pins)
     np.testing.assert_allclose(skins.force_n.sum(axis=1), contacts.force_n, atol=1e-6)
 
@@ -324,7 +324,7 @@ def test_a_grazing_touch_is_felt(level, x, depth):
 
 
 def test_no_scenes_give_no_contacts():
-    contacts, skins = follow(TACTIP_331, TRAINING, path_of(one(3.0)).take(np.zeros(0, int)))
+    contacts, skins = follow(TACTIP_331, TRAINING, make_paths(one(3.0)).take(np.zeros(0, int)))
     assert (
         contacts.pins.shape == (0, 331, 3)
         and contacts.converged.shape == (0,)

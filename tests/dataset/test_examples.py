@@ -183,9 +183,9 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
     settings = PoseData(
         config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False)
     )
-    from jaxunshear.scene.pins import pin_tips
+    from jaxunshear.scene.pin_layout import compute_pin_tips
 
-    tips = np.repeat(pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
+    tips = np.repeat(compute_pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)
     images, pins = chunks.render(settings, TACTIP_331, tips, number, age)
     again, _ = chunks.render(settings, TACTIP_331, tips[17:], number[17:], age[17:])

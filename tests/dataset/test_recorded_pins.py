@@ -14,7 +14,7 @@ from jaxunshear.image.fitting import layout_of, read_layout
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import PinRows
 from jaxunshear.results.stored import SCHEMA, record_of
-from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.image import Camera, Nuisance
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
@@ -23,7 +23,7 @@ CAMERA = Camera(frame_px=256)
 
 def frames(sensor, shifts_mm):
     """Grey frames (N, 256, 256) of skins that slid by these, most in the middle; true pins (N, P, 2) px."""
-    tips, key = np.asarray(pin_tips(sensor), np.float32), jax.random.key(0)
+    tips, key = np.asarray(compute_pin_tips(sensor), np.float32), jax.random.key(0)
     bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
     moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
     look = jax.jit(jax.vmap(lambda t, k: frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k)))
@@ -128,7 +128,9 @@ def test_refusals(command, tmp_path, words, said):
 
 def test_a_user_s_layout(command, tmp_path):
     file = tmp_path / "layout.csv"
-    np.savetxt(file, pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments="")
+    np.savetxt(
+        file, compute_pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments=""
+    )
     write(tmp_path / "images", frames(TACTIP_331, SHIFTS)[0])
     answer = command("pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err

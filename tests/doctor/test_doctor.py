@@ -12,7 +12,7 @@ from PIL import Image
 from jaxunshear.cli import _parser, main
 from jaxunshear.doctor import check_recordings, describe
 from jaxunshear.errors import UserError
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 SIZE = 256
@@ -25,7 +25,7 @@ OTHER = replace(TACTIP_331, name="other", rings=5, pin_spacing_mm=3.0, pin_radiu
 @cache
 def picture(sensor: Sensor, seed: int) -> np.ndarray:
     """White pins on black, each moved a little."""
-    flat = pin_lattice(sensor)
+    flat = compute_pin_lattice(sensor)
     flat = flat / np.linalg.norm(flat, axis=1).max()
     pins = (
         (SIZE - 1) / 2

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.downstream.contour import advance, off, outline
-from jaxunshear.scene.shapes import disk
-from jaxunshear.scene.stimuli import STIMULI, Stimulus, signed_distance
+from jaxunshear.scene.shapes import make_disk
+from jaxunshear.scene.stimuli import STIMULI, Stimulus, compute_signed_distance
 
 
 def test_a_disk_s_outline():
@@ -25,7 +25,9 @@ def test_a_disk_s_outline():
 )
 def test_outlines_lie_on_the_edge_and_close(name):
     line = outline(STIMULI[name])
-    assert np.abs(signed_distance(STIMULI[name], line.points.astype(np.float32))).max() < 0.02
+    assert (
+        np.abs(compute_signed_distance(STIMULI[name], line.points.astype(np.float32))).max() < 0.02
+    )
     gaps = np.linalg.norm(np.diff(np.concatenate([line.points, line.points[:1]]), axis=0), axis=-1)
     assert gaps.max() < 0.2
     x, y = line.points.T
@@ -34,7 +36,7 @@ def test_outlines_lie_on_the_edge_and_close(name):
 
 
 def test_off_and_advance():
-    line = outline(Stimulus("small", disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    line = outline(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     angle = np.radians([10.0, 90.0])
     xy = np.stack([22 * np.cos(angle) - 20, 22 * np.sin(angle)], -1)
     np.testing.assert_allclose(off(line, xy), 2, atol=0.01)
@@ -43,7 +45,7 @@ def test_off_and_advance():
 
 
 def test_arcs_go_round_and_round():
-    line = outline(Stimulus("small", disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    line = outline(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     arc, xy = np.array([0.0]), None
     for angle in np.radians(np.arange(0, 721, 5.0)):
         xy = np.array([[20 * np.cos(angle) - 20, 20 * np.sin(angle)]])

@@ -20,20 +20,20 @@ from jaxunshear.downstream.geometry_scores import correlation
 from jaxunshear.downstream.recorded_geometry import heights_of_recordings
 from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 
 @pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)
 def lattice(request):
-    flat = pin_lattice(request.param)
+    flat = compute_pin_lattice(request.param)
     return make_lattice(flat / np.abs(flat).max() * 46 + 64, shells(request.param))
 
 
 def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
-    flat = pin_lattice(TACTIP_127)
+    flat = compute_pin_lattice(TACTIP_127)
     untouched = make_lattice(
         flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127)
     )
@@ -69,7 +69,7 @@ def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
 
 
 def test_hexagons_have_their_closed_form():
-    flat = pin_lattice(TACTIP_127)
+    flat = compute_pin_lattice(TACTIP_127)
     lattice = make_lattice(flat, shells(TACTIP_127))
     inner = lattice.shell < lattice.shell.max()
     expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2

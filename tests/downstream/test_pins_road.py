@@ -17,7 +17,7 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.inference.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
@@ -149,7 +149,7 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
 
 
 def test_frames_are_the_same_however_many_are_rendered_at_once():
-    tips = np.repeat(pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
+    tips = np.repeat(compute_pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
     given = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
     (few, pins), (many, same) = render(*given, 1), render(*given)
     np.testing.assert_array_equal(few, many)

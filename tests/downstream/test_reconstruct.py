@@ -13,7 +13,7 @@ from jaxunshear.downstream.reconstruct import (
     skin_places,
     to_target,
 )
-from jaxunshear.scene.stimuli import STIMULI, signed_distance
+from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
 from jaxunshear.settings.sensor import TACTIP_331
 
 PLACE = np.array([place for place in skin_places(TACTIP_331) if np.linalg.norm(place) < 6])
@@ -37,7 +37,7 @@ def above(fused):
 
 
 def inside(name, xy):
-    return np.asarray(signed_distance(STIMULI[name], xy.astype(np.float32))) < 0
+    return np.asarray(compute_signed_distance(STIMULI[name], xy.astype(np.float32))) < 0
 
 
 def truth(name, fused):
@@ -104,7 +104,9 @@ def test_heights_are_interpolated_to_the_full_object(name):
 def test_what_a_closed_ridge_surrounds_is_the_object(name, share):
     """Heights as of cells that grow over an edge: greatest on it, lower inside, lower still outside."""
     line, point, _ = walked(name, share)
-    off = np.asarray(signed_distance(STIMULI[name], to_target(point, PLACE).astype(np.float32)))
+    off = np.asarray(
+        compute_signed_distance(STIMULI[name], to_target(point, PLACE).astype(np.float32))
+    )
     fused = felt(point, np.exp(-(off**2) / 8) + 0.5 / (1 + np.exp(2 * off)))
     got = likeness(fused, ridge_shape(fused), truth(name, fused), line)
     assert got.iou > 0.95 if share == 1 else got.iou < 0.6

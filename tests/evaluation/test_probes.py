@@ -7,7 +7,7 @@ import pytest
 from jaxunshear.evaluation import probes
 from jaxunshear.evaluation.leakage import probe_quantity
 from jaxunshear.evaluation.probes import FAMILIES, fit_whitening, hold_out
-from jaxunshear.metrics.independence import r2
+from jaxunshear.metrics.independence import compute_r2
 
 COUNT, LEARNT = 1200, 800  # of the planted leak
 
@@ -18,7 +18,7 @@ def score(probe, codes, wanted):
     answers = FAMILIES[probe](codes[:cut], wanted[:cut], codes[cut:], np.arange(cut))
     true = wanted[cut:]
     assert answers.shape == true.shape
-    return r2(np.sum((answers - true) ** 2, 1), np.sum((true - true.mean(axis=0)) ** 2, 1))
+    return compute_r2(np.sum((answers - true) ** 2, 1), np.sum((true - true.mean(axis=0)) ** 2, 1))
 
 
 @pytest.fixture

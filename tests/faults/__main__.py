@@ -63,7 +63,7 @@ def _parsed() -> argparse.Namespace:
 
 def _write(path: Path | None, rows: list[Row]) -> None:
     """Rows of another call that were not run again stay, each with its call and code."""
-    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.source import read_source
     from jaxunshear.storage import read_json, write_json
 
@@ -72,7 +72,7 @@ def _write(path: Path | None, rows: list[Row]) -> None:
         command = " ".join(("python -m tests.faults", *sys.argv[1:]))
         made = [asdict(row) | {"call": command, "source": read_source()} for row in rows]
         found = {(row["fault"], row["command"]): row for row in [*before, *made]}
-        write_json(path, provenance(command) | {"rows": list(found.values())})
+        write_json(path, describe_provenance(command) | {"rows": list(found.values())})
 
 
 def _again_with_the_shim() -> int:

@@ -126,13 +126,13 @@ def differences(golden: Any, found: Any, tolerance: float, path: str = "") -> It
 def describe_machine() -> dict[str, Any]:
     """Return what decides how sums are rounded."""
     from jaxunshear.environment import cores
-    from jaxunshear.metrics.machine import versions
+    from jaxunshear.metrics.machine import list_versions
     from jaxunshear.model import kernels
 
     return {
         "processor": _describe_processor(),
         "cores": cores(),
-        "versions": {name: versions()[name] for name in ("jax", "jaxlib", "numpy", "scipy")},
+        "versions": {name: list_versions()[name] for name in ("jax", "jaxlib", "numpy", "scipy")},
         "XLA flags": os.environ.get("XLA_FLAGS", ""),
         "layers": kernels.described(),
     }

@@ -17,7 +17,7 @@ from jaxunshear.image.lattice import spacing_of
 from jaxunshear.image.pins import glance
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.understood import inverse
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
@@ -41,7 +41,7 @@ def touched(sensor: Sensor, camera: Camera, count: int, seed: int, size: int = 1
 
 def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:
     """Pin tips (P, 3) mm that a dent has spread, a slide carried and a twist turned, less towards the rim, where the skin is held."""
-    tips = pin_tips(sensor)
+    tips = compute_pin_tips(sensor)
     flat = tips[:, :2]
     radius = np.linalg.norm(flat, axis=1).max()
     offset = flat - rng.normal(0, 0.35, 2) * radius

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.image.camera import drift, frame, outer_fraction, project, to_image_px
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH
 
@@ -68,7 +68,7 @@ def test_a_dot_has_the_area_of_its_pin():
 
 def test_a_pin_near_the_rim_is_foreshortened_towards_the_centre():
     sensor = TACTIP_331
-    rim = pin_tips(sensor)[-60]  # on the x axis: its dot is short along columns
+    rim = compute_pin_tips(sensor)[-60]  # on the x axis: its dot is short along columns
     assert rim[1] == pytest.approx(0.0, abs=1e-9)
     grey = np.asarray(frame(FINE, sensor, replace(CLEAN, blur_px=1.2), rim[None], KEY))
     rows, columns = np.argwhere(grey > (grey.max() + grey.min()) / 2).T
@@ -87,7 +87,7 @@ def test_positions_scale_between_pixel_centres():
 
 
 def test_batched_frames_equal_single_ones_and_keys_matter():
-    tips = jnp.asarray(pin_tips(TACTIP_331), jnp.float32)
+    tips = jnp.asarray(compute_pin_tips(TACTIP_331), jnp.float32)
     keys = jax.random.split(KEY, 3)
     camera = Camera(frame_px=64)
     draw = jax.jit(frame, static_argnums=(0, 1, 2))

@@ -6,11 +6,11 @@ import pytest
 
 from jaxunshear.image.dots import dots
 from jaxunshear.image.pins import find_pins
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
 
 SIZE = 128
-FLAT = pin_lattice(TACTIP_127)
+FLAT = compute_pin_lattice(TACTIP_127)
 PINS = (SIZE - 1) / 2 + 0.375 * SIZE * FLAT / np.linalg.norm(FLAT, axis=-1).max()
 
 

@@ -6,10 +6,10 @@ from scipy.spatial import cKDTree
 from jaxunshear.image.growing import CALM, filled, off_neighbours, rated, repaired
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.image.track import judged
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_331
 
-PLACE = pin_lattice(TACTIP_331) / 2.0 * 4.5 + 64
+PLACE = compute_pin_lattice(TACTIP_331) / 2.0 * 4.5 + 64
 LATTICE = make_lattice(PLACE, shells(TACTIP_331))
 
 

@@ -6,11 +6,11 @@ import pytest
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.image.pins import detect
 from jaxunshear.image.tracking import follow_pins
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_331
 
 SIZE, RADIUS = 256, 2.9
-PLACE = pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5
+PLACE = compute_pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5
 LATTICE = make_lattice(PLACE, shells(TACTIP_331))
 
 

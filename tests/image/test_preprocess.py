@@ -23,8 +23,8 @@ from jaxunshear.image.preprocess import (
     to_grey,
     white_of,
 )
-from jaxunshear.metrics.pins import pin_error
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.metrics.pin_error import measure_pin_error
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import TACTIP_331
 
@@ -48,7 +48,7 @@ def binarise_reference(preprocess, grey):
 def pressed(seed):
     """Pin tips of a made-up contact: pushed up and aside under a patch."""
     rng = np.random.default_rng(seed)
-    tips = pin_tips(TACTIP_331)
+    tips = compute_pin_tips(TACTIP_331)
     patch = np.exp(-((np.hypot(*(tips[:, :2] - rng.uniform(-3, 3, 2)).T) / 6) ** 2))[:, None]
     return tips + patch * np.array([*rng.uniform(-2, 2, 2), rng.uniform(1, 3)])
 
@@ -56,9 +56,9 @@ def pressed(seed):
 @pytest.fixture(scope="module")
 def frames():
     """Four undeformed and four pressed frames (8, F, F)."""
-    tips = np.stack([pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]).astype(
-        np.float32
-    )
+    tips = np.stack(
+        [compute_pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]
+    ).astype(np.float32)
     keys = jax.random.split(jax.random.key(3), len(tips))
     return np.asarray(
         jax.vmap(lambda tip, key: frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(tips, keys)
@@ -115,8 +115,10 @@ def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     preprocess = Preprocess(size=size)
     images = np.asarray(binarise(preprocess, frames[:4]))
     assert [len(find_pins(image)) for image in images] == [331] * 4
-    true = to_image_px(CAMERA, preprocess, project(CAMERA, pin_tips(TACTIP_331), TACTIP_331))
-    error = pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), limit_px=5.0)
+    true = to_image_px(
+        CAMERA, preprocess, project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
+    )
+    error = measure_pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), limit_px=5.0)
     assert error["missed_per_image"] == error["extra_per_image"] == 0
     assert error["rms_px"] < 0.3
 
@@ -147,7 +149,9 @@ def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
 
 def test_pins_in_a_dark_surround_are_found_too():
     dark = Nuisance(housing_ring=False, specks=0)
-    square = np.asarray(frame(CAMERA, TACTIP_331, dark, pin_tips(TACTIP_331), jax.random.key(0)))
+    square = np.asarray(
+        frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
+    )
     photo = photograph(square, side=380, top=60, left=200, light=0.03)
     left, top, right, bottom = find_dome(to_grey(photo), Preprocess().outer_pins)
     np.testing.assert_allclose([left, top, right, bottom], [200, 60, 580, 440], atol=8)
@@ -158,7 +162,9 @@ def test_pins_in_a_dark_surround_are_found_too():
 def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(scale):
     """Its corners, which an opening would round, are not taken for a dome's rim."""
     dark = Nuisance(housing_ring=False, specks=0)
-    square = np.asarray(frame(CAMERA, TACTIP_331, dark, pin_tips(TACTIP_331), jax.random.key(0)))
+    square = np.asarray(
+        frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
+    )
     side = square.shape[0]
     around = np.full((round(side / scale),) * 2, square.min(), np.float32)
     start = (len(around) - side) // 2

@@ -9,14 +9,14 @@ from jaxunshear.image.lattice import make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found
 from jaxunshear.image.track import judged
 from jaxunshear.image.tracking import follow_pins
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 RIM_PX = 46.0  # as at 128 px
 
 
 def _flat(sensor: Sensor) -> np.ndarray:
-    return pin_lattice(sensor) / (sensor.rings * sensor.pin_spacing_mm) * RIM_PX + 64
+    return compute_pin_lattice(sensor) / (sensor.rings * sensor.pin_spacing_mm) * RIM_PX + 64
 
 
 def _slid(place: np.ndarray, shift_px: float, width_px: float = 22.0) -> np.ndarray:
@@ -107,7 +107,7 @@ def test_a_pin_without_company_counts_as_not_seen():
 @pytest.mark.parametrize("turn_deg", [-2.0, 0.0, 3.0])
 def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
     """Of a user's layout nobody knows the symmetry; pins are named for the least turn."""
-    flat = pin_lattice(TACTIP_127)
+    flat = compute_pin_lattice(TACTIP_127)
     if lattice == "square":
         flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
     flat = flat / np.linalg.norm(flat, axis=-1).max()

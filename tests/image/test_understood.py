@@ -19,7 +19,7 @@ from jaxunshear.image.understood import (
     seen_of,
     verdict,
 )
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
 from tests.image.strangers import STRANGERS, touched, varied
@@ -82,7 +82,7 @@ def grey():
     """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
     draw = jax.jit(frame, static_argnums=(0, 1, 2))
     return np.asarray(
-        draw(Camera(), TACTIP_331, Nuisance(), pin_tips(TACTIP_331), jax.random.key(0))
+        draw(Camera(), TACTIP_331, Nuisance(), compute_pin_tips(TACTIP_331), jax.random.key(0))
     )
 
 

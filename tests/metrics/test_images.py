@@ -102,7 +102,7 @@ def test_jit_and_eager_agree():
     ("size", "scales"), [(10, 0), (11, 1), (128, 4), (160, 4), (161, 5), (256, 5), (1000, 5)]
 )
 def test_scales_that_fit(size, scales):
-    assert images.scales_that_fit(size) == scales
+    assert images.count_scales(size) == scales
 
 
 def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
@@ -117,8 +117,8 @@ def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
 
 
 def test_names_keep_other_sizes_apart():
-    assert images.ms_ssim_name(5) == "ms_ssim"
-    assert images.ms_ssim_name(4) == "ms_ssim@4"
+    assert images.format_ms_ssim_name(5) == "ms_ssim"
+    assert images.format_ms_ssim_name(4) == "ms_ssim@4"
 
 
 def test_one_scale_is_ssim():
@@ -131,7 +131,7 @@ def test_one_scale_is_ssim():
 @pytest.mark.parametrize("size", [128, 161])
 def test_equal_images_score_one_and_order_does_not_matter(size):
     _, a, b = stacked(size)
-    scales = images.scales_that_fit(size)
+    scales = images.count_scales(size)
     np.testing.assert_allclose(images.ms_ssim(a, a, scales), 1, atol=1e-5)
     np.testing.assert_allclose(
         images.ms_ssim(a, b, scales), images.ms_ssim(b, a, scales), atol=1e-5

@@ -3,14 +3,14 @@
 import json
 import platform
 
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import describe_machine, list_versions
 from jaxunshear.plain import plain
 from jaxunshear.results.rows import Machine
 from jaxunshear.results.stored import record_of
 
 
 def test_machine_is_plain_and_says_something():
-    found = machine()
+    found = describe_machine()
     assert found.cores >= 1
     assert found.processor
     assert found.device.count(":") >= 1
@@ -20,6 +20,6 @@ def test_machine_is_plain_and_says_something():
 def test_versions_name_python_and_jax():
     import jax
 
-    found = versions()
+    found = list_versions()
     assert found["python"] == platform.python_version()
     assert found["jax"] == jax.__version__

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.image.pins import find_pins
-from jaxunshear.metrics.pins import match_pins, pin_error
+from jaxunshear.metrics.pin_error import match_pins, measure_pin_error
 
 
 def lattice(step, size=128):
@@ -83,9 +83,9 @@ def test_nothing_found_or_nothing_there():
 def test_pin_error_of_a_known_shift():
     centres = np.tile(lattice(9, 256)[None], (2, 1, 1))
     images = np.stack([dots(c, 3.0, 256) for c in centres])
-    error = pin_error(images, centres + np.array([1.0, 0.0]), limit_px=9.0)
+    error = measure_pin_error(images, centres + np.array([1.0, 0.0]), limit_px=9.0)
     assert error["rms_px"] == pytest.approx(1.0, abs=0.1)
     assert error["missed_per_image"] == error["extra_per_image"] == 0
-    lost = pin_error(images * 0, centres, limit_px=9.0)
+    lost = measure_pin_error(images * 0, centres, limit_px=9.0)
     assert np.isnan(lost["rms_px"])
     assert lost["missed_per_image"] == centres.shape[1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.metrics import pose_errors
+from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.targets import of_ranges, true_values
 
@@ -14,7 +14,7 @@ def quantities(x, yaw, edge, angle):
 
 
 def test_known_errors():
-    errors = pose_errors(quantities(1, 40, -2, 10), quantities(3, -5, 0.5, 12))
+    errors = compute_pose_errors(quantities(1, 40, -2, 10), quantities(3, -5, 0.5, 12))
     assert {name: float(error[0]) for name, error in errors.items()} == {
         "x_mm": 2, "yaw_deg": 45, "edge_mm": 2.5, "edge_deg": 2}  # fmt: skip
 
@@ -23,7 +23,7 @@ def test_known_errors():
     ("a", "b", "error"), [(179, -179, 2), (-180, 180, 0), (90, -90, 180), (350, 0, 10)]
 )
 def test_angles_go_the_short_way_round(a, b, error):
-    assert pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][
+    assert compute_pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][
         0
     ] == pytest.approx(error, abs=1e-4)
 
@@ -41,13 +41,15 @@ def test_true_values_take_the_right_columns():
 
 def test_errors_come_in_the_order_of_the_labels():
     true = quantities(0, 0, 0, 0)
-    assert tuple(pose_errors({name: true[name] for name in sorted(true)}, true)) == tuple(true)
-    assert tuple(pose_errors({"edge_mm": true["edge_mm"]}, true)) == ("edge_mm",)
+    assert tuple(compute_pose_errors({name: true[name] for name in sorted(true)}, true)) == tuple(
+        true
+    )
+    assert tuple(compute_pose_errors({"edge_mm": true["edge_mm"]}, true)) == ("edge_mm",)
 
 
 def test_missing_quantities_and_lengths_are_refused():
     good = quantities(0, 0, 0, 0)
     with pytest.raises(ValueError, match="edge_mm"):
-        pose_errors(good, {name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")})
+        compute_pose_errors(good, {name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")})
     with pytest.raises(ValueError, match="x_mm"):
-        pose_errors(good, {**good, "x_mm": np.zeros(2)})
+        compute_pose_errors(good, {**good, "x_mm": np.zeros(2)})

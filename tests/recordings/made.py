@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.image.dots import dots
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, Sensor
 
 SIZE = 96
@@ -23,7 +23,7 @@ NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "R
 
 def rest_px(sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
     """(P, 2) px, the untouched pins."""
-    flat = pin_lattice(sensor)
+    flat = compute_pin_lattice(sensor)
     return (size - 1) / 2 + 0.375 * size * flat / np.linalg.norm(flat, axis=-1).max()
 
 

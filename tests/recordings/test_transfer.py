@@ -19,7 +19,7 @@ from jaxunshear.image.understood import expected_of
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.plain import plain
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.experiment import Experiment
@@ -72,7 +72,7 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
 
 @pytest.mark.parametrize("degrees", [-12.0, 0.0, 20.0])
 def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
-    known = 64 + 6 * pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
+    known = 64 + 6 * compute_pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
     angle = np.radians(degrees)
     turn = np.array(
         [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]

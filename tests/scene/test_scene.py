@@ -4,35 +4,35 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, path_of
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import (
     NEAR_MM,
-    draw_moves,
-    draw_poses,
-    edge_labels,
+    compute_edge_labels,
     has_one_edge,
     make_scenes,
+    sample_poses,
+    sample_slides,
 )
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, sensor_named
 
 
 def test_draws_stay_in_range_and_repeat():
-    first = draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
+    first = sample_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
     np.testing.assert_array_equal(
-        first, draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
+        first, sample_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
     )
     assert np.all(np.abs(first[:, :2]) <= 5) and np.all(np.abs(first[:, 2]) <= 45)
     assert first[:, 3].min() >= 1 and first[:, 3].max() <= 6 and first[:, 3].max() > 5.5
-    assert np.all(np.abs(draw_moves(np.random.default_rng(0), 500, 2.5)) <= 2.5)
+    assert np.all(np.abs(sample_slides(np.random.default_rng(0), 500, 2.5)) <= 2.5)
     with pytest.raises(UserError, match="poses = 0"):
-        draw_poses(np.random.default_rng(0), 0, 5.0, 45.0, (1.0, 6.0))
+        sample_poses(np.random.default_rng(0), 0, 5.0, 45.0, (1.0, 6.0))
 
 
 def test_edge_labels_on_the_disk():
     pose = np.array([[2.0, 0.0, 0.0, 1.0], [-3.0, 0.0, 30.0, 1.0], [0.0, 4.0, -45.0, 1.0]])
     scenes = make_scenes(("disk",), np.zeros(3, int), pose, np.zeros((3, 2)))
-    labels = edge_labels(("disk",), scenes)
+    labels = compute_edge_labels(("disk",), scenes)
     outward = np.degrees(np.arctan2(4, 50))
     np.testing.assert_allclose(
         labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2
@@ -81,7 +81,7 @@ def test_which_shape_is_touched_decides_whether_an_edge_has_one_direction():
 
 
 def test_pins_of_both_layouts():
-    rings, hexagon = pin_tips(TACTIP_331), pin_tips(TACTIP_127)
+    rings, hexagon = compute_pin_tips(TACTIP_331), compute_pin_tips(TACTIP_127)
     assert rings.shape == (331, 3) and hexagon.shape == (127, 3) == (TACTIP_127.pins, 3)
     for sensor, pins in ((TACTIP_331, rings), (TACTIP_127, hexagon)):
         centre = np.array([0, 0, sensor.dome_radius_mm])
@@ -98,14 +98,14 @@ def test_bad_sensors_are_refused():
     with pytest.raises(UserError, match="tactip9"):
         sensor_named("tactip9")
     with pytest.raises(UserError, match="layout"):
-        pin_tips(Sensor(layout="square"))
+        compute_pin_tips(Sensor(layout="square"))
     with pytest.raises(UserError, match="rim"):
-        pin_tips(Sensor(rings=30))
+        compute_pin_tips(Sensor(rings=30))
 
 
 def test_a_path_twists_on_its_way_to_the_pose_and_keeps_its_tilt():
     pose = np.array([[2.0, -1.0, 30.0, 3.0, 4.0, -20.0]])
-    points = path_of(
+    points = make_paths(
         make_scenes(("disk",), np.zeros(1, int), pose, np.array([[1.5, 0.5, -5.0]]))
     ).points[0]
     np.testing.assert_array_equal(points[2], pose[0])
@@ -118,11 +118,11 @@ def test_a_path_twists_on_its_way_to_the_pose_and_keeps_its_tilt():
 
 def test_upright_paths_are_what_they_were():
     pose, move = np.array([[2.0, -1.0, 30.0, 3.0]]), np.array([[1.5, 0.5]])
-    upright = path_of(make_scenes(("disk",), np.zeros(1, int), pose, move)).points
+    upright = make_paths(make_scenes(("disk",), np.zeros(1, int), pose, move)).points
     wide = (
         np.concatenate([pose, np.zeros((1, 2))], axis=1),
         np.concatenate([move, np.zeros((1, 1))], axis=1),
     )
     np.testing.assert_array_equal(
-        upright, path_of(make_scenes(("disk",), np.zeros(1, int), *wide)).points
+        upright, make_paths(make_scenes(("disk",), np.zeros(1, int), *wide)).points
     )

@@ -5,8 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.scene.shapes import polygon, stroke
-from jaxunshear.scene.stimuli import SHAPES, STIMULI, Stimulus, outward_normal, signed_distance
+from jaxunshear.scene.shapes import make_polygon, make_stroke
+from jaxunshear.scene.stimuli import (
+    SHAPES,
+    STIMULI,
+    Stimulus,
+    compute_outward_normal,
+    compute_signed_distance,
+)
 from tests.scene.outlines import OUTLINES, arc, dense, truth
 
 FAR_MM, ANGLE_DEG, SLOPE = 0.02, 1.0, 1e-3
@@ -16,24 +22,24 @@ L_SHAPE = np.array(
 )  # one corner is none
 BOW = arc(0, 0, 20, 0, 180)[::31]  # of the 4000 points also the last
 CUSTOM = {
-    "L": (polygon(L_SHAPE), lambda: L_SHAPE, (20.0, 10.0, 90.0)),
+    "L": (make_polygon(L_SHAPE), lambda: L_SHAPE, (20.0, 10.0, 90.0)),
     "L backwards": (
-        polygon(np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]),
+        make_polygon(np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]),
         lambda: L_SHAPE,
         (30.0, 5.0, 0.0),
     ),
     "round": (
-        polygon(arc(0, 0, 20, 0, 359.9)[::10]),
+        make_polygon(arc(0, 0, 20, 0, 359.9)[::10]),
         lambda: arc(0, 0, 20, 0, 360),
         (20.0, 0.0, 0.0),
     ),
     "bar": (
-        stroke(np.array([[-10.0, 0.0], [0.0, 0.0], [0.0, 0.0], [10.0, 0.0]]), 3.0),
+        make_stroke(np.array([[-10.0, 0.0], [0.0, 0.0], [0.0, 0.0], [10.0, 0.0]]), 3.0),
         lambda: np.concatenate([arc(10, 0, 3, -90, 90), arc(-10, 0, 3, 90, 270)]),
         (0.0, 3.0, 90.0),
     ),
     "bow": (
-        stroke(BOW, 3.0),
+        make_stroke(BOW, 3.0),
         lambda: np.concatenate(
             [
                 arc(0, 0, 23, 0, 180),
@@ -86,8 +92,8 @@ def test_distance_and_direction_are_those_of_the_outline(name, kind):
 
     @jax.jit
     def reported(xy):
-        slope = jax.vmap(jax.grad(lambda p: signed_distance(stimulus, p)))(xy)
-        return signed_distance(stimulus, xy), slope, outward_normal(stimulus, xy)
+        slope = jax.vmap(jax.grad(lambda p: compute_signed_distance(stimulus, p)))(xy)
+        return compute_signed_distance(stimulus, xy), slope, compute_outward_normal(stimulus, xy)
 
     with jax.enable_x64(kind == np.float64):
         xy = jnp.asarray(places(line), kind)
@@ -114,7 +120,7 @@ def test_no_place_is_without_a_finite_slope(name):
 
 def test_a_polygon_has_a_slope_on_its_sides_and_corners():
     """Just there an unsigned distance with a sign has none."""
-    slope = jax.jit(jax.vmap(jax.grad(polygon(L_SHAPE))))
+    slope = jax.jit(jax.vmap(jax.grad(make_polygon(L_SHAPE))))
     half = np.sqrt(0.5)
     on = jnp.asarray([[15.0, 0.0], [30.0, 5.0], [20.0, 10.0], [30.0, 10.0], [10.0, 10.0]])
     np.testing.assert_allclose(
@@ -127,5 +133,5 @@ def test_inside_and_outside_of_corners():
         [[33.0, 14.0], [7.0, 6.0], [10.0, 0.5], [-3.0, 10.0], [20.0, 9.0], [20.0, 11.0]]
     )
     np.testing.assert_allclose(
-        jax.jit(polygon(L_SHAPE))(points), [5, -5, -0.5, 3, -1, 1], atol=1e-5
+        jax.jit(make_polygon(L_SHAPE))(points), [5, -5, -0.5, 3, -1, 1], atol=1e-5
     )

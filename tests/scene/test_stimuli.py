@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import edge_labels, make_scenes
+from jaxunshear.scene.scene import compute_edge_labels, make_scenes
 from jaxunshear.scene.shapes import FAR_MM
 from jaxunshear.scene.stimuli import (
     SHAPES,
     STIMULI,
     TRAINING,
     UNSEEN,
-    followed,
-    outward_normal,
-    signed_distance,
-    stimulus_named,
-    stimulus_of,
+    compute_outward_normal,
+    compute_signed_distance,
+    get_closed_stimulus,
+    get_stimulus,
+    make_stimulus,
 )
 from jaxunshear.settings.stimuli import Outline
 
 EDGED = (*SHAPES, "edge")
 CHEAP = ("disk", "clover", "edge", "surface")  # of one operation after the other
-distance = jax.jit(signed_distance, static_argnums=0)
-normal = jax.jit(outward_normal, static_argnums=0)
+distance = jax.jit(compute_signed_distance, static_argnums=0)
+normal = jax.jit(compute_outward_normal, static_argnums=0)
 
 
 @pytest.mark.parametrize("name", EDGED)
@@ -66,8 +66,8 @@ def test_disk_is_exact_and_gradients_are_finite_at_centres():
 )
 def test_jit_and_vmap_agree_with_the_plain_call(name):
     points = jax.random.uniform(jax.random.key(1), (7, 2), minval=-9, maxval=9)
-    plain = signed_distance(STIMULI[name], points)
-    mapped = jax.jit(jax.vmap(lambda point: signed_distance(STIMULI[name], point)))
+    plain = compute_signed_distance(STIMULI[name], points)
+    mapped = jax.jit(jax.vmap(lambda point: compute_signed_distance(STIMULI[name], point)))
     np.testing.assert_allclose(mapped(points), plain, atol=1e-4)
 
 
@@ -79,9 +79,9 @@ def test_names():
     )
     assert sum(STIMULI[name].material == "acrylic" for name in UNSEEN) == 2
     with pytest.raises(UserError, match="pyramid"):
-        stimulus_named("pyramid")
+        get_stimulus("pyramid")
     with pytest.raises(UserError, match="has no outline"):
-        followed("surface")
+        get_closed_stimulus("surface")
 
 
 def test_outlines_are_shapes_like_those_with_a_name():
@@ -96,12 +96,12 @@ def test_outlines_are_shapes_like_those_with_a_name():
         (-9, 3),
     )  # sides of it lie on one line
     own = Outline("lobed", lobed, friction=0.3)
-    stimulus = stimulus_of(own)
+    stimulus = make_stimulus(own)
     assert (
-        stimulus is followed(own) is stimulus_of(Outline("lobed", lobed, friction=0.3))
+        stimulus is get_closed_stimulus(own) is make_stimulus(Outline("lobed", lobed, friction=0.3))
         and stimulus.friction == 0.3
     )
-    assert stimulus_of("disk") is STIMULI["disk"] is stimulus_of(STIMULI["disk"])
+    assert make_stimulus("disk") is STIMULI["disk"] is make_stimulus(STIMULI["disk"])
     points = jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [-4.0, 7.0]])  # of the target frame
     assert own.place == (9, 1.5, 0)
     np.testing.assert_allclose(distance(stimulus, points), [0, 1, -1, 2], atol=1e-5)
@@ -119,7 +119,7 @@ def test_an_edges_labels_are_where_across_it_and_how_it_is_turned():
     pose = np.array([[2.5, -4.0, 30.0, 2.0], [-1.0, 3.0, -170.0, 2.0], [0.5, 0.0, 180.0, 1.0]])
     scenes = make_scenes(("edge",), np.zeros(3, int), pose, np.zeros((3, 2)))
     np.testing.assert_allclose(
-        edge_labels(("edge",), scenes), [[2.5, -30], [-1.0, 170], [0.5, 180]], atol=1e-5
+        compute_edge_labels(("edge",), scenes), [[2.5, -30], [-1.0, 170], [0.5, 180]], atol=1e-5
     )
 
 
@@ -129,6 +129,8 @@ def test_no_row_or_column_through_a_corner_has_the_wrong_sign(name):
     line = np.arange(-80, 80.1, 0.5, dtype=np.float32)
     xy = np.stack(np.meshgrid(line, line), -1)
     found = np.asarray(
-        jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(STIMULI[name], row), xy))(xy)
+        jax.jit(
+            lambda xy: jax.lax.map(lambda row: compute_signed_distance(STIMULI[name], row), xy)
+        )(xy)
     )
     assert max(np.abs(np.diff(found, axis=axis)).max() for axis in (0, 1)) < 0.501

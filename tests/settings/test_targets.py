@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.metrics import pose_errors
+from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.model import posenet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.targets import (
@@ -299,7 +299,7 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
         for name, value in posenet.pose_from_outputs(outputs, targets).items()
     }
     np.testing.assert_allclose(
-        pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
+        compute_pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
     )
 
 

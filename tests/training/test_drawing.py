@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.training import drawing
 from jaxunshear.training.drawing import FOLLOW, drawing_of
 
-FLAT = pin_lattice(TACTIP_127)
+FLAT = compute_pin_lattice(TACTIP_127)
 REST = 48 + 36 * FLAT / np.linalg.norm(FLAT, axis=-1).max()
 RNG = np.random.default_rng(0)
 

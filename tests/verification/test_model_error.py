@@ -4,14 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
 from verification.hyperelastic import neo_hookean
 from verification.model_error import logarithmic, model_error
 from verification.px import pin_error, px_apart
 
-REST = pin_tips(TACTIP_331)
+REST = compute_pin_tips(TACTIP_331)
 
 
 def test_a_shift_is_measured_as_one():

@@ -33,8 +33,8 @@ from jaxunshear.inference.perceiver import (
     perceiver,
 )
 from jaxunshear.progress import Progress
-from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.scene import edge_teller
+from jaxunshear.scene.pin_layout import compute_pin_tips
+from jaxunshear.scene.scene import make_edge_labeler
 from jaxunshear.scene.stimuli import STIMULI, Stimulus
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
@@ -166,7 +166,7 @@ def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
 
 @lru_cache(maxsize=32)
 def _edge_of(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
-    return edge_teller(stimulus)
+    return make_edge_labeler(stimulus)
 
 
 @lru_cache(maxsize=8)
@@ -177,9 +177,9 @@ def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
 def _simulated_frame(sensor: Sensor, paired: PairedData) -> Frame:
     """What the simulator's frames have in common."""
     lattice = undeformed(sensor, paired.camera, paired.preprocess)
-    image = render(paired, sensor, pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1)[0][
-        0
-    ]
+    image = render(
+        paired, sensor, compute_pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1
+    )[0][0]
     size = paired.preprocess.size
     return Frame(
         View(), lattice.place, lattice.shell, lattice.spacing, detect(image).radius, size, size

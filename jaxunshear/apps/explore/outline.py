@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from skimage.measure import find_contours
 
-from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_of
+from jaxunshear.scene.stimuli import Stimulus, compute_signed_distance, make_stimulus
 from jaxunshear.settings.outlines import simplified
 from jaxunshear.settings.stimuli import Outline
 
@@ -25,7 +25,7 @@ def drawn(points: np.ndarray) -> Stimulus:
     corners = (
         simplified(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
     )
-    return stimulus_of(Outline(DRAWN, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
+    return make_stimulus(Outline(DRAWN, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
 
 
 @lru_cache(maxsize=32)
@@ -34,7 +34,9 @@ def outlines(stimulus: Stimulus, half_mm: float) -> tuple[np.ndarray, ...]:
     steps = round(2 * half_mm / GRID_MM)
     line = np.linspace(-half_mm, half_mm, steps + 1)
     grid = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
-    inside = np.asarray(jax.jit(partial(signed_distance, stimulus))(grid.astype(np.float32)))
+    inside = np.asarray(
+        jax.jit(partial(compute_signed_distance, stimulus))(grid.astype(np.float32))
+    )
     inside = np.pad(inside, 1, constant_values=1.0)  # so that what goes on beyond is closed, too
     curves = find_contours(inside, 0.0)
     return tuple((curve - 1) * (2 * half_mm / steps) - half_mm for curve in curves)

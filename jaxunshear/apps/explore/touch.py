@@ -1,6 +1,6 @@
 """One touch of the simulated dome: what is asked, and what its contact gives. Pure functions of it.
 
->>> touch = Touch(stimulus_named("disk"), sensor_named("tactip331-fitted"), (0.0, 0.0, 0.0, 3.0), (2.0, 0.0), 0.4)
+>>> touch = Touch(get_stimulus("disk"), sensor_named("tactip331-fitted"), (0.0, 0.0, 0.0, 3.0), (2.0, 0.0), 0.4)
 >>> felt = feel(touch)                                 # raises UserError where no contact can be had
 """
 
@@ -17,10 +17,10 @@ from jaxunshear.contact.plan import NODE_COUNTS, padded
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.systems import dome
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import path_of
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.paths import make_paths
+from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.stimuli import Stimulus, stimulus_named
+from jaxunshear.scene.stimuli import Stimulus, get_stimulus
 from jaxunshear.settings.reach import ring_spacing
 from jaxunshear.settings.sensor import Sensor
 
@@ -64,7 +64,7 @@ def feel(touch: Touch, level: Level = LEVEL) -> Felt:
         contacts, skins = follow(
             touch.sensor,
             (touch.stimulus,),
-            path_of(scenes_of(touch)),
+            make_paths(scenes_of(touch)),
             level,
             batch=BATCH,
             retry=False,
@@ -100,7 +100,7 @@ def _above(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     def outward(points: np.ndarray) -> np.ndarray:
         return (points - centre) / np.linalg.norm(points - centre, axis=-1, keepdims=True)
 
-    apart, nearest = cKDTree(outward(dome(sensor).nodes)).query(outward(pin_tips(sensor)))
+    apart, nearest = cKDTree(outward(dome(sensor).nodes)).query(outward(compute_pin_tips(sensor)))
     return nearest, apart * sensor.dome_radius_mm < ring_spacing(sensor)
 
 
@@ -111,9 +111,9 @@ def warming_touches(sensor: Sensor, friction: float) -> list[Touch]:
         slide = (0.0, 0.0), (1.0, 0.0), (0.0, 2.5), (0.0, MOST_SLIDE_MM)
         for name, x in (("edge", 6.0), ("edge", 3.0), ("edge", 0.0), ("surface", 0.0)):
             pose = (x, 0.0, 0.0, float(depth))
-            touch = Touch(stimulus_named(name), sensor, pose, slide[number % len(slide)], friction)
+            touch = Touch(get_stimulus(name), sensor, pose, slide[number % len(slide)], friction)
             batches = plan_paths(
-                sensor, obstacles_of((touch.stimulus,)), path_of(scenes_of(touch)), LEVEL, BATCH
+                sensor, obstacles_of((touch.stimulus,)), make_paths(scenes_of(touch)), LEVEL, BATCH
             )
             found.setdefault(max(padded(len(batch.nodes), NODE_COUNTS) for batch in batches), touch)
     return list(found.values())

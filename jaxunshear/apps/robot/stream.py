@@ -27,7 +27,7 @@ from jaxunshear.image.preprocess import View, common_view, own_view, prepare_fra
 from jaxunshear.image.understood import ANY, ENOUGH, Expected, plausibility, state_doubt
 from jaxunshear.inference.perceiver import UNSHEARED, expected_by, perceiver
 from jaxunshear.inference.perception import Forward, confidence, load_forward
-from jaxunshear.metrics import pose_errors
+from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.results.applications import Streamed
@@ -238,7 +238,7 @@ def _summary(found: _Found, live: bool, began: float) -> Streamed:
 def _errors(pose: dict[str, float], true: Mapping[str, float]) -> dict[str, float]:
     """Absolute errors of what has a label."""
     known = {name: np.array([true[name]]) for name in pose if np.isfinite(true.get(name, np.nan))}
-    found = pose_errors({name: np.array([pose[name]]) for name in known}, known)
+    found = compute_pose_errors({name: np.array([pose[name]]) for name in known}, known)
     return {name: float(error[0]) for name, error in found.items()}
 
 

@@ -22,7 +22,7 @@ from jaxunshear.apps.explore.touch import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.folders import RELEASED, load_settings
-from jaxunshear.scene.stimuli import STIMULI, stimulus_of
+from jaxunshear.scene.stimuli import STIMULI, make_stimulus
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import SENSORS
 from jaxunshear.settings.stimuli import Outline
@@ -48,7 +48,7 @@ def picture(explorer, touch):
 
 
 def test_shapes_of_ones_own_are_chosen_like_the_others(explorer):
-    own = stimulus_of(Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0))))
+    own = make_stimulus(Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0))))
     assert list(replace(explorer, own=(own,)).stimuli.values()) == [own, *STIMULI.values()]
     assert list(explorer.stimuli) == list(STIMULI)
 

@@ -9,7 +9,7 @@ import pytest
 
 from jaxunshear.apps.explore.outline import drawn, outlines
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import STIMULI, signed_distance
+from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
 from jaxunshear.settings.stimuli import MOST_CORNERS
 
 ANGLE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
@@ -19,7 +19,7 @@ RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
 def test_a_drawn_circle_is_a_disk():
     stimulus = drawn(RING[::-1])
     xy = jnp.array([[0.0, 0.0], [11.0, 0.0], [0.0, 15.0]])
-    found = jax.jit(partial(signed_distance, stimulus))(xy)
+    found = jax.jit(partial(compute_signed_distance, stimulus))(xy)
     np.testing.assert_allclose(found, [-12, -1, 3], atol=0.2)
     assert stimulus.extent_mm == pytest.approx(12, abs=0.2)
 

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from jaxunshear.angles import wrap_degrees
 
 
-def pose_errors(
+def compute_pose_errors(
     predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
 ) -> dict[str, Float32[np.ndarray, "B"]]:
     """Absolute errors of all that is `predicted`, in the order of the labels; angles the short way round, so at most 180.

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from jaxunshear.settings.sensor import Sensor, check_sensor
 
 
-def pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
+def compute_pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
     """Pins of the flattened dome, in mm of arc from the apex; ring by ring, each counter-clockwise from +x."""
     points = [np.zeros((1, 2))]
     for ring in range(1, sensor.rings + 1):
@@ -26,24 +26,24 @@ def pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
-def pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+def compute_pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
     """Undeformed pin tips, in mm in the sensor frame: they stand on the skin's inner face, along the normal.
 
     Raises `UserError` for a sensor that cannot be.
     """
     check_sensor(sensor)
-    return tips_at(sensor, pin_lattice(sensor))
+    return compute_tips_at(sensor, compute_pin_lattice(sensor))
 
 
-def tips_at(sensor: Sensor, flat: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
+def compute_tips_at(sensor: Sensor, flat: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
     """Undeformed tips in mm of pins that stand anywhere, at `flat` mm of arc from the apex."""
     inner = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
     return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor, flat) * inner
 
 
-def pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+def compute_pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
     """In mm, from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
-    return -sensor.pin_length_mm * _outwards(sensor, pin_lattice(sensor))
+    return -sensor.pin_length_mm * _outwards(sensor, compute_pin_lattice(sensor))
 
 
 def _outwards(sensor: Sensor, flat: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ def match_pins(
     return PinMatch(error, len(true) - len(error), len(found) - len(error))
 
 
-def pin_error(
+def measure_pin_error(
     images: UInt8[np.ndarray, "B S S"], true_px: Float[np.ndarray, "B P 2"], limit_px: float
 ) -> dict[str, float]:
     """`rms_px`, the root mean square distance of the pins found in images, white from half of full scale on, from true pins px as
