@@ -16,8 +16,8 @@ from benchmarks.rivals import RIVALS
 from benchmarks.truth import true_pins
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact import systems
-from jaxunshear.contact.level import LEVELS, Level, unabridged
-from jaxunshear.contact.skins import Contacts
+from jaxunshear.contact.contact_results import Contacts
+from jaxunshear.contact.level import LEVELS, Level, without_omissions
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
@@ -75,7 +75,7 @@ def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Itera
             )
     for batch in batches:
         full = {
-            "unabridged": unabridged(LEVELS["auto"]),
+            "unabridged": without_omissions(LEVELS["auto"]),
             "default": LEVELS["default"],
             "reference": LEVELS["reference"],
         }
@@ -184,10 +184,10 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
     how = replace(setting.how, solver=RIVALS[setting.solver])
 
     def work() -> None:
-        systems.system_of.cache_clear()
+        systems.build_system.cache_clear()
         contacts[:] = [simulator.simulate(here, NAMES, scenes, how, setting.batch, retry=False)]
 
-    systems.dome(here)
+    systems.load_shared_dome(here)
     jax.clear_caches()
     product = matrix_product()
     try:

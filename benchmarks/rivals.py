@@ -16,13 +16,13 @@ from jaxunshear.contact.friction import (
     BETWEEN_CHECKS,
     OVER_RELAXATION,
     RHO,
-    Solved,
+    SolverResult,
     System,
     project,
 )
 
 Start = tuple[jax.Array, jax.Array, jax.Array]
-Solver = Callable[..., Solved]
+Solver = Callable[..., SolverResult]
 State = TypeVar("State")
 _Walk = tuple[
     jax.Array,
@@ -102,7 +102,7 @@ def _gradient(accelerate: bool) -> Solver:
         start: Start,
         tolerance: jax.Array,
         limit: int,
-    ) -> Solved:
+    ) -> SolverResult:
         _untilted(frame)
         largest = _largest_eigenvalue(system)
 
@@ -137,7 +137,7 @@ def anderson(
     start: Start,
     tolerance: jax.Array,
     limit: int,
-) -> Solved:
+) -> SolverResult:
     """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
     _untilted(frame)
     count, size = len(offset), offset[0].size
@@ -199,7 +199,7 @@ def newton(
     start: Start,
     tolerance: jax.Array,
     limit: int,
-) -> Solved:
+) -> SolverResult:
     """Full steps on f - P(f - (W f + b)) = 0, from zero."""
     _untilted(frame)
     count, nodes, unknowns = offset.shape

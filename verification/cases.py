@@ -9,10 +9,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from jaxunshear.contact.contact_results import Contacts, Skins
+from jaxunshear.contact.input_checks import get_level
 from jaxunshear.contact.level import Level
-from jaxunshear.contact.scope import level_named
 from jaxunshear.contact.simulate import follow, simulate
-from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import SHAPES as PLANAR
@@ -298,7 +298,7 @@ def _twins() -> Iterator[Case]:
     yield replace(alone, name="continued from its state, as in one go", twin=in_two_parts)
 
     def twice(level: str | Level, retry: bool) -> Contacts:
-        return follow_duplicated(HALF_SIZE, motion(1.5, slide=(1.0, 0.5)), 0.7, level_named(level))
+        return follow_duplicated(HALF_SIZE, motion(1.5, slide=(1.0, 0.5)), 0.7, get_level(level))
 
     once = one_path("", motion(1.5, slide=(1.0, 0.5)), sensor=HALF_SIZE)
     line = f"follow_duplicated({written(HALF_SIZE)}, array({motion(1.5, slide=(1.0, 0.5)).tolist()}), 0.7, LEVELS['auto'])"

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.friction import RHO, System, follow_path, rest
+from jaxunshear.contact.contact_results import Contacts
+from jaxunshear.contact.friction import RHO, System, follow_path, make_undeformed_skins
 from jaxunshear.contact.level import Level
-from jaxunshear.contact.obstacle import sample
-from jaxunshear.contact.plan import increments
-from jaxunshear.contact.skins import Contacts
-from jaxunshear.contact.state import contact_state
-from jaxunshear.contact.systems import dome
+from jaxunshear.contact.node_state import count_node_states
+from jaxunshear.contact.obstacle import sample_distances
+from jaxunshear.contact.scheduler import cut_increments
+from jaxunshear.contact.systems import load_shared_dome
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.stimuli import get_stimulus
 from jaxunshear.settings.sensor import Sensor
@@ -20,14 +20,14 @@ def follow_duplicated(
     sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7
 ) -> Contacts:
     """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     count = len(full.nodes)
     index = np.concatenate([np.arange(count), np.arange(twice)])
     columns = (3 * index[:, None] + np.arange(3)).ravel()
     scale = np.trace(full.w) / len(full.w)
     w = full.w[np.ix_(columns, columns)] / scale
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
-    poses, _ = increments(
+    poses, _ = cut_increments(
         Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm
     )
     with jax.enable_x64(level.precision == "float64"):
@@ -37,15 +37,15 @@ def follow_duplicated(
         mu = jnp.asarray([friction], level.precision)
         skin, quality = follow_path(
             system,
-            sample((get_stimulus("disk"),)),
+            sample_distances((get_stimulus("disk"),)),
             jnp.zeros(1, jnp.int32),
             mu,
             path[1:],
-            rest(system, path[0]),
+            make_undeformed_skins(system, path[0]),
             level.tolerance,
             level.limit,
         )
-        states = contact_state(skin, mu)
+        states = count_node_states(skin, mu)
         skin, quality, states = jax.device_get((skin, quality, states))
     force = skin.force[0].astype(np.float64) / scale
     pins = full.pins + (full.g[:, columns] @ force.ravel()).reshape(-1, 3)

@@ -12,8 +12,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from jaxunshear.contact.elasticity import isotropic, lame, stiffness
-from jaxunshear.contact.mesh import Mesh, dome_mesh, sample_elements
+from jaxunshear.contact.elasticity import (
+    assemble_stiffness,
+    compute_isotropic_stiffness,
+    compute_lame_constants,
+)
+from jaxunshear.contact.mesh import Mesh, make_dome_mesh, sample_elements
 from verification.tables import Row, fit_order, vanishes
 
 GROUP = "elements"
@@ -65,8 +69,8 @@ def patch_test() -> list[Row]:
         "rotation": (1, [z, -z, -r]),
     }
     edge = np.any((mesh.nodes < 1e-9) | (mesh.nodes > 1 - 1e-9), axis=-1)
-    materials = np.broadcast_to(isotropic(1.0, 0.49), (len(mesh.elements), 6, 6))
-    k0, k1, k2 = stiffness(mesh, materials)
+    materials = np.broadcast_to(compute_isotropic_stiffness(1.0, 0.49), (len(mesh.elements), 6, 6))
+    k0, k1, k2 = assemble_stiffness(mesh, materials)
     worst = 0.0
     for m, field in fields.values():
         exact = np.stack(field, -1)
@@ -115,7 +119,7 @@ def _cartesian(m: int, point: jax.Array) -> jax.Array:
 
 def body_force(m: int, modulus: float, poisson: float, r: jax.Array, z: jax.Array) -> jax.Array:
     """(3,) that bears the made-up field: minus the divergence of its stress, radial, tangential and axial as U, V, W are."""
-    shear, first = lame(modulus, poisson)
+    shear, first = compute_lame_constants(modulus, poisson)
 
     def at(angle: float) -> jax.Array:
         point = jnp.stack([r * np.cos(angle), r * np.sin(angle), z])
@@ -169,8 +173,8 @@ def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     exact, at_nodes = _everywhere(m, poisson, r, z), _everywhere(m, poisson, *mesh.nodes.T).field
     load = np.zeros((len(mesh.nodes), 3))
     np.add.at(load, mesh.elements, np.einsum("eq,qn,eqi->eni", weight, values, exact.force))
-    k0, k1, k2 = stiffness(
-        mesh, np.broadcast_to(isotropic(1.0, poisson), (len(mesh.elements), 6, 6))
+    k0, k1, k2 = assemble_stiffness(
+        mesh, np.broadcast_to(compute_isotropic_stiffness(1.0, poisson), (len(mesh.elements), 6, 6))
     )
     edge = np.zeros(len(mesh.nodes), bool)
     edge[np.unique(mesh.surface)] = True
@@ -196,7 +200,7 @@ def made_up_orders() -> list[Row]:
     sizes = np.array([0.25, 0.125, 0.0625])
     rows = []
     for m in (0, 1, 2):
-        errors = np.array([made_up_errors(dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes])
+        errors = np.array([made_up_errors(make_dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes])
         for error, name, least in zip(
             errors.T, ("displacement", "slopes"), (2.7, 1.7), strict=True
         ):

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxunshear.contact.harmonics import sixfold
+from jaxunshear.contact.contact_results import Contacts
+from jaxunshear.contact.harmonics import make_sixfold_permutations
 from jaxunshear.contact.level import LEVELS, Level
 from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
@@ -68,7 +68,11 @@ def turned(sensor: Sensor) -> list[Row]:
     angles = (0.0, 60.0, 17.0)
     made = _ends(sensor, [slide(-1.0, 0.0, (0.8, 1.5), yaw) for yaw in angles])
     still = made.pins[0]
-    sixth = px_apart(sensor, made.pins[1], (still @ _rotation(-60.0).T)[sixfold(sensor.pins)[1]])
+    sixth = px_apart(
+        sensor,
+        made.pins[1],
+        (still @ _rotation(-60.0).T)[make_sixfold_permutations(sensor.pins)[1]],
+    )
     other = px_apart(sensor, made.pins[2], _at_angles(sensor, still, -17.0))
     outer = np.arange(sensor.pins) > 3 * 3 * 4  # rings with enough pins to interpolate between
     force = _rotation(angles[2]) @ made.force_n[2] - made.force_n[0]
@@ -188,7 +192,9 @@ def tilted(sensor: Sensor) -> list[Row]:
     made = _ends(sensor, points)
     force = np.linalg.norm(made.force_n, axis=-1)
     sixth = px_apart(
-        sensor, made.pins[1][sixfold(sensor.pins)[1]], made.pins[0] @ _rotation(60.0).T
+        sensor,
+        made.pins[1][make_sixfold_permutations(sensor.pins)[1]],
+        made.pins[0] @ _rotation(60.0).T,
     )
     words = "slide on the flat, tilted by 20 deg, turned by 17 deg: change of the force"
     good = bool(made.converged.all())

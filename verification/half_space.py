@@ -15,9 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, condense, isotropic
-from jaxunshear.contact.friction import RHO, Skin, System, advance, increment_offset, rest
-from jaxunshear.contact.mesh import half_space_mesh
+from jaxunshear.contact.elasticity import Compliance, compute_isotropic_stiffness, condense
+from jaxunshear.contact.friction import (
+    RHO,
+    Skin,
+    System,
+    advance_increment,
+    compute_increment_offset,
+    make_undeformed_skins,
+)
+from jaxunshear.contact.mesh import make_half_space_mesh
 from jaxunshear.contact.obstacle import Obstacles
 
 SPACING_MM = 0.1  # of the rings of contact nodes, and of the mesh below them
@@ -80,10 +87,12 @@ class HalfSpace:
 
 @lru_cache(maxsize=4)
 def half_space(poisson: float, rings: int = RINGS) -> HalfSpace:
-    mesh = half_space_mesh(
+    mesh = make_half_space_mesh(
         rings * SPACING_MM, SPACING_MM, growth=GROWTH, reach=REACH / (rings * SPACING_MM)
     )
-    materials = np.broadcast_to(isotropic(1.0, poisson), (len(mesh.elements), 6, 6))
+    materials = np.broadcast_to(
+        compute_isotropic_stiffness(1.0, poisson), (len(mesh.elements), 6, 6)
+    )
     inside = np.array([[0.0, 0.0, SPACING_MM]])  # a pin that nobody asks for
     made = condense(mesh, materials, np.arange(rings + 1) * SPACING_MM, inside, 6 * (rings - 1))
     return HalfSpace(poisson, made)
@@ -168,8 +177,10 @@ def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: floa
     which = jnp.zeros(count, jnp.int32)
 
     def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Made]:
-        offset = increment_offset(system, flat, which, skin, pose, False, skin.displacement)
-        after, quality = advance(system, flat, which, friction, pose, skin, tolerance, 20000, False)
+        offset = compute_increment_offset(system, flat, which, skin, pose, False, skin.displacement)
+        after, quality = advance_increment(
+            system, flat, which, friction, pose, skin, tolerance, 20000, False
+        )
         apart = offset + after.displacement
         # where nothing moves the skin is left as it is
         moved = jnp.any(pose != skin.pose, axis=-1)[:, None, None]
@@ -177,5 +188,5 @@ def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: floa
         settled = quality.residual_mm <= quality.tolerance_mm
         return after, (after.force, slip, apart[..., 2], settled, quality.iterations)
 
-    _, made = jax.lax.scan(step, rest(system, poses[0]), poses[1:])
+    _, made = jax.lax.scan(step, make_undeformed_skins(system, poses[0]), poses[1:])
     return made

@@ -32,8 +32,8 @@ class Body:
     slopes: np.ndarray  # (E, Q, 8, 2) gradients of the shape functions, 1/mm
     hoop: np.ndarray  # (E, Q, 8) shape functions over the radius, 1/mm
     volume: np.ndarray  # (E, Q) mm^3, all the way around
-    shear: np.ndarray  # (E,) MPa
-    first: np.ndarray  # (E,) MPa, Lame's first constant
+    shear_modulus: np.ndarray  # (E,) MPa
+    lame_first: np.ndarray  # (E,) MPa, Lame's first constant
     density: Density
 
     @property
@@ -110,38 +110,48 @@ def _on_elements(function: Callable[..., jax.Array], body: Body, moved: np.ndarr
     with jax.enable_x64(True):
         at = moved[body.mesh.elements]
         return np.asarray(
-            function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first)
+            function(
+                body.density,
+                at,
+                body.slopes,
+                body.hoop,
+                body.volume,
+                body.shear_modulus,
+                body.lame_first,
+            )
         )
 
 
-def energy(body: Body, moved: Float[np.ndarray, "V 2"]) -> float:
+def compute_energy(body: Body, displacement: Float[np.ndarray, "V 2"]) -> float:
     """Strain energy (N mm) at displacement mm; NaN where matter is inside out."""
-    return float(_on_elements(_energies, body, moved).sum())
+    return float(_on_elements(_energies, body, displacement).sum())
 
 
-def forces(body: Body, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "2*V"]:
+def compute_forces(body: Body, displacement: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "2*V"]:
     """Gradient of the energy, N; NaN where matter is inside out."""
-    if deformation(body, moved)[1].min() <= 0:  # log J has a gradient there too
-        return np.full(moved.size, np.nan)
-    parts = _on_elements(_forces, body, moved)
-    return np.bincount(body.unknowns.ravel(), parts.ravel(), minlength=moved.size)
+    if compute_deformation(body, displacement)[1].min() <= 0:  # log J has a gradient there too
+        return np.full(displacement.size, np.nan)
+    parts = _on_elements(_forces, body, displacement)
+    return np.bincount(body.unknowns.ravel(), parts.ravel(), minlength=displacement.size)
 
 
-def tangent(body: Body, moved: Float[np.ndarray, "V 2"]) -> sp.csc_matrix:
+def compute_tangent(body: Body, displacement: Float[np.ndarray, "V 2"]) -> sp.csc_matrix:
     """Hessian (2V, 2V) of the energy, N/mm."""
-    blocks = _on_elements(_tangents, body, moved)
+    blocks = _on_elements(_tangents, body, displacement)
     rows, columns = (
         np.repeat(body.unknowns, 16, axis=1).ravel(),
         np.tile(body.unknowns, (1, 16)).ravel(),
     )
-    return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(moved.size, moved.size)).tocsc()
+    return sp.coo_matrix(
+        (blocks.ravel(), (rows, columns)), shape=(displacement.size, displacement.size)
+    ).tocsc()
 
 
-def deformation(
-    body: Body, moved: Float[np.ndarray, "V 2"]
+def compute_deformation(
+    body: Body, displacement: Float[np.ndarray, "V 2"]
 ) -> tuple[Float[np.ndarray, "E Q 3"], Float[np.ndarray, "E Q"]]:
     """Principal stretches, not below zero, and signed volume ratios."""
-    at = moved[body.mesh.elements]
+    at = displacement[body.mesh.elements]
     plane = np.eye(2) + np.einsum("eni,eqnj->eqij", at, body.slopes)
     around = 1 + np.einsum("eqn,en->eq", body.hoop, at[..., 0])
     stretches = np.concatenate(

@@ -1,6 +1,6 @@
 """The dome at large strain, pressed by a flat plate without friction. A reference for the linear dome, not the simulator.
 
-    made = press(TACTIP_331, (1.0, 3.0, 6.0))
+    made = press_dome(TACTIP_331, (1.0, 3.0, 6.0))
     made.force_n[made.converged], made.pins  # (D,) N, (D, 331, 3) mm
 
 Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c = 0 at two points c of each
@@ -17,8 +17,8 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.elasticity import lame
-from jaxunshear.contact.mesh import Mesh, dome_mesh, edge_shapes, inner_face
+from jaxunshear.contact.elasticity import compute_lame_constants
+from jaxunshear.contact.mesh import Mesh, compute_edge_shapes, find_inner_face, make_dome_mesh
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
@@ -26,11 +26,11 @@ from jaxunshear.settings.sensor import Sensor
 from verification.hyperelastic import (
     Body,
     Density,
-    deformation,
-    forces,
+    compute_deformation,
+    compute_forces,
+    compute_tangent,
     make_body,
     neo_hookean,
-    tangent,
 )
 
 STEP_MM = 0.25  # largest increment of depth
@@ -69,14 +69,14 @@ class Face(NamedTuple):
 
 
 class State(NamedTuple):
-    moved: np.ndarray  # (V, 2) mm
+    displacement: np.ndarray  # (V, 2) mm
     push: np.ndarray  # (C,) N at the points of the face
     residual: float
     iterations: int
     converged: bool
 
 
-def press(
+def press_dome(
     sensor: Sensor,
     depths_mm: Sequence[float],
     mesh_mm: float = 1.0,
@@ -93,25 +93,25 @@ def press(
         raise UserError(
             f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
         )
-    body = dome_body(sensor, mesh_mm, density)
+    body = make_dome_body(sensor, mesh_mm, density)
     face = make_face(body.mesh)
     order = np.argsort(depths, kind="stable")
     rows = [
         _row(sensor, body, face, state, depth)
         for state, depth in zip(
-            follow(body, face, depths[order], progress), depths[order], strict=True
+            follow_depths(body, face, depths[order], progress), depths[order], strict=True
         )
     ]
     fields = (np.array(field)[np.argsort(order)] for field in zip(*rows, strict=True))
     return LargeStrain(*fields)
 
 
-def dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
+def make_dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
     """The sensor's gel under its skin."""
-    mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
+    mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
     skin, gel = (
-        lame(sensor.skin_modulus_mpa, sensor.skin_poisson),
-        lame(sensor.gel_modulus_mpa, sensor.gel_poisson),
+        compute_lame_constants(sensor.skin_modulus_mpa, sensor.skin_poisson),
+        compute_lame_constants(sensor.gel_modulus_mpa, sensor.gel_poisson),
     )
     shear, first = np.where(mesh.skin[:, None], skin, gel).T
     return make_body(mesh, shear, first, density)
@@ -119,7 +119,7 @@ def dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) ->
 
 def make_face(mesh: Mesh) -> Face:
     """Two points an edge: as many as the nodes that an edge adds, so that pressures are neither loose nor overtight."""
-    line, _ = edge_shapes(_EDGE_GAUSS)
+    line, _ = compute_edge_shapes(_EDGE_GAUSS)
     columns = np.repeat(mesh.surface, len(line), axis=0)
     rows = np.repeat(np.arange(len(columns)), 3)
     entries = np.tile(line, (len(mesh.surface), 1)).ravel()
@@ -129,7 +129,7 @@ def make_face(mesh: Mesh) -> Face:
     return Face(matrix, matrix @ mesh.nodes)
 
 
-def follow(
+def follow_depths(
     body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None
 ) -> list[State]:
     """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
@@ -147,7 +147,7 @@ def follow(
                 0,
                 False,
             )
-            found = equilibrium(body, face, there, guess, body.held)
+            found = solve_equilibrium(body, face, there, guess, body.held)
             spent, first = spent + found.iterations, False
             if found.converged:
                 if there > at:
@@ -164,16 +164,18 @@ def follow(
     return states
 
 
-def equilibrium(body: Body, face: Face, depth: float, start: State, held: np.ndarray) -> State:
-    """Newton's method from `start` with the plate at z = `depth` mm; the unknowns `held` keep the displacement they have."""
-    free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), held)
+def solve_equilibrium(
+    body: Body, face: Face, depth: float, start: State, fixed: np.ndarray
+) -> State:
+    """Newton's method from `start` with the plate at z = `depth` mm; the unknowns `fixed` keep the displacement they have."""
+    free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), fixed)
     normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()  # (C, 2V)
     stiff = float(
-        np.median(body.shear) * np.ptp(body.mesh.nodes[:, 0])
+        np.median(body.shear_modulus) * np.ptp(body.mesh.nodes[:, 0])
     )  # N/mm, weighs a gap against a push
-    moved, push = start.moved, start.push
+    moved, push = start.displacement, start.push
     for count in range(ITERATIONS + 1):
-        inner = forces(body, moved)
+        inner = compute_forces(body, moved)
         gap = face.place[:, 1] + face.rows @ moved[:, 1] - depth
         active = push - stiff * gap > 0
         residual = np.abs((inner - normal.T @ push)[free]).max() / max(
@@ -186,7 +188,8 @@ def equilibrium(body: Body, face: Face, depth: float, start: State, held: np.nda
             break
         touching = normal[active][:, free]
         matrix = sp.bmat(
-            [[tangent(body, moved)[free][:, free], -touching.T], [-touching, None]], format="csc"
+            [[compute_tangent(body, moved)[free][:, free], -touching.T], [-touching, None]],
+            format="csc",
         )
         try:
             answer = splu(matrix, permc_spec="COLAMD").solve(
@@ -208,7 +211,7 @@ def _share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
     share = 1.0
     while (
         share >= SMALLEST_SHARE
-        and deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME
+        and compute_deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME
     ):
         share /= 2
     return share
@@ -219,17 +222,17 @@ def _row(sensor: Sensor, body: Body, face: Face, state: State, depth: float) -> 
     quality = (state.residual, state.converged, state.iterations)
     if not state.converged:
         return (depth, np.nan, np.nan, np.full((sensor.pins, 3), np.nan), np.nan, np.nan, *quality)
-    stretches, _ = deformation(body, state.moved)
+    stretches, _ = compute_deformation(body, state.displacement)
     volume = body.volume[~body.mesh.skin]
     beyond = np.any(np.abs(stretches[~body.mesh.skin] - 1) > LARGE_STRAIN, axis=-1)
-    place = face.place + face.rows @ state.moved
-    radius = contact_radius(place[:, 0], place[:, 1] - depth, state.push > 0)
-    pins = pins_at(sensor, body.mesh, state.moved)
+    place = face.place + face.rows @ state.displacement
+    radius = fit_contact_radius(place[:, 0], place[:, 1] - depth, state.push > 0)
+    pins = compute_deformed_tips(sensor, body.mesh, state.displacement)
     strained = np.sum(volume * beyond) / np.sum(volume)
     return (depth, state.push.sum(), radius, pins, stretches.max(), strained, *quality)
 
 
-def contact_radius(
+def fit_contact_radius(
     radius: Float[np.ndarray, "C"], gap: Float[np.ndarray, "C"], touching: Bool[np.ndarray, "C"]
 ) -> float:
     """Where the gap closes, mm, from points in rising radius: past the rim it opens as (r - a)^1.5 (Johnson 1985,
@@ -245,7 +248,7 @@ def contact_radius(
     return float(np.clip(rim, radius[last], inner))
 
 
-def pins_at(
+def compute_deformed_tips(
     sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]
 ) -> Float[np.ndarray, "P 3"]:
     """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
@@ -261,14 +264,16 @@ def pins_at(
 
 def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
     """Tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface, with the mesh's nodes at `nodes`."""
-    edges = inner_face(mesh)
+    edges = find_inner_face(mesh)
     rest = mesh.nodes[edges]
     angles = np.arctan2(
         rest[..., 0], sensor.dome_radius_mm - rest[..., 1]
     )  # (S, 3), evenly spaced on each edge
     angle = arcs / sensor.dome_radius_mm
     edge = np.clip(np.searchsorted(angles[:, 0], angle, side="right") - 1, 0, len(edges) - 1)
-    shapes = edge_shapes(2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1)
+    shapes = compute_edge_shapes(
+        2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1
+    )
     base, along = (np.einsum("an,anx->ax", shape, nodes[edges[edge]]) for shape in shapes)
     inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(
         along, axis=-1, keepdims=True

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, condense, isotropic
-from jaxunshear.contact.mesh import dome_mesh
+from jaxunshear.contact.elasticity import Compliance, compute_isotropic_stiffness, condense
+from jaxunshear.contact.mesh import make_dome_mesh
 from verification.half_space import SPACING_MM, HalfSpace, Trace, press, trace
 from verification.normal import SPHERE_MM, depth
 from verification.shear import FRICTION, slip_distance
@@ -284,8 +284,11 @@ def scaled() -> list[Row]:
     rings, pins = 5, np.array([[3.0, 0.0, 2.5], [0.0, 4.0, 3.0]])
 
     def made(size: float, modulus: float) -> Compliance:
-        mesh = dome_mesh(20.0 * size, 1.0 * size, 3.0 * size)
-        gel, skin = isotropic(0.1 * modulus, 0.49), isotropic(modulus, 0.49)
+        mesh = make_dome_mesh(20.0 * size, 1.0 * size, 3.0 * size)
+        gel, skin = (
+            compute_isotropic_stiffness(0.1 * modulus, 0.49),
+            compute_isotropic_stiffness(modulus, 0.49),
+        )
         materials = np.where(mesh.skin[:, None, None], skin, gel)
         return condense(
             mesh, materials, np.arange(rings + 1) * 2.0 * size, pins * size, 6 * (rings - 1)

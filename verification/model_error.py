@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.contact.contact_results import Contacts, Skins
 from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.skins import Contacts, Skins
-from jaxunshear.contact.systems import dome
+from jaxunshear.contact.systems import load_shared_dome
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
-from verification.large_strain import contact_radius, press
+from verification.large_strain import fit_contact_radius, press_dome
 from verification.px import pin_error
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -54,8 +54,8 @@ def model_error(
 ) -> list[ModelError]:
     """Rows, a depth each. `level` "reference" keeps the solver's own error out of the model's."""
     with Progress("large strain", 2 * len(depths), unit="presses") as progress:
-        exact = press(sensor, depths, mesh_mm, progress=progress)
-        straight = press(sensor, depths, mesh_mm, logarithmic, progress)
+        exact = press_dome(sensor, depths, mesh_mm, progress=progress)
+        straight = press_dome(sensor, depths, mesh_mm, logarithmic, progress)
     contacts, skins = _linear(sensor, depths, level)
     radii = _linear_radii(sensor, skins)
     rows = []
@@ -101,10 +101,10 @@ def _linear(sensor: Sensor, depths: Sequence[float], level: str) -> tuple[Contac
 
 def _linear_radii(sensor: Sensor, skins: Skins) -> np.ndarray:
     """(B,) mm, from the nodes along +x, one of each ring."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     along = np.flatnonzero((np.abs(full.nodes[:, 1]) < 1e-9) & (full.nodes[:, 0] > -1e-9))
     radii = []
     for force, point in zip(skins.force_n, skins.point, strict=True):
         place = full.nodes[along] + (full.w @ force.ravel()).reshape(-1, 3)[along]
-        radii.append(contact_radius(place[:, 0], place[:, 2] - point[3], force[along, 2] > 0))
+        radii.append(fit_contact_radius(place[:, 0], place[:, 2] - point[3], force[along, 2] > 0))
     return np.array(radii)

@@ -12,11 +12,11 @@ import numpy as np
 
 from jaxunshear.contact import batches, systems
 from jaxunshear.contact import simulate as simulator
+from jaxunshear.contact.contact_results import Contacts
+from jaxunshear.contact.input_checks import check_paths, get_level
 from jaxunshear.contact.level import OMISSIONS, Level
-from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import Batch
-from jaxunshear.contact.scope import check_paths, level_named
-from jaxunshear.contact.skins import Contacts
+from jaxunshear.contact.obstacle import Obstacles, sample_distances
+from jaxunshear.contact.scheduler import ContactBatch
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, make_paths
@@ -54,11 +54,11 @@ class _Work(NamedTuple):
     obstacles: Obstacles
     paths: Paths
 
-    def plan(self, level: Level) -> list[Batch]:
+    def plan(self, level: Level) -> list[ContactBatch]:
         return batches.plan_paths(self.sensor, self.obstacles, self.paths, level, simulator.BATCH)
 
     def solve(self, level: Level) -> Contacts:
-        systems.system_of.cache_clear()
+        systems.build_system.cache_clear()
         return simulator.follow(self.sensor, self.names, self.paths, level, retry=False)[0]
 
 
@@ -81,14 +81,14 @@ def show_plan(
     points[0, DEPTH] = min(0.0, pose[3])
     mu = touched.friction if friction is None else friction
     paths = Paths(np.array([0]), np.array([float(mu)]), points[None])
-    how = level_named(level)
+    how = get_level(level)
     check_paths(sensor, 1, paths)
-    work = _Work(sensor, (touched,), sample((touched,)), paths)
-    systems.dome(sensor)
+    work = _Work(sensor, (touched,), sample_distances((touched,)), paths)
+    systems.load_shared_dome(sensor)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
     batch = work.plan(how)[0]
-    count, contacts = len(systems.dome(sensor).nodes), work.solve(how)
+    count, contacts = len(systems.load_shared_dome(sensor).nodes), work.solve(how)
     needs = {
         "omission": "",
         "level": level,
@@ -116,8 +116,8 @@ def show_grouping(
     """How `count` random slides and as many taps (of the paper) share batches, and what sharing by need saves."""
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
-    how = level_named(level)
-    obstacles = sample(tuple(make_stimulus(name) for name in NAMES))
+    how = get_level(level)
+    obstacles = sample_distances(tuple(make_stimulus(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
@@ -196,7 +196,7 @@ def _timed(work: _Work, level: Level) -> tuple[float, Contacts]:
     return float(np.median(spent)), contacts
 
 
-def _same(some: list[Batch], others: list[Batch]) -> bool:
+def _same(some: list[ContactBatch], others: list[ContactBatch]) -> bool:
     """Whether two plans solve the same; in what order the nodes are turned does not matter where all else agrees."""
     if len(some) != len(others):
         return False

@@ -18,8 +18,8 @@ from itertools import chain
 
 import numpy as np
 
+from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.contact.level import LEVELS
-from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.storage import Json

@@ -7,23 +7,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.frame import product
-from jaxunshear.contact.friction import Quality, Skin, Solved, System, follow_path, rest
-from jaxunshear.contact.harmonics import sixfold
-from jaxunshear.contact.level import STRONG, Level
-from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import (
+from jaxunshear.contact.contact_results import Contacts, Skins
+from jaxunshear.contact.frame import matmul
+from jaxunshear.contact.friction import (
+    Quality,
+    Skin,
+    SolverResult,
+    System,
+    follow_path,
+    make_undeformed_skins,
+)
+from jaxunshear.contact.harmonics import make_sixfold_permutations
+from jaxunshear.contact.level import STRONG_FRICTION, Level
+from jaxunshear.contact.node_state import count_node_states
+from jaxunshear.contact.obstacle import Obstacles, sample_distances
+from jaxunshear.contact.scheduler import (
     BATCHES,
     PATH_LENGTHS,
-    Batch,
-    gaps,
-    increments,
+    ContactBatch,
+    compute_gaps,
+    cut_increments,
     make_plan,
-    padded,
+    pad_count,
 )
-from jaxunshear.contact.skins import Contacts, Skins
-from jaxunshear.contact.state import contact_state
-from jaxunshear.contact.systems import dome, matrices, system_of
+from jaxunshear.contact.systems import build_matrices, build_system, load_shared_dome
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.stimuli import Stimulus, make_stimulus
@@ -39,22 +46,27 @@ NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring nod
 Stimuli = tuple[str | Outline | Stimulus, ...]
 
 
-def obstacles_of(names: Stimuli) -> Obstacles:
+def sample_obstacles(names: Stimuli) -> Obstacles:
     """The shapes as the contact sees them; sampled once."""
     return _obstacles(tuple(make_stimulus(name) for name in names))
 
 
 @lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand
 def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    return sample(stimuli)
+    return sample_distances(stimuli)
 
 
 def plan_paths(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level, batch: int, wide: bool = False
-) -> list[Batch]:
-    """What each batch solves for; `wide`: with more nodes about the contact, for those that turned out to need them."""
-    nodes = dome(sensor).nodes
-    return make_plan(obstacles, nodes, sensor.dome_radius_mm, paths, level, batch, wide)
+    sensor: Sensor,
+    obstacles: Obstacles,
+    paths: Paths,
+    level: Level,
+    batch: int,
+    wide_margin: bool = False,
+) -> list[ContactBatch]:
+    """What each batch solves for; `wide_margin`: with more nodes about the contact, for those that turned out to need them."""
+    nodes = load_shared_dome(sensor).nodes
+    return make_plan(obstacles, nodes, sensor.dome_radius_mm, paths, level, batch, wide_margin)
 
 
 def solve_batches(
@@ -71,7 +83,10 @@ def solve_batches(
     parts, order = [], []
     batches = plan_paths(sensor, obstacles, paths, level, batch, wide)
     if start is not None:
-        batches = [_with_loaded(part, start, sixfold(start.force_n.shape[1])) for part in batches]
+        batches = [
+            _add_loaded_nodes(part, start, make_sixfold_permutations(start.force_n.shape[1]))
+            for part in batches
+        ]
     for part in batches:
         before = None if start is None else start.take(part.rows)
         if len(part.nodes):
@@ -79,7 +94,7 @@ def solve_batches(
                 _solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before)
             )
         else:
-            parts.append(_untouched(sensor, obstacles, paths.take(part.rows), level))
+            parts.append(_make_untouched_contacts(sensor, obstacles, paths.take(part.rows), level))
         order.append(part.rows)
         if progress is not None:
             progress.advance(len(part.rows))
@@ -91,7 +106,7 @@ def solve_batches(
     return Contacts(*fields[:-3]), Skins(*fields[-3:-1]), fields[-1]
 
 
-def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
+def _add_loaded_nodes(part: ContactBatch, start: Skins, turned: np.ndarray) -> ContactBatch:
     """A batch that also solves for the nodes that carry a force at the start, with what those need."""
     force = start.force_n[part.rows]
     loaded = [
@@ -104,9 +119,9 @@ def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
     )
 
 
-def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
+def make_undeformed_contacts(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
     """The undeformed dome, as converged."""
-    count, full = len(paths), dome(sensor)
+    count, full = len(paths), load_shared_dome(sensor)
     none, nothing = np.zeros(count), np.zeros(count, np.int64)
     pins = np.repeat(full.pins[None].astype(level.precision), count, axis=0)
     free = np.full(count, len(full.nodes))
@@ -117,17 +132,17 @@ def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts
     return contacts, Skins(np.zeros((count, len(full.nodes), 3)), paths.points[:, -1])
 
 
-def _untouched(
+def _make_untouched_contacts(
     sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level
 ) -> tuple[Contacts, Skins, np.ndarray]:
     """Of paths for which no node seemed to be needed. One that ends inside the stimulus shows that some are: a grazing touch."""
-    nodes, pose = dome(sensor).nodes, paths.radians[:, -1]
+    nodes, pose = load_shared_dome(sensor).nodes, paths.radians[:, -1]
     still = np.zeros((len(paths), *nodes.shape))
-    gap = gaps(obstacles, nodes, sensor.dome_radius_mm, paths.stimulus, pose, still)
-    return *nothing_solved(sensor, paths, level), np.min(gap, axis=1) < -PENETRATION_MM
+    gap = compute_gaps(obstacles, nodes, sensor.dome_radius_mm, paths.stimulus, pose, still)
+    return *make_undeformed_contacts(sensor, paths, level), np.min(gap, axis=1) < -PENETRATION_MM
 
 
-def _turned_back(turn: np.ndarray) -> np.ndarray:
+def _compute_inverse_rotations(turn: np.ndarray) -> np.ndarray:
     """(B, 3, 3): from the turned lattice to the sensor frame."""
     angle = np.radians(60.0 * turn)
     cos, sin, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(turn)), np.ones(len(turn))
@@ -140,25 +155,25 @@ def _solve(
     sensor: Sensor,
     obstacles: Obstacles,
     paths: Paths,
-    part: Batch,
+    part: ContactBatch,
     level: Level,
     batch: int,
     start: Skins | None,
 ) -> tuple[Contacts, Skins, np.ndarray]:
     """One batch, padded by repeating its last scene."""
-    count, full = len(paths), dome(sensor)
+    count, full = len(paths), load_shared_dome(sensor)
     rotation, place = (
-        _turned_back(part.turn),
-        sixfold(len(full.nodes))[part.turn][:, part.nodes],
+        _compute_inverse_rotations(part.turn),
+        make_sixfold_permutations(len(full.nodes))[part.turn][:, part.nodes],
     )  # (b, n)
-    poses, _ = increments(paths, level, sensor.dome_radius_mm)
+    poses, _ = cut_increments(paths, level, sensor.dome_radius_mm)
     poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
     poses[..., TILT_X:] = np.einsum("bji,btj->bti", rotation[:, :2, :2], poses[..., TILT_X:])
-    rows = np.minimum(np.arange(min(padded(count, BATCHES), max(batch, count))), count - 1)
-    length = padded(part.steps, PATH_LENGTHS)
+    rows = np.minimum(np.arange(min(pad_count(count, BATCHES), max(batch, count))), count - 1)
+    length = pad_count(part.steps, PATH_LENGTHS)
     filled = np.minimum(np.arange(length + 1), poses.shape[1] - 1)
     with jax.enable_x64(level.precision == "float64"):
-        system, newtons = system_of(
+        system, newtons = build_system(
             sensor, part.nodes.astype(np.int64).tobytes(), part.friction, level.precision
         )
         size, unknowns = len(system.nodes), len(system.w) // len(system.nodes)
@@ -183,7 +198,7 @@ def _solve(
                 level.tolerance,
                 level.limit,
                 part.tilted,
-                level.strong if (paths.friction > STRONG).any() else None,
+                level.strong_friction if (paths.friction > STRONG_FRICTION).any() else None,
                 level.solver,
             )
         )
@@ -207,35 +222,35 @@ def _solve(
         np.full(count, len(part.nodes)),
         np.zeros(count, bool),
     )
-    incomplete = _needs_more(sensor, obstacles, paths, part, poses[:, -1], turned)
+    incomplete = _needs_more_nodes(sensor, obstacles, paths, part, poses[:, -1], turned)
     return contacts, Skins(on_nodes, paths.points[:, -1]), incomplete
 
 
 def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    matrix = matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
+    matrix = build_matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
     moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(
         -1, matrix.shape[-1]
     )
     return (full.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
 
-def _needs_more(
+def _needs_more_nodes(
     sensor: Sensor,
     obstacles: Obstacles,
     paths: Paths,
-    part: Batch,
+    part: ContactBatch,
     pose: np.ndarray,
     force_n: np.ndarray,
 ) -> np.ndarray:
     """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     last_ring = part.nodes >= len(full.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
     beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    near = np.any(_beside(sensor)[part.nodes[loaded]], axis=0)
+    near = np.any(_find_neighbours(sensor)[part.nodes[loaded]], axis=0)
     near[part.nodes] = False
     beside = np.flatnonzero(near)
     if not len(beside):
@@ -243,14 +258,16 @@ def _needs_more(
     columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()
     matrix = full.w[np.ix_((3 * beside[:, None] + np.arange(3)).ravel(), columns)]
     moved = (force_n[:, loaded].reshape(len(paths), -1) @ matrix.T).reshape(len(paths), -1, 3)
-    gap = gaps(obstacles, full.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved)
+    gap = compute_gaps(
+        obstacles, full.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved
+    )
     return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)
 
 
 @lru_cache(maxsize=4)
-def _beside(sensor: Sensor) -> np.ndarray:
+def _find_neighbours(sensor: Sensor) -> np.ndarray:
     """(N, N) bool: pairs of neighbouring contact nodes."""
-    nodes = dome(sensor).nodes
+    nodes = load_shared_dome(sensor).nodes
     return np.linalg.norm(nodes[:, None] - nodes[None], axis=-1) < NEIGHBOURS * ring_spacing(sensor)
 
 
@@ -267,11 +284,11 @@ def _run(
     limit: int,
     tilted: bool,
     strong: float | None,
-    solver: Callable[..., Solved] | None,
+    solver: Callable[..., SolverResult] | None,
 ) -> tuple[Skin, Quality, tuple[jax.Array, jax.Array, jax.Array]]:
     count = len(which)
-    skin = rest(system, path[0])
-    displacement = product(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
+    skin = make_undeformed_skins(system, path[0])
+    displacement = matmul(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
     skin = skin._replace(force=force, displacement=displacement)
     skin, quality = follow_path(
         system,
@@ -287,4 +304,4 @@ def _run(
         strong,
         solver,
     )
-    return skin, quality, contact_state(skin, friction, tilted)
+    return skin, quality, count_node_states(skin, friction, tilted)

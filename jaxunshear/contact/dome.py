@@ -18,8 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, Response, isotropic, put_together, respond
-from jaxunshear.contact.mesh import dome_mesh
+from jaxunshear.contact.elasticity import (
+    Compliance,
+    HarmonicResponse,
+    compute_isotropic_stiffness,
+    compute_response,
+    sum_harmonics,
+)
+from jaxunshear.contact.mesh import make_dome_mesh
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
@@ -32,39 +38,41 @@ MESH_MM = 1.0  # of elements, where rings are RING_MM apart
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
-def dome(sensor: Sensor) -> Compliance:
+def load_dome(sensor: Sensor) -> Compliance:
     """The compliance of a sensor's contact nodes and pins, from the cache where it is there and complete."""
-    return put_together(_cached(sensor, varied=False))
+    return sum_harmonics(_load_cached(sensor, varied=False))
 
 
-def sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+def load_sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of w (3N, 3N) and g (3P, 3N) by log(skin_modulus_mpa), from the cache like the dome itself.
 
     By log(gel_modulus_mpa) they are -w and -g less these: both moduli together only scale.
     """
-    slopes = put_together(_cached(sensor, varied=True))
+    slopes = sum_harmonics(_load_cached(sensor, varied=True))
     return slopes.w, slopes.g
 
 
 def compute_dome(sensor: Sensor) -> Compliance:
-    """`dome` without the cache. Raises `UserError` for a sensor that cannot be."""
-    return put_together(_compute(sensor, varied=False))
+    """`load_dome` without the cache. Raises `UserError` for a sensor that cannot be."""
+    return sum_harmonics(_compute(sensor, modulus_derivative=False))
 
 
 def _mesh_mm(sensor: Sensor) -> float:
     return MESH_MM * ring_spacing(sensor) / RING_MM
 
 
-def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> Response:
+def _compute(
+    sensor: Sensor, modulus_derivative: bool, progress: Progress | None = None
+) -> HarmonicResponse:
     check_sensor(sensor)
-    mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
-    gel = isotropic(sensor.gel_modulus_mpa, sensor.gel_poisson)
-    skin = isotropic(sensor.skin_modulus_mpa, sensor.skin_poisson)
+    mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
+    gel = compute_isotropic_stiffness(sensor.gel_modulus_mpa, sensor.gel_poisson)
+    skin = compute_isotropic_stiffness(sensor.skin_modulus_mpa, sensor.skin_poisson)
     materials = np.where(mesh.skin[:, None, None], skin, gel)
     arcs = ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
-    levers, part = compute_pin_levers(sensor), mesh.skin if varied else None
-    return respond(
+    levers, part = compute_pin_levers(sensor), mesh.skin if modulus_derivative else None
+    return compute_response(
         mesh, materials, hats, compute_pin_tips(sensor), _harmonics(sensor), levers, part, progress
     )
 
@@ -74,7 +82,7 @@ def _harmonics(sensor: Sensor) -> int:
     return 6 * (len(ring_arcs(sensor)) - 1)
 
 
-def _cached(sensor: Sensor, varied: bool) -> Response:
+def _load_cached(sensor: Sensor, varied: bool) -> HarmonicResponse:
     check_sensor(sensor)
     settings = {
         **asdict(sensor),
@@ -101,7 +109,7 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
             f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics"
         ) as progress:
             made = _compute(sensor, varied, progress)
-        part.write_bytes(_packed(made, text))
+        part.write_bytes(_pack_response(made, text))
         os.replace(part, path)
     except OSError as error:
         raise UserError(
@@ -113,7 +121,7 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
     return made
 
 
-def _packed(made: Response, settings: str) -> bytes:
+def _pack_response(made: HarmonicResponse, settings: str) -> bytes:
     stream = io.BytesIO()
     np.savez(
         stream,
@@ -123,19 +131,21 @@ def _packed(made: Response, settings: str) -> bytes:
     return hashlib.sha256(stream.getvalue()).digest() + stream.getvalue()
 
 
-def _read(path: Path, settings: str, sensor: Sensor) -> Response:
+def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
     """Raises one of _BROKEN, with what is wrong, where the file does not hold just what belongs to these settings."""
     data = path.read_bytes()
     if hashlib.sha256(data[32:]).digest() != data[:32]:
         raise ValueError("damaged: its checksum does not agree")
     with np.load(io.BytesIO(data[32:])) as stored:
-        made = Response(**{field.name: stored[field.name] for field in fields(Response)})
+        made = HarmonicResponse(
+            **{field.name: stored[field.name] for field in fields(HarmonicResponse)}
+        )
         if str(stored["settings"]) != settings:
             raise ValueError("made with other settings")
     rings, harmonics, places = (
         len(ring_arcs(sensor)),
         _harmonics(sensor) + 1,
-        int(made.place.max(initial=0)) + 1,
+        int(made.positions.max(initial=0)) + 1,
     )
     shapes = {
         "nodes": (1 + 3 * rings * (rings - 1), 3),

@@ -9,7 +9,7 @@ Contact nodes stand in rings 1 + 6 + 12 + ... A unit force at a node is spread w
 meridian and another around the axis, and a node's displacement is the mean with the same weights, so that the condensed
 compliance W is symmetric positive definite by construction, if there are at least as many harmonics as nodes in a ring.
 
-Read `condense` first: `respond` solves the harmonics, `harmonics` puts them together.
+Read `condense` first: `compute_response` solves the harmonics, `harmonics` puts them together.
 """
 
 from contextlib import AbstractContextManager
@@ -21,9 +21,14 @@ from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact.cholesky import factorise
-from jaxunshear.contact.harmonics import lattice, node_to_node, node_to_point, ring_sizes
-from jaxunshear.contact.mesh import GAUSS, Mesh, edge_shapes, sample_elements
-from jaxunshear.contact.pins import Pins, interpolation
+from jaxunshear.contact.harmonics import (
+    compute_node_compliance,
+    compute_point_compliance,
+    compute_ring_sizes,
+    make_ring_lattice,
+)
+from jaxunshear.contact.mesh import GAUSS, Mesh, compute_edge_shapes, sample_elements
+from jaxunshear.contact.pin_levers import PinLevers, compute_interpolation
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 
@@ -44,7 +49,7 @@ class Compliance:
 
 
 @dataclass(frozen=True)
-class Response:
+class HarmonicResponse:
     """A `Compliance` before its harmonics are summed, a tenth of its size.
 
     `rings` (M, 3R, 3R): mean displacement (U, V, W) of each ring per unit load on each; `fields` (M, 3Q, 3R): of the pins that
@@ -53,25 +58,25 @@ class Response:
 
     nodes: np.ndarray
     pins: np.ndarray
-    place: np.ndarray
+    positions: np.ndarray
     rings: np.ndarray
     fields: np.ndarray
 
 
-def lame(modulus: float, poisson: float) -> tuple[float, float]:
+def compute_lame_constants(modulus: float, poisson: float) -> tuple[float, float]:
     """Lame's constants mu and lambda in MPa."""
     return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
 
-def isotropic(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
+def compute_isotropic_stiffness(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
     """Stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
-    shear, first = lame(modulus, poisson)
+    shear, first = compute_lame_constants(modulus, poisson)
     d = np.diag([2 * shear] * 3 + [shear] * 3)
     d[:3, :3] += first
     return d
 
 
-def stiffness(
+def assemble_stiffness(
     mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]
 ) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
     """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
@@ -108,13 +113,13 @@ def stiffness(
 
 def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the surface edges at `samples` (Q,) in [-1, 1]: shape functions (Q, 3), points (S, Q, 2), speeds (S, Q)."""
-    line, slope = edge_shapes(samples)
+    line, slope = compute_edge_shapes(samples)
     ends = mesh.nodes[mesh.surface]
     speeds = np.linalg.norm(np.einsum("qn,snx->sqx", slope, ends), axis=-1)
     return line, np.einsum("qn,snx->sqx", line, ends), speeds
 
 
-def ring_loads(
+def compute_ring_loads(
     mesh: Mesh, arcs: Float[np.ndarray, "_"]
 ) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
     """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
@@ -163,7 +168,7 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     return select.tocsc()
 
 
-def respond(
+def compute_response(
     mesh: Mesh,
     materials: Float[np.ndarray, "E 6 6"],
     ring_arcs: Float[np.ndarray, "_"],
@@ -172,7 +177,7 @@ def respond(
     levers: Float[np.ndarray, "P 3"] | None = None,
     varied: Bool[np.ndarray, "E"] | None = None,
     progress: Progress | None = None,
-) -> Response:
+) -> HarmonicResponse:
     """As `condense`, before the harmonics are summed.
 
     A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a thousandth of W, and what
@@ -180,22 +185,26 @@ def respond(
 
     With `varied`: instead its derivative by the logarithm of a factor on the moduli of these elements.
     """
-    loads, outline = ring_loads(mesh, ring_arcs)
-    sizes = ring_sizes(len(loads.T))
+    loads, outline = compute_ring_loads(mesh, ring_arcs)
+    sizes = compute_ring_sizes(len(loads.T))
     harmonics = min(harmonics, sizes[-1])
-    ring, angle = lattice(len(sizes))
+    ring, angle = make_ring_lattice(len(sizes))
     around = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], -1)
     nodes = outline[ring][:, [0, 0, 1]] * around
     levers = np.zeros_like(pins) if levers is None else levers
     stands = pins - levers
     flat = [np.stack([np.hypot(*both.T[:2]), both[:, 2]], -1) for both in (stands, pins)]
     places, place = np.unique(np.round(np.concatenate(flat, -1), 9), axis=0, return_inverse=True)
-    held = Pins(places[:, :2], places[:, 2:] - places[:, :2], interpolation(mesh, places[:, :2]))
+    held = PinLevers(
+        places[:, :2], places[:, 2:] - places[:, :2], compute_interpolation(mesh, places[:, :2])
+    )
 
     spatial = sp.kron(sp.csr_matrix(loads), sp.eye(3)).tocsc()  # (3V, 3R)
-    parts = stiffness(mesh, materials)
+    parts = assemble_stiffness(mesh, materials)
     slopes = (
-        None if varied is None else stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
+        None
+        if varied is None
+        else assemble_stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
     )
     rings = np.zeros((harmonics + 1, spatial.shape[1], spatial.shape[1]))
     fields = np.zeros((harmonics + 1, 3 * len(places), spatial.shape[1]))
@@ -218,7 +227,7 @@ def respond(
             fields[m][:, bears] = held.motion(field, m)
             if progress is not None:
                 progress.advance(1)
-    return Response(nodes, pins, place.ravel(), rings, fields)
+    return HarmonicResponse(nodes, pins, place.ravel(), rings, fields)
 
 
 def _one_thread() -> AbstractContextManager[object]:
@@ -230,12 +239,12 @@ def _harmonic(parts: tuple[sp.csc_matrix, ...], m: int) -> sp.csc_matrix:
     return parts[0] + m * parts[1] + m * m * parts[2]
 
 
-def put_together(response: Response) -> Compliance:
+def sum_harmonics(response: HarmonicResponse) -> Compliance:
     """Sum the harmonics."""
     angle = np.arctan2(response.pins[:, 1], response.pins[:, 0])
     with _one_thread():
-        g = node_to_point(response.fields, response.place, angle)
-        return Compliance(response.nodes, response.pins, node_to_node(response.rings), g)
+        g = compute_point_compliance(response.fields, response.positions, angle)
+        return Compliance(response.nodes, response.pins, compute_node_compliance(response.rings), g)
 
 
 def condense(
@@ -246,10 +255,10 @@ def condense(
     harmonics: int,
     levers: Float[np.ndarray, "P 3"] | None = None,
 ) -> Compliance:
-    """Compliance of contact rings and of pins with tips at `pins`, for materials as of `isotropic`.
+    """Compliance of contact rings and of pins with tips at `pins`, for materials as of `compute_isotropic_stiffness`.
 
     `harmonics`: at most the number of nodes in the outer ring is used, as it should be for an answer that is definite.
-    `ring_arcs`: as for `ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
+    `ring_arcs`: as for `compute_ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
     face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
     """
-    return put_together(respond(mesh, materials, ring_arcs, pins, harmonics, levers))
+    return sum_harmonics(compute_response(mesh, materials, ring_arcs, pins, harmonics, levers))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from jaxunshear.scene.paths import DEPTH, TILT_X, TURNS
 
 
-def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
+def compute_level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
     """Rotations from the sensor frame to the level frame of poses: Rodrigues' formula."""
     tilt = pose[:, TILT_X:]
     squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
@@ -19,11 +19,11 @@ def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
     return (
         jnp.eye(3, dtype=pose.dtype)[None]
         + jnp.sin(angle) / angle * cross
-        + product((1 - jnp.cos(angle)) / angle**2 * cross, cross)
+        + matmul((1 - jnp.cos(angle)) / angle**2 * cross, cross)
     )
 
 
-def product(
+def matmul(
     a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]
 ) -> Float[jax.Array, "*C m n"]:
     """Of matrices, in their own precision also on a GPU, which would round float32 to ten bits; as all of the physics."""
@@ -42,7 +42,7 @@ def rotate_back(
     return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
 
 
-def levelled(
+def transform_to_level(
     frame: Float[jax.Array, "B 3 3"] | None,
     points: Float[jax.Array, "B N 3"],
     centre_mm: Float[jax.Array, ""],
@@ -55,7 +55,9 @@ def levelled(
     return rotate(frame, points - centre) + centre
 
 
-def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N 2"]:
+def rotate_in_plane(
+    angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+) -> Float[jax.Array, "B N 2"]:
     """By angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     return jnp.stack(
@@ -63,7 +65,7 @@ def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[j
     )
 
 
-def increment_length(
+def compute_increment_length(
     before: Float[jax.Array, "B 6"], after: Float[jax.Array, "B 6"], radius_mm: Float[jax.Array, ""]
 ) -> Float[jax.Array, "B"]:
     """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""

@@ -25,16 +25,16 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxunshear.contact.frame import (
-    increment_length,
-    level_frame,
-    levelled,
-    product,
+    compute_increment_length,
+    compute_level_frame,
+    matmul,
     rotate,
     rotate_back,
-    turn,
+    rotate_in_plane,
+    transform_to_level,
 )
-from jaxunshear.contact.level import STRONG
-from jaxunshear.contact.obstacle import Obstacles, drop
+from jaxunshear.contact.level import STRONG_FRICTION
+from jaxunshear.contact.obstacle import Obstacles, compute_surface_drop
 from jaxunshear.scene.paths import DEPTH, YAW
 
 OVER_RELAXATION = 1.8
@@ -44,7 +44,7 @@ PASSES = 2
 FIRST_PASS = 2.0  # of the tolerance is enough for all but the last pass: a quarter fewer iterations
 # Where friction is STRONG the same tolerance leaves larger errors: half of it is aimed at first, which some scenes do not reach.
 STRICTER, PATIENCE = 0.5, 100
-FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
+MAX_GAP_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
 LEAST_MM, MOST_MM = (
     0.05,
     0.5,
@@ -83,7 +83,9 @@ class Quality(NamedTuple):
 
 
 # what a solver of increments gives: force, dual, residual mm and iterations
-Solved = tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]
+SolverResult = tuple[
+    Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]
+]
 _Iterates = tuple[Array, Array, Array, Array]  # z, its dual, x, and z before
 _Solving = tuple[
     _Iterates, Array, Array, Array
@@ -109,7 +111,7 @@ def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[
 def _times(matrix: Array, force: Array, frame: Array | None) -> Array:
     """matrix . force with both in the level frame (the matrix, symmetric, in the sensor frame)."""
     inside = force if frame is None else rotate_back(frame, force)
-    moved = product(inside.reshape(force.shape[0], -1), matrix).reshape(force.shape)
+    moved = matmul(inside.reshape(force.shape[0], -1), matrix).reshape(force.shape)
     return moved if frame is None else rotate(frame, moved)
 
 
@@ -121,19 +123,19 @@ def solve_increment(
     start: tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B N d"]],
     tolerance: Float[Array, "B"],
     limit: int,
-    strong: float | None = None,
-) -> Solved:
+    strong_friction: float | None = None,
+) -> SolverResult:
     """Forces of f = P(f - (W f + b)) with offset b, from a warm start (force f, dual, W f).
 
     Iterates until every scene is below its tolerance in mm, or `limit` iterations. Returns force, dual, residual in mm and
-    iterations. Scenes with an infinite tolerance are not waited for. `strong`: the relaxation of scenes whose friction is above STRONG;
+    iterations. Scenes with an infinite tolerance are not waited for. `strong_friction`: the relaxation of scenes whose friction is above STRONG;
     None: that of all.
     """
-    hard = friction > STRONG
+    hard = friction > STRONG_FRICTION
     share = (
         OVER_RELAXATION
-        if strong is None
-        else jnp.where(hard, strong, OVER_RELAXATION)[:, None, None]
+        if strong_friction is None
+        else jnp.where(hard, strong_friction, OVER_RELAXATION)[:, None, None]
     )
 
     def iterate(_: Array, state: _Iterates) -> _Iterates:
@@ -153,7 +155,7 @@ def solve_increment(
     def aim(count: Array) -> Array:
         return (
             tolerance
-            if strong is None
+            if strong_friction is None
             else tolerance * jnp.where(hard & (count < PATIENCE), STRICTER, 1.0)
         )
 
@@ -165,7 +167,7 @@ def solve_increment(
         inner, before, spent, count = state
         after = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
         now = error(after)
-        if strong is not None:
+        if strong_friction is not None:
             done = hard & (
                 before <= aim(count)
             )  # and would leave the solution again, while others are waited for
@@ -191,7 +193,7 @@ def solve_increment(
     return z, y, missing, spent
 
 
-def increment_offset(
+def compute_increment_offset(
     system: System,
     obstacles: Obstacles,
     which: Int[Array, "B"],
@@ -206,37 +208,43 @@ def increment_offset(
     of `skin` to begin with, then that of a first answer. At a shape's edge a node that slides by a step changes its gap
     by half of that.
     """
-    frame = level_frame(pose) if tilted else None
+    frame = compute_level_frame(pose) if tilted else None
 
     def in_target_frame(displaced: Array) -> Array:
         return (
-            turn(pose[:, YAW], levelled(frame, displaced, system.centre_mm)[..., :2])
+            rotate_in_plane(
+                pose[:, YAW], transform_to_level(frame, displaced, system.centre_mm)[..., :2]
+            )
             + pose[:, None, :2]
         )
 
     place = system.nodes[None] + skin.displacement
-    rest_height = levelled(frame, jnp.broadcast_to(system.nodes, place.shape), system.centre_mm)[
-        ..., 2
-    ]
-    fall = drop(obstacles, which, in_target_frame(system.nodes[None] + displacement))
-    height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, FAR_MM)
+    rest_height = transform_to_level(
+        frame, jnp.broadcast_to(system.nodes, place.shape), system.centre_mm
+    )[..., 2]
+    fall = compute_surface_drop(
+        obstacles, which, in_target_frame(system.nodes[None] + displacement)
+    )
+    height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, MAX_GAP_MM)
     if skin.force.shape[-1] == 1:
         return height[..., None]
-    level_before = levelled(level_frame(skin.pose) if tilted else None, place, system.centre_mm)
-    before = turn(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
-    slip = turn(-pose[:, YAW], in_target_frame(place) - before)
+    level_before = transform_to_level(
+        compute_level_frame(skin.pose) if tilted else None, place, system.centre_mm
+    )
+    before = rotate_in_plane(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
+    slip = rotate_in_plane(-pose[:, YAW], in_target_frame(place) - before)
     moved = skin.displacement if frame is None else rotate(frame, skin.displacement)
     return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1)
 
 
-def rest(system: System, pose: Float[Array, "B 6"]) -> Skin:
+def make_undeformed_skins(system: System, pose: Float[Array, "B 6"]) -> Skin:
     """B undeformed skins."""
     count, nodes = pose.shape[0], system.nodes.shape[0]
     force = jnp.zeros((count, nodes, len(system.w) // nodes), pose.dtype)
     return Skin(force, force, jnp.zeros((count, nodes, 3), pose.dtype), pose)
 
 
-def advance(
+def advance_increment(
     system: System,
     obstacles: Obstacles,
     which: Int[Array, "B"],
@@ -246,27 +254,29 @@ def advance(
     tolerance: float,
     limit: int,
     tilted: bool,
-    lost: Bool[Array, "B"] | bool = False,
-    strong: float | None = None,
-    solver: Callable[..., Solved] | None = None,
+    failed: Bool[Array, "B"] | bool = False,
+    strong_friction: float | None = None,
+    solver: Callable[..., SolverResult] | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins by one increment, to `pose`; a skin that does not move is left as it is.
 
-    Those `lost`, by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with
+    Those `failed`, by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with
     gaps where the nodes were, then with gaps where they came to lie.
     """
-    length = increment_length(skin.pose, pose, system.centre_mm / 4)
+    length = compute_increment_length(skin.pose, pose, system.centre_mm / 4)
     moving = jnp.any(pose != skin.pose, axis=-1)
     goal = (tolerance * jnp.clip(length, LEAST_MM, MOST_MM)).astype(skin.force.dtype)
-    wanted = jnp.where(moving & ~jnp.asarray(lost), goal, jnp.inf)
-    frame = level_frame(pose) if tilted else None
+    wanted = jnp.where(moving & ~jnp.asarray(failed), goal, jnp.inf)
+    frame = compute_level_frame(pose) if tilted else None
     force, dual, displacement = skin.force, skin.dual, skin.displacement
     if frame is not None:
         force, dual = rotate(frame, force), rotate(frame, dual)
-    solve = partial(solve_increment, strong=strong) if solver is None else solver
+    solve = partial(solve_increment, strong_friction=strong_friction) if solver is None else solver
     count = jnp.zeros(len(which), jnp.int32)
     for allowed in [FIRST_PASS] * (PASSES - 1) + [1.0]:
-        offset = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
+        offset = compute_increment_offset(
+            system, obstacles, which, skin, pose, tilted, displacement
+        )
         # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
         moved = (displacement if frame is None else rotate(frame, displacement))[
             ..., -force.shape[-1] :
@@ -276,7 +286,7 @@ def advance(
             system, frame, offset, friction, start, allowed * wanted, limit
         )
         inside = force if frame is None else rotate_back(frame, force)
-        displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(
+        displacement = matmul(inside.reshape(force.shape[0], -1), system.spread).reshape(
             skin.displacement.shape
         )
         count = count + spent
@@ -304,20 +314,20 @@ def follow_path(
     limit: int,
     tilted: bool = False,
     steps: Int[Array, ""] | None = None,
-    strong: float | None = None,
-    solver: Callable[..., Solved] | None = None,
+    strong_friction: float | None = None,
+    solver: Callable[..., SolverResult] | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins along a path of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
 
     `which` indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
-    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew. `strong` and `solver`: see `Level`.
+    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew. `strong_friction` and `solver`: see `Level`.
     """
 
     def step(state: tuple[Array, Skin, Quality]) -> tuple[Array, Skin, Quality]:
         number, skin, worst = state
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
-        skin, now = advance(
+        skin, now = advance_increment(
             system,
             obstacles,
             which,
@@ -328,7 +338,7 @@ def follow_path(
             limit,
             tilted,
             lost,
-            strong,
+            strong_friction,
             solver,
         )
         worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)

@@ -1,14 +1,14 @@
 """How the pins answer to each way point of a motion, to friction and to the ratio of the moduli.
 
-    found = pin_gradient(TACTIP_331, ("disk",), paths)
+    found = compute_pin_gradient(TACTIP_331, ("disk",), paths)
     found.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point
     found.at_switch  # (B,) there a derivative is one-sided
 
 and, to put pins into a loss of one's own:
 
     with jax.enable_x64(True):
-        model = pin_model(TACTIP_331, ("disk",), paths)
-        loss = lambda friction: jnp.sum((pins(model, paths.points, friction).pins - seen) ** 2)
+        model = make_pin_model(TACTIP_331, ("disk",), paths)
+        loss = lambda friction: jnp.sum((simulate_pins(model, paths.points, friction).pins - seen) ** 2)
         jax.jit(jax.value_and_grad(loss))(paths.friction)
 
 All derivatives are those of the converged contact (see `implicit`), along a path whose increments are cut as for the model's
@@ -26,20 +26,20 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.contact import dome as domes
-from jaxunshear.contact.batches import Stimuli, obstacles_of
+from jaxunshear.contact.batches import Stimuli, sample_obstacles
+from jaxunshear.contact.contact_results import Skins
 from jaxunshear.contact.friction import RHO, Skin, System
-from jaxunshear.contact.implicit import GOAL_MM, pin_state
+from jaxunshear.contact.implicit import GOAL_MM, compute_pin_state
+from jaxunshear.contact.input_checks import check_batch, check_paths, check_start, get_level
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles
-from jaxunshear.contact.plan import increments, reachable
-from jaxunshear.contact.scope import check_batch, check_paths, check_start, level_named
-from jaxunshear.contact.skins import Skins
+from jaxunshear.contact.scheduler import cut_increments, find_reachable_nodes
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import TURNS, Paths
 from jaxunshear.settings.sensor import Sensor
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
-TOUCHED = 0.75  # of the nodes within reach: about as many as ever touch at once
+TOUCHING_SHARE = 0.75  # of the nodes within reach: about as many as ever touch at once
 
 
 @partial(jax.tree_util.register_dataclass)
@@ -63,10 +63,12 @@ class PinModel:
     which: Array  # (B,)
     shares: Array  # (B, T + 1, K) of the way points in each pose of the path
     force_n: Array  # (B, N, 3) at the first point
-    most: int = field(metadata={"static": True})  # nodes of a scene that touch at once, probably
+    max_touching: int = field(
+        metadata={"static": True}
+    )  # nodes of a scene that touch at once, probably
 
 
-class Pins(NamedTuple):
+class PinPositions(NamedTuple):
     pins: Array  # (B, P, 3) mm in the sensor frame
     margin_mm: Array  # (B,) to the nearest switch
     residual_mm: Array  # (B,) of the worst increment
@@ -91,7 +93,7 @@ class PinGradient(NamedTuple):
     converged: np.ndarray  # (B,) bool; where it is not, the derivatives say nothing
 
 
-def pin_model(
+def make_pin_model(
     sensor: Sensor,
     names: Stimuli,
     paths: Paths,
@@ -106,14 +108,16 @@ def pin_model(
     interpolation in the logarithm, in between. With `start`, each path goes on from its first point with that skin. `wide`
     False keeps about half of the nodes, those that usually suffice: faster, but nothing shows where they do not.
     """
-    level = level_named(level)
+    level = get_level(level)
     check_paths(sensor, len(names), paths)
     if list(ratios) != sorted(set(ratios)) or any(not 0 < ratio < np.inf for ratio in ratios):
         raise UserError(f"ratios {ratios}: give rising numbers above zero")
     own = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    obstacles = obstacles_of(names)
-    rest = domes.dome(sensor)
-    within = lambda wide: reachable(obstacles, rest.nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
+    obstacles = sample_obstacles(names)
+    rest = domes.load_dome(sensor)
+    within = lambda wide: find_reachable_nodes(
+        obstacles, rest.nodes, sensor.dome_radius_mm, paths, wide
+    )  # noqa: E731
     touched = within(wide)
     if start is not None:
         check_start(paths, start, len(rest.nodes))
@@ -124,7 +128,7 @@ def pin_model(
     parts = []
     for ratio in ratios or (own,):
         other = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
-        full, (dw, dg) = domes.dome(other), domes.sensitivity(other)
+        full, (dw, dg) = domes.load_dome(other), domes.load_sensitivity(other)
         parts.append(
             (full.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], full.g[:, rows], dg[:, rows])
         )
@@ -142,20 +146,20 @@ def pin_model(
         tips=jnp.asarray(rest.pins),
         obstacles=obstacles,
         which=jnp.asarray(paths.stimulus, jnp.int32),
-        shares=jnp.asarray(path_shares(paths, level, sensor.dome_radius_mm)),
+        shares=jnp.asarray(compute_path_shares(paths, level, sensor.dome_radius_mm)),
         force_n=jnp.asarray(force),
-        most=int(TOUCHED * within(False).sum(axis=1).max(initial=0)) + 1,
+        max_touching=int(TOUCHING_SHARE * within(False).sum(axis=1).max(initial=0)) + 1,
     )
 
 
-def path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarray, "B T K"]:
-    """Poses as `plan.increments` cuts them, as means of the way points.
+def compute_path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarray, "B T K"]:
+    """Poses as `scheduler.cut_increments` cuts them, as means of the way points.
 
     A leg without length has no increments: its end carries no derivative, as what would come of it depends on where to.
     """
     legs = range(paths.points.shape[1] - 1)
     counts = [
-        increments(
+        cut_increments(
             Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm
         )[1]
         for k in legs
@@ -169,7 +173,7 @@ def path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarra
     return shares
 
 
-def compliance(
+def interpolate_compliance(
     model: PinModel, log_ratio: Float[Array, ""]
 ) -> tuple[Float[Array, "N3 N3"], Float[Array, "P3 N3"], Float[Array, ""]]:
     """w (3N, 3N) and g (3P, 3N) at this ratio of the moduli, over the mean diagonal of w, which comes third."""
@@ -196,12 +200,12 @@ def compliance(
     return w / scale, g / scale, scale
 
 
-def pins(
+def simulate_pins(
     model: PinModel,
     points: Float[Array, "B K 6"],
     friction: Float[Array, "B"],
     log_ratio: Float[Array, ""] | None = None,
-) -> Pins:
+) -> PinPositions:
     """Pins at the ends of paths through way points mm and degrees, at friction and log(skin : gel modulus).
 
     Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
@@ -210,7 +214,7 @@ def pins(
     path = jnp.einsum(
         "btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None]
     )
-    w, g, scale = compliance(model, model.log_ratio if log_ratio is None else log_ratio)
+    w, g, scale = interpolate_compliance(model, model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
     system = System(w, inverse, w, model.nodes, model.centre_mm)
     force = model.force_n * scale
@@ -220,11 +224,13 @@ def pins(
         (force.reshape(len(force), -1) @ w).reshape(force.shape),
         path[0],
     )
-    state = pin_state(system, g.T, model.obstacles, model.which, friction, path, skin, model.most)
-    return Pins(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
+    state = compute_pin_state(
+        system, g.T, model.obstacles, model.which, friction, path, skin, model.max_touching
+    )
+    return PinPositions(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
 
 
-def pin_gradient(
+def compute_pin_gradient(
     sensor: Sensor,
     names: Stimuli,
     paths: Paths,
@@ -241,7 +247,7 @@ def pin_gradient(
         for first in range(0, len(paths), batch):
             rows = np.arange(first, min(first + batch, len(paths)))
             part, before = paths.take(rows), None if start is None else start.take(rows)
-            model = pin_model(sensor, names, part, level, start=before)
+            model = make_pin_model(sensor, names, part, level, start=before)
             parts.append(
                 jax.device_get(
                     _derivatives(model, jnp.asarray(part.points), jnp.asarray(part.friction))
@@ -264,7 +270,7 @@ def pin_gradient(
 @jax.jit
 def _derivatives(
     model: PinModel, points: Array, friction: Array
-) -> tuple[Pins, Array, Array, Array]:
+) -> tuple[PinPositions, Array, Array, Array]:
     """One tangent for all scenes at once, as none knows of another; all tangents share each increment's matrix."""
     count, ways = points.shape[0], points.shape[1] * 6
     tangents = (
@@ -276,9 +282,9 @@ def _derivatives(
     )
     at = (points, friction, model.log_ratio)
 
-    def push(*tangent: Array) -> tuple[Pins, Array]:
-        def both(*x: Array) -> tuple[Array, Pins]:
-            answer = pins(model, *x)
+    def push(*tangent: Array) -> tuple[PinPositions, Array]:
+        def both(*x: Array) -> tuple[Array, PinPositions]:
+            answer = simulate_pins(model, *x)
             return answer.pins, answer
 
         _, slope, answer = jax.jvp(both, at, tangent, has_aux=True)

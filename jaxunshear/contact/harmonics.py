@@ -12,14 +12,14 @@ from jaxtyping import Float, Int
 _ODD = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
 
 
-def ring_sizes(rings: int) -> Int[np.ndarray, "{rings}"]:
+def compute_ring_sizes(rings: int) -> Int[np.ndarray, "{rings}"]:
     """Nodes of each ring."""
     return np.maximum(6 * np.arange(rings), 1)
 
 
-def lattice(rings: int) -> tuple[Int[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+def make_ring_lattice(rings: int) -> tuple[Int[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Ring and angle (rad) of each of the N nodes, ring by ring, counter-clockwise from +x."""
-    sizes = ring_sizes(rings)
+    sizes = compute_ring_sizes(rings)
     return np.repeat(np.arange(rings), sizes), np.concatenate(
         [np.arange(n) * 2 * np.pi / n for n in sizes]
     )
@@ -29,7 +29,7 @@ def spread_forces(rings: int, harmonics: int) -> Float[np.ndarray, "{harmonics+1
     """Real part of harmonic m, (U, V, W) per unit force (radial, tangential, up), at angle 0."""
 
     def hat(order: np.ndarray) -> np.ndarray:
-        width = 2 * np.pi / ring_sizes(rings)[1:]
+        width = 2 * np.pi / compute_ring_sizes(rings)[1:]
         around = np.sinc(order[:, None] * width / (2 * np.pi)) ** 2
         return np.concatenate([(order == 0)[:, None], around], axis=1) / (
             2 * np.pi
@@ -47,7 +47,7 @@ def spread_forces(rings: int, harmonics: int) -> Float[np.ndarray, "{harmonics+1
     return forces
 
 
-def sixfold(count: int) -> Int[np.ndarray, "6 {count}"]:
+def make_sixfold_permutations(count: int) -> Int[np.ndarray, "6 {count}"]:
     """Permutations of the ring lattice 1 + 6 + 12 + ...: [k, i] is the node where node i comes to lie when the
     lattice turns by +60 k degrees. Raises ValueError where `count` nodes do not fill complete rings."""
     rings = (1 + np.sqrt(max(4 * count - 1, 1) / 3)) / 2
@@ -61,7 +61,7 @@ def sixfold(count: int) -> Int[np.ndarray, "6 {count}"]:
     return np.concatenate(turned, axis=1)
 
 
-def node_to_node(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3 N3"]:
+def compute_node_compliance(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3 N3"]:
     """From `between` rings: their mean displacement (U, V, W) per load (U, V, W) on rings; symmetric.
 
     Forces on one sixth of the nodes; the other columns are these, turned.
@@ -71,11 +71,11 @@ def node_to_node(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3
     mean = (
         2 * np.pi * np.einsum("mkap,mkalb->mkplb", forces, between.reshape(-1, rings, 3, rings, 3))
     )
-    ring, angle = lattice(rings)
+    ring, angle = make_ring_lattice(rings)
     sector = np.flatnonzero(angle < np.pi / 3 - 1e-9)
     part = _sum(mean, ring, angle, forces, sector)
     w = np.empty((len(ring), 3, len(ring), 3))
-    turned = sixfold(len(ring))
+    turned = make_sixfold_permutations(len(ring))
     for sixth in range(6):
         columns = np.moveaxis(_turn(part, sixth * np.pi / 3, sixth * np.pi / 3), (0, 1), (1, 3))[
             turned[-sixth]
@@ -88,7 +88,7 @@ def node_to_node(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3
     return _symmetric(w.reshape(3 * len(ring), -1))
 
 
-def node_to_point(
+def compute_point_compliance(
     fields: Float[np.ndarray, "M Q3 R3"], place: Int[np.ndarray, "P"], angle: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "3*P N3"]:
     """From `fields`, displacements at Q places of the half-plane; point p is at place[p], angle[p]."""
@@ -111,7 +111,7 @@ def _sum(
     """
     fields = np.einsum("mqalb,mlbc->qacml", fields, forces)
     fields[..., 1:, :] *= 2  # m and -m
-    ring, source = (values[nodes] for values in lattice(forces.shape[1]))
+    ring, source = (values[nodes] for values in make_ring_lattice(forces.shape[1]))
     m = np.arange(len(forces))[:, None]
     cos, sin = np.cos(m * source), np.sin(m * source)
     even, odd = np.stack([cos, sin]), np.stack([-sin, cos])

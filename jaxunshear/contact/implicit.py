@@ -12,7 +12,7 @@ the systems are built again. The same matrix polishes the force by semismooth Ne
 so that the answer that is differentiated holds to rounding.
 
 At a switch, where a node is about to touch, part, stick or slip, P has a kink and the pins have one-sided derivatives only.
-What comes out then belongs to the side on which the node was found. `switch_distance` says how far the nearest switch was.
+What comes out then belongs to the side on which the node was found. `compute_switch_distance` says how far the nearest switch was.
 """
 
 from functools import partial
@@ -25,7 +25,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
 from jaxtyping import Float, Int
 
-from jaxunshear.contact.frame import increment_length, level_frame, rotate
+from jaxunshear.contact.frame import compute_increment_length, compute_level_frame, rotate
 from jaxunshear.contact.friction import (
     LEAST_MM,
     MOST_MM,
@@ -34,7 +34,7 @@ from jaxunshear.contact.friction import (
     Skin,
     System,
     _times,
-    increment_offset,
+    compute_increment_offset,
     project,
     solve_increment,
 )
@@ -45,7 +45,7 @@ ROUNDS, NEWTON = 4, 12
 GOAL_MM = {"float64": 1e-10, "float32": 2e-6}  # natural residual at which an increment is done
 
 
-class Guess(NamedTuple):
+class WarmStart(NamedTuple):
     """What helps to find a force and does not change it; carries no derivative."""
 
     inverse: Array
@@ -64,11 +64,11 @@ class PinState(NamedTuple):
 
 
 _Search = tuple[Array, Array, Array, Array]
-_Given = tuple[Array, Array, Array, Array, Guess]
+_SolverInputs = tuple[Array, Array, Array, Array, WarmStart]
 _Pass = tuple[Array, Array, Array, Array, Array]
 
 
-def slopes(
+def compute_projection_slopes(
     moved: Float[Array, "B N 3"], friction: Float[Array, "B"]
 ) -> tuple[Float[Array, "B N 3 3"], Float[Array, "B N 3"]]:
     """Derivatives of P: by the force, and by friction.
@@ -95,7 +95,9 @@ def slopes(
     return jnp.where(touches[..., None], matrix, 0), jnp.where(touches, by_friction, 0)
 
 
-def switch_distance(moved: Float[Array, "B N 3"], friction: Float[Array, "B"]) -> Float[Array, "B"]:
+def compute_switch_distance(
+    moved: Float[Array, "B N 3"], friction: Float[Array, "B"]
+) -> Float[Array, "B"]:
     """In mm, by which f - (W f + b) may change before any node touches, parts, sticks or slips.
 
     For a free node that is its gap, for a slipping one its slip beyond the last that would stick; forces count in mm of the
@@ -171,7 +173,7 @@ def _dense_blocks(blocks: Array, slope: Array, right: Array) -> Array:
     )
 
 
-def _moved(w: Array, frame: Array, offset: Array, force: Array) -> Array:
+def _compute_shifted_force(w: Array, frame: Array, offset: Array, force: Array) -> Array:
     return force - _times(w, force, frame) - offset
 
 
@@ -179,17 +181,21 @@ def _size(miss: Array) -> Array:
     return jnp.max(jnp.linalg.norm(miss, axis=-1), axis=-1)
 
 
-def _find(most: int, w: Array, frame: Array, offset: Array, friction: Array, guess: Guess) -> Array:
+def _find(
+    most: int, w: Array, frame: Array, offset: Array, friction: Array, guess: WarmStart
+) -> Array:
     """The force by rounds of ADMM, each ten times tighter than the one before, and Newton steps where these help."""
     goal = jnp.where(guess.length_mm > 0, GOAL_MM[offset.dtype.name], jnp.inf).astype(offset.dtype)
     system = System(w, guess.inverse, w, jnp.zeros((0, 3), w.dtype), jnp.zeros((), w.dtype))
 
     def miss(force: Array) -> Array:
-        return force - project(_moved(w, frame, offset, force), friction)
+        return force - project(_compute_shifted_force(w, frame, offset, force), friction)
 
     def newton(state: _Search) -> _Search:
         force, error, _, number = state
-        slope, _ = slopes(_moved(w, frame, offset, force), friction)
+        slope, _ = compute_projection_slopes(
+            _compute_shifted_force(w, frame, offset, force), friction
+        )
         after = force - _solve_linear(w, frame, slope, miss(force), most)
         error_after = _size(miss(after))
         better = (error_after < error) & (error > goal)
@@ -220,13 +226,13 @@ def _find(most: int, w: Array, frame: Array, offset: Array, friction: Array, gue
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def contact_force(
+def solve_contact_force(
     most: int,
     w: Float[Array, "N3 N3"],
     frame: Float[Array, "B 3 3"],
     offset: Float[Array, "B N 3"],
     friction: Float[Array, "B"],
-    guess: Guess,
+    guess: WarmStart,
 ) -> Float[Array, "B N 3"]:
     """Force, in the level frame, of f = P(f - (W f + b)) with offset b; N3 = 3 N.
 
@@ -235,22 +241,24 @@ def contact_force(
     return _find(most, w, frame, offset, friction, guess)
 
 
-@contact_force.defjvp
-def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[Array, Array]:
+@solve_contact_force.defjvp
+def _contact_force_jvp(
+    most: int, primals: _SolverInputs, tangents: _SolverInputs
+) -> tuple[Array, Array]:
     w, frame, offset, friction, guess = primals
-    force = checkpoint_name(contact_force(most, *primals), "force")
+    force = checkpoint_name(solve_contact_force(most, *primals), "force")
     total, change = jax.jvp(
         lambda *given: _times(given[0], force, given[1]) + given[2],
         (w, frame, offset),
         tangents[:3],
     )
-    slope, by_friction = slopes(force - total, friction)
+    slope, by_friction = compute_projection_slopes(force - total, friction)
     finite = jnp.where(jnp.isinf(friction), 0, tangents[3])
     right = by_friction * finite[:, None, None] - jnp.einsum("bnij,bnj->bni", slope, change)
     return force, _solve_linear(w, frame, slope, right, most)
 
 
-def pin_state(
+def compute_pin_state(
     system: System,
     to_pins: Float[Array, "N3 P3"],
     obstacles: Obstacles,
@@ -264,7 +272,7 @@ def pin_state(
 
     Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and the displacement of
     `skin`, which is at path[0]. `system` must have three unknowns a node; float64 is advised. Runs under jit;
-    the batch is its own. `most`: see `contact_force`.
+    the batch is its own. `most`: see `solve_contact_force`.
     """
 
     def step(
@@ -272,8 +280,10 @@ def pin_state(
     ) -> tuple[tuple[Skin, Array, Array], None]:
         skin, margin, worst = state
         moves = jnp.any(pose != skin.pose, axis=-1)
-        length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)
-        frame = level_frame(pose)
+        length = jnp.where(
+            moves, compute_increment_length(skin.pose, pose, system.centre_mm / 4), 0
+        )
+        frame = compute_level_frame(pose)
         back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
 
         @partial(
@@ -283,15 +293,17 @@ def pin_state(
         )
         def one_pass(state: _Pass, _: None) -> tuple[_Pass, None]:
             force, dual, displacement, margin, worst = state
-            offset = increment_offset(system, obstacles, which, skin, pose, True, displacement)
-            guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
-            force = contact_force(most, system.w, frame, offset, friction, guess)
+            offset = compute_increment_offset(
+                system, obstacles, which, skin, pose, True, displacement
+            )
+            guess = jax.lax.stop_gradient(WarmStart(system.inverse, force, dual, length))
+            force = solve_contact_force(most, system.w, frame, offset, friction, guess)
             total = _times(system.w, force, frame) + offset
             displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(
                 force.shape
             )
             margin = jnp.minimum(
-                margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf)
+                margin, jnp.where(moves, compute_switch_distance(force - total, friction), jnp.inf)
             )
             worst = jnp.maximum(
                 worst, jnp.where(moves, _size(force - project(force - total, friction)), 0)

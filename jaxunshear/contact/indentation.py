@@ -4,23 +4,23 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.contact.skins import Skins
-from jaxunshear.contact.systems import dome
+from jaxunshear.contact.contact_results import Skins
+from jaxunshear.contact.systems import load_shared_dome
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import Sensor
 
 
-def indentation(sensor: Sensor, skins: Skins) -> Float[np.ndarray, "B P"]:
+def compute_indentation(sensor: Sensor, skins: Skins) -> Float[np.ndarray, "B P"]:
     """In mm, inward normal displacement of the dome's outer face above each pin, positive where it is pressed in.
 
     Of a pin beyond the contact nodes, where nothing ever touches, that of the nearest node.
     """
-    return skins.force_n.reshape(len(skins.force_n), -1) @ per_force(sensor).T
+    return skins.force_n.reshape(len(skins.force_n), -1) @ compute_indentation_per_force(sensor).T
 
 
-def per_force(sensor: Sensor) -> Float[np.ndarray, "P N3"]:
+def compute_indentation_per_force(sensor: Sensor) -> Float[np.ndarray, "P N3"]:
     """In mm/N, the same per unit of force on each contact node."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     outward = full.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
     inward = -np.einsum("ni,nim->nm", outward, full.w.reshape(*outward.shape, -1))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 # What `auto` leaves out, in the words of the command that shows a plan.
 OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
-STRONG = 1.0  # a friction above which over-relaxed ADMM runs in circles: P is steep where nodes part, and its steps must be short
+STRONG_FRICTION = 1.0  # a friction above which over-relaxed ADMM runs in circles: P is steep where nodes part, and its steps must be short
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Level:
     limit: int
     precision: str = "float32"
     omit: tuple[str, ...] = OMISSIONS
-    wide: bool = False  # leave out fewer nodes
-    strong: float | None = 0.7
+    wide_margin: bool = False  # leave out fewer nodes
+    strong_friction: float | None = 0.7
     solver: Callable[..., tuple] | None = None
 
 
@@ -47,13 +47,17 @@ LEVELS = {
         limit=8000,
         precision="float64",
         omit=("untouched", "nodes", "grouping"),
-        wide=True,
-        strong=None,
+        wide_margin=True,
+        strong_friction=None,
     ),
 }
-STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # where to try again
+STRONGER_LEVELS = {
+    "fast": "auto",
+    "default": "reference",
+    "auto": "reference",
+}  # where to try again
 
 
-def unabridged(level: Level) -> Level:
+def without_omissions(level: Level) -> Level:
     """The same level with nothing left out."""
     return replace(level, omit=())

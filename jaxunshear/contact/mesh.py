@@ -1,7 +1,7 @@
 """Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z), for the dome and for a half-space.
 
 Both are a quarter disk: a square core on the axis, then layers out to the arc, so that no element degenerates. Read
-`dome_mesh` first; `_quarter_disk` is bookkeeping.
+`make_dome_mesh` first; `_quarter_disk` is bookkeeping.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Mesh:
         return np.flatnonzero(self.nodes[:, 0] < 1e-9)
 
 
-def shape_functions(
+def compute_shape_functions(
     local: Float[np.ndarray, "Q 2"],
 ) -> tuple[Float[np.ndarray, "Q 8"], Float[np.ndarray, "Q 8 2"]]:
     """Serendipity shape functions: values and local gradients."""
@@ -67,14 +67,14 @@ class Samples(NamedTuple):
 def sample_elements(mesh: Mesh, local: Float[np.ndarray, "Q 2"]) -> Samples:
     """At points of the reference square."""
     corners = mesh.nodes[mesh.elements]
-    values, gradients = shape_functions(local)
+    values, gradients = compute_shape_functions(local)
     jacobian = np.einsum("qnl,enx->eqlx", gradients, corners)
     slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), gradients)
     r = np.einsum("qn,en->eq", values, corners[..., 0])
     return Samples(values, slopes, np.abs(np.linalg.det(jacobian)), r)
 
 
-def edge_shapes(
+def compute_edge_shapes(
     s: Float[np.ndarray, "S"],
 ) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
     """Shape functions of an edge (end, middle, end) at s in [-1, 1], and their slopes."""
@@ -83,7 +83,7 @@ def edge_shapes(
     )
 
 
-def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
+def make_dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     """Hemisphere of `radius` under a skin, clamped at its base plane; z from the apex (z = 0) to the base (z = radius), mm.
 
     Elements crowd at the rim, where stresses have no bound: that takes three quarters of the error, at no cost.
@@ -107,7 +107,9 @@ def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     return Mesh(nodes, elements, skin_elements, clamped, _surface_edges(points, elements, on_arc))
 
 
-def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float = 60.0) -> Mesh:
+def make_half_space_mesh(
+    contact: float, h: float, growth: float = 1.25, reach: float = 60.0
+) -> Mesh:
     """A half ball of radius `reach` x `contact` in z >= 0, flat face at z = 0, fine within `contact`, clamped far away."""
     core = max(round(contact / h), 2)
     radii, step = [contact * 1.0], h
@@ -193,7 +195,7 @@ def _surface_edges(points: np.ndarray, elements: np.ndarray, on_surface: np.ndar
     return _from_the_axis(points, edges[on_surface[edges].all(axis=1)])
 
 
-def inner_face(mesh: Mesh) -> Int[np.ndarray, "S 3"]:
+def find_inner_face(mesh: Mesh) -> Int[np.ndarray, "S 3"]:
     """Edges between skin and gel, from the axis outwards."""
     of_skin, of_gel = (
         mesh.elements[part][:, _EDGES].reshape(-1, 3) for part in (mesh.skin, ~mesh.skin)

@@ -26,7 +26,7 @@ class Obstacles(NamedTuple):
     distance: jax.Array
 
 
-def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
+def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     """The stimuli as obstacles, (S, H, H). Raises UserError where a distance or a target is not finite."""
     for stimulus in stimuli:
         if not np.isfinite(stimulus.target).all():
@@ -52,7 +52,7 @@ def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     return Obstacles(jnp.stack(grids))
 
 
-def distance_at(
+def interpolate_distance(
     obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N"]:
     """Signed distance in mm at points of the target frame of each obstacle.
@@ -75,9 +75,9 @@ def distance_at(
     )
 
 
-def drop(
+def compute_surface_drop(
     obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N"]:
     """How far (mm) the stimulus' surface lies below its flat top: a parabola that osculates the edge's rounding."""
-    outside = jnp.maximum(distance_at(obstacles, which, xy), 0)
+    outside = jnp.maximum(interpolate_distance(obstacles, which, xy), 0)
     return outside**2 / (2 * EDGE_RADIUS_MM)

@@ -10,22 +10,22 @@ import numpy as np
 
 from jaxunshear.contact.batches import (
     Stimuli,
-    nothing_solved,
-    obstacles_of,
+    make_undeformed_contacts,
     plan_paths,
+    sample_obstacles,
     solve_batches,
 )
-from jaxunshear.contact.level import STRONGER, Level
-from jaxunshear.contact.scope import (
+from jaxunshear.contact.contact_results import Contacts, Skins
+from jaxunshear.contact.input_checks import (
     check_batch,
     check_paths,
     check_scenes,
     check_start,
     check_started,
-    level_named,
+    get_level,
 )
-from jaxunshear.contact.skins import Contacts, Skins
-from jaxunshear.contact.systems import dome
+from jaxunshear.contact.level import STRONGER_LEVELS, Level
+from jaxunshear.contact.systems import load_shared_dome
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths, make_paths
 from jaxunshear.scene.scene import Scenes
@@ -36,7 +36,7 @@ BATCH = 64
 
 def simulate(
     sensor: Sensor,
-    names: Stimuli,
+    stimuli: Stimuli,
     scenes: Scenes,
     level: str | Level = "auto",
     batch: int = BATCH,
@@ -45,19 +45,19 @@ def simulate(
 ) -> Contacts:
     """Solve the contacts of B scenes and return them in the order given.
 
-    `scenes.stimulus` indexes `names`. At a level that groups scenes, as `auto` does, those of a batch
+    `scenes.stimulus` indexes `stimuli`. At a level that groups scenes, as `auto` does, those of a batch
     share nodes and increments. The pins of one scene then vary with its companions, by about 0.1 px
     rms of a 256-px image; the same call gives the same pins. Raises `UserError` by name of the field.
     """
     check_scenes(scenes)
     return follow(
-        sensor, names, make_paths(scenes), level, batch=batch, retry=retry, progress=progress
+        sensor, stimuli, make_paths(scenes), level, batch=batch, retry=retry, progress=progress
     )[0]
 
 
 def follow(
     sensor: Sensor,
-    names: Stimuli,
+    stimuli: Stimuli,
     paths: Paths,
     level: str | Level = "auto",
     start: Skins | None = None,
@@ -70,16 +70,16 @@ def follow(
     What does not converge is solved again at the next stronger level, unless `retry` is False. What then still has not is
     returned as not converged: it is for the caller to drop and to count.
     """
-    chosen = level_named(level)
+    chosen = get_level(level)
     check_batch(batch)
-    check_paths(sensor, len(names), paths)
+    check_paths(sensor, len(stimuli), paths)
     if start is not None:
-        check_start(paths, start, len(dome(sensor).nodes))
+        check_start(paths, start, len(load_shared_dome(sensor).nodes))
     else:
         check_started(paths)
     if not len(paths):
-        return nothing_solved(sensor, paths, chosen)
-    obstacles = obstacles_of(names)
+        return make_undeformed_contacts(sensor, paths, chosen)
+    obstacles = sample_obstacles(stimuli)
     contacts, skins, incomplete = solve_batches(
         sensor, obstacles, paths, chosen, start, batch, progress, wide=False
     )
@@ -95,11 +95,11 @@ def follow(
             sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True
         )
         replace(rows, new._replace(converged=new.converged & ~still), new_skins)
-    stronger = STRONGER.get(level, "reference") if isinstance(level, str) else "reference"
+    stronger = STRONGER_LEVELS.get(level, "reference") if isinstance(level, str) else "reference"
     if retry and not contacts.converged.all() and level != stronger:
         rows = np.flatnonzero(~contacts.converged)
         before = None if start is None else start.take(rows)
-        new, new_skins = follow(sensor, names, paths.take(rows), stronger, before, batch)
+        new, new_skins = follow(sensor, stimuli, paths.take(rows), stronger, before, batch)
         replace(rows, new._replace(retried=np.ones(len(rows), bool)), new_skins)
     return contacts, skins
 
@@ -113,5 +113,5 @@ def plan(
     check_paths(sensor, len(names), paths)
     return [
         part.rows
-        for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)
+        for part in plan_paths(sensor, sample_obstacles(names), paths, get_level(level), batch)
     ]

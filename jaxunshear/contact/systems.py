@@ -11,39 +11,39 @@ from threadpoolctl import threadpool_limits
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.elasticity import Compliance
 from jaxunshear.contact.friction import RHO, System
-from jaxunshear.contact.plan import NODE_COUNTS, padded
+from jaxunshear.contact.scheduler import NODE_COUNTS, pad_count
 from jaxunshear.settings.sensor import Sensor
 
 
 @lru_cache(maxsize=4)
-def dome(sensor: Sensor) -> Compliance:
+def load_shared_dome(sensor: Sensor) -> Compliance:
     """The sensor's dome, kept in memory."""
-    return domes.dome(sensor)
+    return domes.load_dome(sensor)
 
 
 @lru_cache(maxsize=4)
-def matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
+def build_matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
     """w of the dome, scaled to a unit mean diagonal, and g transposed, in one precision."""
-    full = dome(sensor)
+    full = load_shared_dome(sensor)
     scaled = (full.w / (np.trace(full.w) / len(full.w))).astype(precision)
     return scaled, np.ascontiguousarray(full.g.T.astype(precision))
 
 
 @lru_cache(maxsize=16)
-def system_of(
-    sensor: Sensor, chosen: bytes, friction: bool, precision: str
+def build_system(
+    sensor: Sensor, node_bytes: bytes, friction: bool, precision: str
 ) -> tuple[System, float]:
-    """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
-    full = dome(sensor)
-    index = np.frombuffer(chosen, np.int64)
-    size = padded(len(index), NODE_COUNTS)
+    """The contact nodes `node_bytes` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
+    full = load_shared_dome(sensor)
+    index = np.frombuffer(node_bytes, np.int64)
+    size = pad_count(len(index), NODE_COUNTS)
     parts = np.arange(3) if friction else np.array([2])
     rows, all_rows = (
         (3 * index[:, None] + parts).ravel(),
         (3 * index[:, None] + np.arange(3)).ravel(),
     )
     found, count = len(rows), len(parts) * size
-    matrix, _ = matrices(sensor, precision)
+    matrix, _ = build_matrices(sensor, precision)
     scale = np.trace(full.w) / len(full.w)
     w = np.zeros((count, count), precision)
     w[:found, :found] = matrix.take(rows, 0).take(rows, 1)

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.cluster import Call, Died, Spread, here
-from jaxunshear.contact.skins import Contacts
+from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import png

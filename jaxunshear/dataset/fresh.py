@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.contact.indentation import indentation
+from jaxunshear.contact.indentation import compute_indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.shots import draw_paired
@@ -67,7 +67,7 @@ def fresh_contacts(
         images[half:],
         pins[:half],
         pins[half:],
-        indentation(experiment.sensor, skins.take(tapped)),
+        compute_indentation(experiment.sensor, skins.take(tapped)),
         int(np.sum(~good)),
     )
 

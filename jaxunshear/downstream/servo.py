@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
+from jaxunshear.contact.contact_results import Skins
 from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.skins import Skins
 from jaxunshear.dataset.chunks import RENDER, pack, render
 from jaxunshear.downstream.contour import Contour, advance, outline
 from jaxunshear.downstream.controller import Gains, Memory, control

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact import elasticity
-from jaxunshear.contact.dome import VERSION, compute_dome, dome, sensitivity
-from jaxunshear.contact.harmonics import sixfold
+from jaxunshear.contact.dome import VERSION, compute_dome, load_dome, load_sensitivity
+from jaxunshear.contact.harmonics import make_sixfold_permutations
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.settings.reach import contact_angle, deepest_mm, reach_mm, ring_arcs
@@ -83,10 +83,10 @@ def test_a_turn_by_60_degrees_changes_nothing(layout):
     force = np.random.default_rng(0).normal(size=made.nodes.shape)
     turn = np.array([[0.5, -np.sqrt(0.75), 0], [np.sqrt(0.75), 0.5, 0], [0, 0, 1]])
     for matrix, points in ((made.w, made.nodes), (made.g, made.pins)):
-        image = sixfold(len(points))[1]
+        image = make_sixfold_permutations(len(points))[1]
         np.testing.assert_allclose(points[image], points @ turn.T, atol=1e-9)
         turned = np.empty_like(force)
-        turned[sixfold(len(force))[1]] = force @ turn.T
+        turned[make_sixfold_permutations(len(force))[1]] = force @ turn.T
         before, after = ((matrix @ f.ravel()).reshape(-1, 3) for f in (force, turned))
         np.testing.assert_allclose(after[image], before @ turn.T, atol=1e-10 * np.abs(before).max())
 
@@ -119,14 +119,14 @@ def test_both_moduli_together_only_scale(scale):
 
 
 def test_harmonics_that_a_ring_does_not_bear_add_little(small, monkeypatch):
-    monkeypatch.setattr(elasticity, "ring_sizes", lambda rings: np.full(rings, 1000))
+    monkeypatch.setattr(elasticity, "compute_ring_sizes", lambda rings: np.full(rings, 1000))
     more = compute_dome(SMALL)
     difference = np.linalg.norm(more.w - small.w) / np.linalg.norm(small.w)
     assert 0 < difference < 3e-4
 
 
 def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
-    dw, dg = sensitivity(SMALL)
+    dw, dg = load_sensitivity(SMALL)
     step = 1e-3
     up, down = (
         compute_dome(replace(SMALL, skin_modulus_mpa=SMALL.skin_modulus_mpa * np.exp(s)))
@@ -163,7 +163,7 @@ def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
 )
 def test_impossible_sensors_are_refused_by_field(cache, wrong):
     (field,) = wrong
-    for attempt in (check_sensor, dome, compute_pin_tips):
+    for attempt in (check_sensor, load_dome, compute_pin_tips):
         with pytest.raises(UserError, match=field):
             attempt(replace(TACTIP_331, **wrong))
     with pytest.raises(UserError, match="dome_radius_mm"):
@@ -176,7 +176,7 @@ def kept(small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("kept")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JAXUNSHEAR_CACHE", str(folder))
-        np.testing.assert_array_equal(dome(SMALL).w, small.w)
+        np.testing.assert_array_equal(load_dome(SMALL).w, small.w)
     (path,) = folder.iterdir()
     return path
 
@@ -200,11 +200,11 @@ def _store(path, contents):
 
 def test_a_full_cache_file_is_used(stored, small, capsys):
     for name in ("w", "g", "nodes", "pins"):
-        np.testing.assert_array_equal(getattr(dome(SMALL), name), getattr(small, name))
+        np.testing.assert_array_equal(getattr(load_dome(SMALL), name), getattr(small, name))
     _store(
         stored, {**_contents(stored), "rings": 2 * _contents(stored)["rings"]}
     )  # which nobody would make again
-    np.testing.assert_allclose(dome(SMALL).w, 2 * small.w, rtol=1e-12)
+    np.testing.assert_allclose(load_dome(SMALL).w, 2 * small.w, rtol=1e-12)
     assert capsys.readouterr().err == ""
 
 
@@ -250,7 +250,7 @@ def test_a_cache_file_that_is_not_right_is_reported_and_made_again(
     full = stored.read_bytes()
     damage(stored)
     capsys.readouterr()
-    np.testing.assert_array_equal(dome(SMALL).w, small.w)
+    np.testing.assert_array_equal(load_dome(SMALL).w, small.w)
     reported = [line for line in capsys.readouterr().err.splitlines() if "made again" in line]
     assert len(reported) == 1 and str(stored) in reported[0] and said in reported[0]
     assert stored.read_bytes() == full and len(list(stored.parent.iterdir())) == 1
@@ -260,8 +260,8 @@ def test_other_settings_have_other_files(stored):
     settings = str(_contents(stored)["settings"])
     assert json.loads(settings)["version"] == VERSION
     assert hashlib.sha256(settings.encode()).hexdigest().startswith(stored.stem.split("-")[-1])
-    dome(replace(SMALL, gel_modulus_mpa=0.2))
-    dome(replace(SMALL, name="../sly"))
+    load_dome(replace(SMALL, gel_modulus_mpa=0.2))
+    load_dome(replace(SMALL, name="../sly"))
     assert len(list(stored.parent.iterdir())) == 3
 
 
@@ -285,5 +285,5 @@ def test_a_cache_folder_that_cannot_be_written_to_is_reported(tmp_path, monkeypa
     (tmp_path / "file").touch()
     monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "file"))
     with pytest.raises(UserError, match="JAXUNSHEAR_CACHE"):
-        dome(SMALL)
+        load_dome(SMALL)
     assert capsys.readouterr().err == ""

@@ -3,18 +3,23 @@
 import numpy as np
 import pytest
 
-from jaxunshear.contact.elasticity import condense, isotropic, ring_loads, stiffness
-from jaxunshear.contact.mesh import dome_mesh, half_space_mesh, shape_functions
+from jaxunshear.contact.elasticity import (
+    assemble_stiffness,
+    compute_isotropic_stiffness,
+    compute_ring_loads,
+    condense,
+)
+from jaxunshear.contact.mesh import compute_shape_functions, make_dome_mesh, make_half_space_mesh
 
 
 @pytest.fixture(scope="module")
 def dome():
-    return dome_mesh(20.0, 1.0, 3.0)
+    return make_dome_mesh(20.0, 1.0, 3.0)
 
 
 def volume(mesh):
     gauss = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
-    values, slopes = shape_functions(gauss)
+    values, slopes = compute_shape_functions(gauss)
     corners = mesh.nodes[mesh.elements]
     determinant = np.linalg.det(np.einsum("qnl,enx->eqlx", slopes, corners))
     assert np.all(determinant > 0) or np.all(determinant < 0), "an element is folded"
@@ -29,7 +34,7 @@ def test_the_dome_is_a_hemisphere(dome):
 
 
 def test_the_half_space_is_a_half_ball():
-    mesh = half_space_mesh(1.0, 0.25)
+    mesh = make_half_space_mesh(1.0, 0.25)
     assert volume(mesh) == pytest.approx(
         2 / 3 * np.pi * np.hypot(*mesh.nodes.T).max() ** 3, rel=1e-3
     )
@@ -64,7 +69,9 @@ NAMES = (
 @pytest.mark.parametrize("name", NAMES)
 def test_patch(dome, name):
     m, field = fields(dome)[name]
-    k0, k1, k2 = stiffness(dome, np.broadcast_to(isotropic(1.0, 0.3), (len(dome.elements), 6, 6)))
+    k0, k1, k2 = assemble_stiffness(
+        dome, np.broadcast_to(compute_isotropic_stiffness(1.0, 0.3), (len(dome.elements), 6, 6))
+    )
     force = ((k0 + m * k1 + m * m * k2) @ np.stack(field, -1).ravel()).reshape(-1, 3)
     r, z = dome.nodes.T
     inside = (np.hypot(r, 20 - z) < 20 - 1e-6) & (z < 20 - 1e-6)
@@ -75,8 +82,8 @@ def test_patch(dome, name):
 
 
 def test_rings_carry_one_newton_and_stand_on_the_sphere():
-    fine = dome_mesh(20.0, 1.0, 1.0)
-    loads, places = ring_loads(fine, np.arange(9) * 2.5)
+    fine = make_dome_mesh(20.0, 1.0, 1.0)
+    loads, places = compute_ring_loads(fine, np.arange(9) * 2.5)
     np.testing.assert_allclose(loads.sum(0), 1, rtol=1e-12)
     angle = np.arange(8) * 2.5 / 20
     np.testing.assert_allclose(
@@ -88,7 +95,11 @@ def test_rings_carry_one_newton_and_stand_on_the_sphere():
 
 @pytest.fixture(scope="module")
 def compliance(dome):
-    materials = np.where(dome.skin[:, None, None], isotropic(1.0, 0.49), isotropic(0.1, 0.49))
+    materials = np.where(
+        dome.skin[:, None, None],
+        compute_isotropic_stiffness(1.0, 0.49),
+        compute_isotropic_stiffness(0.1, 0.49),
+    )
     angle = np.arange(6) * np.pi / 3
     outwards = np.stack(
         [np.sin(0.2) * np.cos(angle), np.sin(0.2) * np.sin(angle), np.full(6, -np.cos(0.2))], -1
@@ -151,8 +162,12 @@ def test_finer_meshes_agree_ever_better():
     outwards = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], -1)
 
     def moved(h):
-        mesh = dome_mesh(6.0, 0.5, h)
-        materials = np.where(mesh.skin[:, None, None], isotropic(1.0, 0.49), isotropic(0.1, 0.49))
+        mesh = make_dome_mesh(6.0, 0.5, h)
+        materials = np.where(
+            mesh.skin[:, None, None],
+            compute_isotropic_stiffness(1.0, 0.49),
+            compute_isotropic_stiffness(0.1, 0.49),
+        )
         tips = np.array([0, 0, 6.0]) + 5 * outwards
         made = condense(mesh, materials, np.arange(4) * 0.8, tips, 12, levers=-0.5 * outwards)
         force = np.tile([0.5, 0.0, 1.0], len(made.nodes)) / len(made.nodes)

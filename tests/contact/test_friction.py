@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.contact.frame import level_frame
+from jaxunshear.contact.frame import compute_level_frame
 from jaxunshear.contact.friction import (
     BETWEEN_CHECKS,
     RHO,
     Skin,
     System,
     follow_path,
+    make_undeformed_skins,
     project,
-    rest,
 )
+from jaxunshear.contact.node_state import count_node_states
 from jaxunshear.contact.obstacle import Obstacles
-from jaxunshear.contact.state import contact_state
 from verification.half_space import HalfSpace, press, trace
 from verification.normal import SPHERE_MM, depth
 from verification.shear import FRICTION, slip_distance
@@ -51,7 +51,7 @@ def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
     path = jnp.asarray(poses, jnp.float32)
     count = path.shape[1]
     mu = jnp.full(count, friction, jnp.float32)
-    start = rest(system, path[0])
+    start = make_undeformed_skins(system, path[0])
     skin, quality = follow_path(
         system, FLAT, jnp.zeros(count, jnp.int32), mu, path[1:], start, 1e-3, 4000
     )
@@ -73,7 +73,7 @@ def test_float32_agrees_with_float64(half_space, near, system):
 def test_what_sticks_what_slips_and_what_is_free(half_space, system):
     skin = follow(system, slides(half_space), FRICTION)
     stuck, slipping, free = (
-        np.asarray(part) for part in contact_state(skin, jnp.full(3, FRICTION))
+        np.asarray(part) for part in count_node_states(skin, jnp.full(3, FRICTION))
     )
     np.testing.assert_array_equal(stuck + slipping + free, len(system.nodes))
     assert stuck[0] > 0.8 * (stuck[0] + slipping[0])  # pressed only
@@ -91,9 +91,9 @@ def test_tiny_frictions_give_stuck_from_slipping(friction):
 
     def found(force, pose):
         skin = Skin(
-            force @ level_frame(pose), force, force, pose
+            force @ compute_level_frame(pose), force, force, pose
         )  # from the level frame to the sensor's
-        return [int(part[0]) for part in contact_state(skin, mu, pose is tilted)]
+        return [int(part[0]) for part in count_node_states(skin, mu, pose is tilted)]
 
     assert found(held, level) == found(held, tilted) == [0, 99, 0]
     if friction > 1e-31:
@@ -111,7 +111,7 @@ def test_no_contact_needs_no_iteration(system):
     )
     which, mu = jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
     skin, quality = follow_path(
-        system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, 4000
+        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, 4000
     )
     assert (
         not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
@@ -132,14 +132,21 @@ def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, sy
     )
     limit = 40
     skin, quality = follow_path(
-        system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, limit
+        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, limit
     )
     assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(
         np.isfinite(skin.force)
     )
     assert int(quality.iterations[1]) <= 2 * (limit + BETWEEN_CHECKS)
     alone = follow_path(
-        system, FLAT, which[:1], mu[:1], path[1:, :1], rest(system, path[0, :1]), 1e-3, limit
+        system,
+        FLAT,
+        which[:1],
+        mu[:1],
+        path[1:, :1],
+        make_undeformed_skins(system, path[0, :1]),
+        1e-3,
+        limit,
     )
     assert bool(quality.residual_mm[0] <= quality.tolerance_mm[0])
     np.testing.assert_allclose(skin.force[0].sum(0), alone[0].force[0].sum(0), rtol=0.01, atol=1e-4)
@@ -163,7 +170,15 @@ def test_no_product_is_left_to_the_rounding_of_a_gpu(system, tilted):
     def run(path, system):
         mu = jnp.ones(1, jnp.float32)
         return follow_path(
-            system, FLAT, jnp.zeros(1, jnp.int32), mu, path, rest(system, path[0]), 0.1, 9, tilted
+            system,
+            FLAT,
+            jnp.zeros(1, jnp.int32),
+            mu,
+            path,
+            make_undeformed_skins(system, path[0]),
+            0.1,
+            9,
+            tilted,
         )
 
     text = jax.jit(run).lower(path, system).as_text()

@@ -7,19 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.contact.friction import RHO, System, rest
+from jaxunshear.contact.friction import RHO, System, make_undeformed_skins
 from jaxunshear.contact.gradient import (
     SWITCH_MM,
-    compliance,
-    path_shares,
-    pin_gradient,
-    pin_model,
-    pins,
+    compute_path_shares,
+    compute_pin_gradient,
+    interpolate_compliance,
+    make_pin_model,
+    simulate_pins,
 )
-from jaxunshear.contact.implicit import GOAL_MM, pin_state
+from jaxunshear.contact.implicit import GOAL_MM, compute_pin_state
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.obstacle import Obstacles
-from jaxunshear.contact.plan import increments
+from jaxunshear.contact.scheduler import cut_increments
 from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths
@@ -62,16 +62,16 @@ def paths():
 
 @pytest.fixture(scope="module")
 def found(paths):
-    return pin_gradient(SMALL, ("disk",), paths)
+    return compute_pin_gradient(SMALL, ("disk",), paths)
 
 
 @pytest.fixture(scope="module")
 def model(paths):
     with jax.enable_x64(True):
-        return pin_model(SMALL, ("disk",), paths)
+        return make_pin_model(SMALL, ("disk",), paths)
 
 
-run = jax.jit(pins)
+run = jax.jit(simulate_pins)
 
 
 def at(model, points, friction, log_ratio=None):
@@ -147,7 +147,7 @@ def test_moduli(paths, model, found):
     for h in (step, -step):
         other = replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5)
         with jax.enable_x64(True):
-            sides.append(at(pin_model(other, ("disk",), paths), paths.points, FRICTION))
+            sides.append(at(make_pin_model(other, ("disk",), paths), paths.points, FRICTION))
     smooth = found.margin_mm > 1e-4
     assert smooth.any()
     agree(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
@@ -155,9 +155,11 @@ def test_moduli(paths, model, found):
 
 def test_without_jit_and_with_more_nodes_in_touch_than_foreseen(paths, model, found):
     with jax.enable_x64(True):
-        few = replace(model, most=2)
+        few = replace(model, max_touching=2)
         np.testing.assert_allclose(
-            pins(few, jnp.asarray(paths.points), jnp.asarray(FRICTION)).pins, found.pins, atol=1e-9
+            simulate_pins(few, jnp.asarray(paths.points), jnp.asarray(FRICTION)).pins,
+            found.pins,
+            atol=1e-9,
         )
 
 
@@ -167,7 +169,7 @@ def test_backwards_equals_forwards_under_vmap(paths, model, found):
     close = {"rtol": 1e-6, "atol": 1e-8}
 
     def loss(model, *x):
-        return jnp.sum(weights * pins(model, *x).pins)
+        return jnp.sum(weights * simulate_pins(model, *x).pins)
 
     with jax.enable_x64(True):
         points, frictions = jnp.asarray(paths.points), jnp.asarray([FRICTION, 0.9 * FRICTION])
@@ -205,13 +207,13 @@ def special():
 
 @pytest.fixture(scope="module")
 def special_found(special):
-    return pin_gradient(SMALL, ("disk",), special)
+    return compute_pin_gradient(SMALL, ("disk",), special)
 
 
 @pytest.fixture(scope="module")
 def special_model(special):
     with jax.enable_x64(True):
-        return pin_model(SMALL, ("disk",), special)
+        return make_pin_model(SMALL, ("disk",), special)
 
 
 def test_what_touches_nothing_answers_to_nothing(special_found):
@@ -258,9 +260,11 @@ def test_going_on_from_a_skin(paths):
     _, skins = follow(SMALL, ("disk",), pressed, "reference")
     full, _ = follow(SMALL, ("disk",), slides, "reference")
     with jax.enable_x64(True):
-        model = pin_model(SMALL, ("disk",), moved, "reference", start=skins)
+        model = make_pin_model(SMALL, ("disk",), moved, "reference", start=skins)
         friction = jnp.asarray(slides.friction)
-        push = jax.jit(lambda x, d: jax.jvp(lambda y: pins(model, y, friction).pins, (x,), (d,)))
+        push = jax.jit(
+            lambda x, d: jax.jvp(lambda y: simulate_pins(model, y, friction).pins, (x,), (d,))
+        )
         at, along = jnp.asarray(moved.points), jnp.zeros_like(moved.points).at[:, -1, 0].set(1.0)
         here, more, less = (jax.device_get(push(at + h * along, along)) for h in (0, STEP, -STEP))
     np.testing.assert_allclose(here[0], full.pins, atol=5e-3)  # as exact as the reference level is
@@ -273,27 +277,27 @@ def test_shares_cut_a_path_as_the_plan_does(paths):
     points[1, 1] = points[1, 0]
     paths = Paths(paths.stimulus, paths.friction, points)
     for name in ("auto", "default"):
-        poses, _ = increments(paths, LEVELS[name], SMALL.dome_radius_mm)
+        poses, _ = cut_increments(paths, LEVELS[name], SMALL.dome_radius_mm)
         points = np.array(paths.points)
         points[..., [2, 4, 5]] = np.radians(points[..., [2, 4, 5]])
-        shares = path_shares(paths, LEVELS[name], SMALL.dome_radius_mm)
+        shares = compute_path_shares(paths, LEVELS[name], SMALL.dome_radius_mm)
         np.testing.assert_allclose(np.einsum("btk,bkc->btc", shares, points), poses, atol=1e-12)
         np.testing.assert_allclose(shares.sum(-1), 1)
 
 
 def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
     with jax.enable_x64(True):
-        several = pin_model(SMALL, ("disk",), paths, ratios=(5.0, 10.0, 20.0))
+        several = make_pin_model(SMALL, ("disk",), paths, ratios=(5.0, 10.0, 20.0))
         for ratio, most in ((10.0, 1e-12), (14.0, 1e-3)):  # at a knot, between
-            single = pin_model(replace(SMALL, skin_modulus_mpa=0.1 * ratio), ("disk",), paths)
+            single = make_pin_model(replace(SMALL, skin_modulus_mpa=0.1 * ratio), ("disk",), paths)
             for ours, theirs in zip(
-                compliance(several, jnp.log(ratio)),
-                compliance(single, single.log_ratio),
+                interpolate_compliance(several, jnp.log(ratio)),
+                interpolate_compliance(single, single.log_ratio),
                 strict=True,
             ):
                 assert float(jnp.abs(ours - theirs).max()) < most * float(jnp.abs(theirs).max())
     with pytest.raises(UserError, match="ratios"), jax.enable_x64(True):
-        pin_model(SMALL, ("disk",), paths, ratios=(10.0, 5.0))
+        make_pin_model(SMALL, ("disk",), paths, ratios=(10.0, 5.0))
 
 
 def test_half_space_in_stick_and_in_slip(half_space):
@@ -317,8 +321,8 @@ def test_half_space_in_stick_and_in_slip(half_space):
                 .at[2:, :, 0]
                 .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             )
-            skin, which = rest(system, path[0]), jnp.zeros(2, jnp.int32)
-            state = pin_state(
+            skin, which = make_undeformed_skins(system, path[0]), jnp.zeros(2, jnp.int32)
+            state = compute_pin_state(
                 system, jnp.zeros((len(w), 3)), FLAT, which, friction, path, skin, len(nodes)
             )
             return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
@@ -339,6 +343,6 @@ def test_half_space_in_stick_and_in_slip(half_space):
 
 def test_without_scenes_or_batches_nothing_can_be_differentiated(paths):
     with pytest.raises(UserError, match="no scene"):
-        pin_gradient(SMALL, ("disk",), paths.take(np.arange(0)))
+        compute_pin_gradient(SMALL, ("disk",), paths.take(np.arange(0)))
     with pytest.raises(UserError, match="batch = 0"):
-        pin_gradient(SMALL, ("disk",), paths, batch=0)
+        compute_pin_gradient(SMALL, ("disk",), paths, batch=0)

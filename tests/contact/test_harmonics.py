@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact.harmonics import (
-    lattice,
-    node_to_node,
-    node_to_point,
-    ring_sizes,
-    sixfold,
+    compute_node_compliance,
+    compute_point_compliance,
+    compute_ring_sizes,
+    make_ring_lattice,
+    make_sixfold_permutations,
     spread_forces,
 )
 
@@ -28,8 +28,8 @@ def made_up():
 
 def hat(node: int) -> np.ndarray:
     """Density in angle of a node's force, at FINE; its integral is 1."""
-    ring, angle = (values[node] for values in lattice(RINGS))
-    width = 2 * np.pi / ring_sizes(RINGS)[ring]
+    ring, angle = (values[node] for values in make_ring_lattice(RINGS))
+    width = 2 * np.pi / compute_ring_sizes(RINGS)[ring]
     away = (FINE - angle + np.pi) % (2 * np.pi) - np.pi
     shape = np.maximum(1 - np.abs(away) / width, 0) if ring else np.ones_like(FINE)
     return shape / shape.mean() / (2 * np.pi)
@@ -44,7 +44,7 @@ def cylindrical(direction: np.ndarray) -> np.ndarray:
 
 def displacement(response: np.ndarray, source: int, direction: np.ndarray) -> np.ndarray:
     """(targets, 3, 4000) radial, tangential, up around the axis for a unit force at a node: one harmonic after the other."""
-    ring = lattice(RINGS)[0][source]
+    ring = make_ring_lattice(RINGS)[0][source]
     total = np.zeros((response.shape[1] // 3, 3, len(FINE)), complex)
     for m in range(HARMONICS + 1):
         wave = np.exp(-1j * m * FINE)
@@ -62,13 +62,13 @@ def displacement(response: np.ndarray, source: int, direction: np.ndarray) -> np
 @pytest.mark.parametrize("source", [0, 3, 12])
 def test_sums_are_integrals(made_up, source):
     between, fields = made_up
-    w = node_to_node(between).reshape(-1, 3, 19, 3)
+    w = compute_node_compliance(between).reshape(-1, 3, 19, 3)
     angle = np.array([0.0, 0.7, 2.0])
-    g = node_to_point(fields, np.array([0, 1, 1]), angle).reshape(3, 3, 19, 3)
+    g = compute_point_compliance(fields, np.array([0, 1, 1]), angle).reshape(3, 3, 19, 3)
     for axis in range(3):
         around = displacement(between, source, np.eye(3)[axis])
         for target in range(19):
-            seen = around[lattice(RINGS)[0][target]]
+            seen = around[make_ring_lattice(RINGS)[0][target]]
             mean = [
                 (cylindrical(unit) * seen * hat(target)).sum(0).mean() * 2 * np.pi
                 for unit in np.eye(3)
@@ -91,8 +91,8 @@ def test_a_nodes_force_adds_up_to_one_newton():
 
 
 def test_sixfold_turns_the_lattice():
-    ring, angle = lattice(4)
-    turned = sixfold(37)
+    ring, angle = make_ring_lattice(4)
+    turned = make_sixfold_permutations(37)
     for sixth in range(6):
         image = turned[sixth]
         np.testing.assert_array_equal(ring[image], ring)
@@ -101,4 +101,4 @@ def test_sixfold_turns_the_lattice():
         np.testing.assert_array_equal(np.sort(image), np.arange(37))
     for count in (0, 2, 8, 36):
         with pytest.raises(ValueError, match="do not fill complete rings"):
-            sixfold(count)
+            make_sixfold_permutations(count)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.contact.indentation import indentation
+from jaxunshear.contact.indentation import compute_indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -18,7 +18,7 @@ def pressed(sensor, x):
     pose = np.array([[x, 0, 0, DEPTH]])
     scene = Scenes(np.zeros(1, int), pose, np.zeros((1, 2)), np.array([0.5]))
     _, skins = follow(sensor, ("disk",), make_paths(scene))
-    return indentation(sensor, skins)[0]
+    return compute_indentation(sensor, skins)[0]
 
 
 @pytest.mark.parametrize(
@@ -44,8 +44,10 @@ def test_beside_an_edge_only_one_side_is_pressed_in():
 
 
 def test_an_untouched_skin_is_flat():
-    from jaxunshear.contact.skins import Skins
-    from jaxunshear.contact.systems import dome
+    from jaxunshear.contact.contact_results import Skins
+    from jaxunshear.contact.systems import load_shared_dome
 
-    force = np.zeros((2, len(dome(TACTIP_331).nodes), 3))
-    np.testing.assert_array_equal(indentation(TACTIP_331, Skins(force, np.zeros((2, 6)))), 0)
+    force = np.zeros((2, len(load_shared_dome(TACTIP_331).nodes), 3))
+    np.testing.assert_array_equal(
+        compute_indentation(TACTIP_331, Skins(force, np.zeros((2, 6)))), 0
+    )

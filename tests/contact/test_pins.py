@@ -3,27 +3,27 @@
 import numpy as np
 import pytest
 
-from jaxunshear.contact.mesh import dome_mesh
-from jaxunshear.contact.pins import Pins, interpolation
+from jaxunshear.contact.mesh import make_dome_mesh
+from jaxunshear.contact.pin_levers import PinLevers, compute_interpolation
 from jaxunshear.errors import UserError
 
 
 @pytest.fixture(scope="module")
 def dome():
-    return dome_mesh(20.0, 1.0, 3.0)
+    return make_dome_mesh(20.0, 1.0, 3.0)
 
 
 def test_interpolation_follows_linear_fields(dome):
     points = np.array(
         [[0.0, 2.0], [7.3, 5.1], [0.4, 1.5], [19 * np.sin(0.5), 20 - 19 * np.cos(0.5)]]
     )
-    values, *slopes = interpolation(dome, points)
+    values, *slopes = compute_interpolation(dome, points)
     np.testing.assert_allclose(values @ dome.nodes, points, atol=1e-8)
     np.testing.assert_allclose(
         np.stack(slopes) @ dome.nodes, np.eye(2)[:, None].repeat(4, 1), atol=1e-8
     )
     with pytest.raises(UserError, match="outside the gel"):
-        interpolation(dome, np.array([[25.0, 1.0]]))
+        compute_interpolation(dome, np.array([[25.0, 1.0]]))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def pins(dome):
     angle = np.array([0.0, 0.3, 0.6, 0.9])
     outwards = np.stack([np.sin(angle), -np.cos(angle)], -1)
     stands = 19 * outwards + np.array([0, 20.0])
-    return Pins(stands, -2.0 * outwards, interpolation(dome, stands))
+    return PinLevers(stands, -2.0 * outwards, compute_interpolation(dome, stands))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_pins_move_rigidly_with_a_rigid_body(dome, pins, name):
 
 
 def test_pins_without_length_move_with_the_face(dome, pins):
-    short = Pins(pins.places, 0 * pins.levers, pins.at)
+    short = PinLevers(pins.places, 0 * pins.levers, pins.at)
     field = np.random.default_rng(0).normal(size=(3 * len(dome.nodes), 2))
     for m in (0, 1, 5):
         np.testing.assert_allclose(
@@ -68,7 +68,7 @@ def test_pins_without_length_move_with_the_face(dome, pins):
 @pytest.mark.parametrize("m", [0, 1, 2, 3])
 def test_pins_follow_the_normal_of_the_deformed_face(m):
     """Against the cross product of two tangents of the moved face in space, by differences in place and in amplitude."""
-    fine = dome_mesh(20.0, 1.0, 1.0)
+    fine = make_dome_mesh(20.0, 1.0, 1.0)
 
     def field(r, z):
         """Smooth at the axis: (U, V, W) ~ r^|m -+ 1|, r^m."""
@@ -104,7 +104,7 @@ def test_pins_follow_the_normal_of_the_deformed_face(m):
     alpha, theta = np.array([0.3, 0.6, 0.9]), 0.4
     outwards = np.stack([np.sin(alpha), -np.cos(alpha)], -1)
     stands = 19 * outwards + np.array([0, 20.0])
-    made = Pins(stands, -2.0 * outwards, interpolation(fine, stands))
+    made = PinLevers(stands, -2.0 * outwards, compute_interpolation(fine, stands))
     radial, around, up = made.motion(field(*fine.nodes.T).reshape(-1, 1), m).reshape(-1, 3).T
     wave = np.stack(
         [np.cos(m * theta) * radial, np.sin(m * theta) * around, np.cos(m * theta) * up]

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.contact.dome import dome
-from jaxunshear.contact.harmonics import sixfold
-from jaxunshear.contact.level import LEVELS, unabridged
-from jaxunshear.contact.obstacle import REACH_MM, distance_at, sample
-from jaxunshear.contact.plan import increments, make_plan, padded
+from jaxunshear.contact.dome import load_dome
+from jaxunshear.contact.harmonics import make_sixfold_permutations
+from jaxunshear.contact.level import LEVELS, without_omissions
+from jaxunshear.contact.obstacle import REACH_MM, interpolate_distance, sample_distances
+from jaxunshear.contact.scheduler import cut_increments, make_plan, pad_count
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, make_paths
 from jaxunshear.scene.scene import make_scenes, sample_poses, sample_slides
@@ -28,12 +28,12 @@ RADIUS = TACTIP_331.dome_radius_mm
 
 @pytest.fixture(scope="module")
 def obstacles():
-    return sample(tuple(map(get_stimulus, TRAINING)))
+    return sample_distances(tuple(map(get_stimulus, TRAINING)))
 
 
 @pytest.fixture(scope="module")
 def nodes():
-    return dome(TACTIP_331).nodes
+    return load_dome(TACTIP_331).nodes
 
 
 def mixed(count=200, seed=2):
@@ -73,13 +73,13 @@ def test_grouping_costs_less_than_slices(obstacles, nodes):
 
     auto = LEVELS["auto"]
     ungrouped = replace(auto, omit=tuple(name for name in auto.omit if name != "grouping"))
-    assert work(auto) < 0.5 * work(ungrouped) < 0.5 * work(unabridged(auto))
+    assert work(auto) < 0.5 * work(ungrouped) < 0.5 * work(without_omissions(auto))
 
 
 def test_turned_scenes_keep_their_own_nodes(obstacles, nodes):
     """The nodes of a batch, turned back, hold those that each of its scenes can touch."""
     paths = mixed(64)
-    turned = sixfold(len(nodes))
+    turned = make_sixfold_permutations(len(nodes))
     for part in planned(obstacles, nodes, paths, LEVELS["auto"]):
         for row, turn in zip(part.rows, part.turn, strict=True):
             alone = planned(obstacles, nodes, paths.take(np.array([row])), LEVELS["auto"], 1)[0]
@@ -87,7 +87,7 @@ def test_turned_scenes_keep_their_own_nodes(obstacles, nodes):
 
 
 def test_nothing_left_out_is_everything(obstacles, nodes):
-    parts = planned(obstacles, nodes, mixed(), unabridged(LEVELS["auto"]))
+    parts = planned(obstacles, nodes, mixed(), without_omissions(LEVELS["auto"]))
     assert len(parts) == 4 and all(
         len(part.nodes) == len(nodes) and part.friction for part in parts
     )
@@ -100,27 +100,29 @@ def test_increments_follow_the_way_points():
     points[0, 2, :2] = 3.0, 4.0
     points[1, 1:, 3] = 0.5
     points[2, 1:, 2] = 90.0
-    path, count = increments(Paths(np.zeros(3, int), np.ones(3), points), level, 20.0)
+    path, count = cut_increments(Paths(np.zeros(3, int), np.ones(3), points), level, 20.0)
     assert count.tolist() == [3 + 10, 1, 16] and path.shape == (3, 17, 6)
     np.testing.assert_allclose(path[0, 3], [0, 0, 0, 2.5, 0, 0])
     np.testing.assert_allclose(path[0, 8], [1.5, 2, 0, 2.5, 0, 0])
     np.testing.assert_allclose(path[0, 13:], np.broadcast_to([3, 4, 0, 2.5, 0, 0], (4, 6)))
     np.testing.assert_allclose(path[2, 16, 2], np.pi / 2)
-    fixed, count = increments(Paths(np.zeros(3, int), np.ones(3), points), unabridged(level), 20.0)
+    fixed, count = cut_increments(
+        Paths(np.zeros(3, int), np.ones(3), points), without_omissions(level), 20.0
+    )
     assert count.tolist() == [13, 2, 16]
 
 
 def test_padding():
-    assert [padded(count, (4, 16)) for count in (1, 4, 5, 16, 17)] == [4, 4, 16, 16, 17]
+    assert [pad_count(count, (4, 16)) for count in (1, 4, 5, 16, 17)] == [4, 4, 16, 16, 17]
 
 
 def test_sampled_obstacles_agree_with_the_shapes():
     points = np.random.default_rng(0).uniform(-15, 15, (1, 500, 2))
-    obstacles = sample(tuple(STIMULI.values()))
+    obstacles = sample_distances(tuple(STIMULI.values()))
     for index, stimulus in enumerate(STIMULI.values()):
         exact = np.asarray(compute_signed_distance(stimulus, jnp.asarray(points, jnp.float32)))
         sampled = np.asarray(
-            distance_at(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32))
+            interpolate_distance(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32))
         )
         if stimulus.name == "surface":  # has no edge within reach
             assert exact.max() < -5 and sampled.max() < -5
@@ -132,10 +134,10 @@ def test_sampled_obstacles_agree_with_the_shapes():
 def test_beyond_the_grid_shapes_are_far_away(obstacles):
     far = jnp.asarray([[[REACH_MM + 40, 0.0], [0.0, -REACH_MM - 7]]])
     for which in range(3):
-        assert float(distance_at(obstacles, jnp.asarray([which]), far).min()) > 7
+        assert float(interpolate_distance(obstacles, jnp.asarray([which]), far).min()) > 7
 
 
 def test_a_shape_without_distances_is_refused():
     broken = Stimulus("broken", lambda p: jnp.log(p[..., 0]), (0.0, 0.0, 0.0), 5.0)
     with pytest.raises(UserError, match="broken"):
-        sample((broken,))
+        sample_distances((broken,))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.contact.level import LEVELS, unabridged
-from jaxunshear.contact.plan import increments
+from jaxunshear.contact.level import LEVELS, without_omissions
+from jaxunshear.contact.scheduler import cut_increments
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, make_paths
@@ -100,7 +100,7 @@ def test_what_is_left_out_changes_next_to_nothing():
         omit=("nodes", "untouched", "grouping", "friction"),
     )
     sparing, entire = (
-        simulate(TACTIP_331, TRAINING, few, level) for level in (fine, unabridged(fine))
+        simulate(TACTIP_331, TRAINING, few, level) for level in (fine, without_omissions(fine))
     )
     assert np.all(sparing.nodes < 0.25 * entire.nodes)
     assert rms_mm(sparing.pins, entire.pins).max() < 2e-3
@@ -129,7 +129,7 @@ def test_a_slide_drags_the_skin_behind_it_and_friction_bounds_the_force():
     assert pull == pytest.approx(
         0.3 * made.force_n[0, 2], rel=0.01
     )  # full slip after 2.5 mm at this depth
-    assert made.stuck[0] == 0
+    assert made.stuck_nodes[0] == 0
 
 
 @pytest.mark.parametrize("angle", [60.0, 25.0])
@@ -161,7 +161,7 @@ def test_friction_from_none_to_infinite():
     assert pulls[0] == 0 and np.all(np.diff(pulls[:4]) > 0)
     assert pulls[4] == pytest.approx(pulls[5], rel=1e-3)
     stuck = simulate(TACTIP_331, ("disk",), one(2.0, friction=np.inf, **slide))
-    assert stuck.slipping[0] == 0 and stuck.stuck[0] > 0
+    assert stuck.slipping_nodes[0] == 0 and stuck.stuck_nodes[0] > 0
 
 
 def test_strong_friction_needs_no_stronger_level():
@@ -170,12 +170,12 @@ def test_strong_friction_needs_no_stronger_level():
     stuck = simulate(
         TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False
     )
-    assert stuck.converged.all() and not stuck.slipping.any() and stuck.iterations.max() < 600
+    assert stuck.converged.all() and not stuck.slipping_nodes.any() and stuck.iterations.max() < 600
 
 
 def test_strong_friction_is_pressed_by_short_increments_and_usual_friction_as_before():
     points = np.repeat(np.array([[[0, 0, 0, 0, 0, 0], [0, 0, 0, 6.0, 0, 0]]]), 3, axis=0)
-    _, count = increments(
+    _, count = cut_increments(
         Paths(np.zeros(3, int), np.array([0.5, 1.0, np.inf]), points), LEVELS["auto"], 20.0
     )
     np.testing.assert_array_equal(count, [2, 2, 6])

@@ -218,17 +218,17 @@ def _images(folder: Path) -> Act:
 
 def _cache(folder: Path, size: Size) -> Row:
     """The response of a coarse dome: made again where its file is damaged, so the same."""
-    from jaxunshear.contact.dome import dome
+    from jaxunshear.contact.dome import load_dome
     from jaxunshear.settings.reach import spaced
     from jaxunshear.settings.sensor import TACTIP_127
 
     coarse = spaced(TACTIP_127, 3.0)
     with shim.environment("JAXUNSHEAR_CACHE", str(folder)):
-        dome(coarse)
+        load_dome(coarse)
         files = sorted(folder.glob("dome-*.bin"))
 
         def act() -> object:
-            return bits(vars(dome(coarse)))
+            return bits(vars(load_dome(coarse)))
 
         row = _flip("cache of the simulator", "all that simulate", files, act, size)
     return row

@@ -11,21 +11,32 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, nnls
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.elasticity import isotropic, lame, stiffness
+from jaxunshear.contact.elasticity import (
+    assemble_stiffness,
+    compute_isotropic_stiffness,
+    compute_lame_constants,
+)
 from jaxunshear.contact.mesh import Mesh
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331
-from verification.hyperelastic import deformation, energy, forces, make_body, neo_hookean, tangent
+from verification.hyperelastic import (
+    compute_deformation,
+    compute_energy,
+    compute_forces,
+    compute_tangent,
+    make_body,
+    neo_hookean,
+)
 from verification.large_strain import (
     State,
-    contact_radius,
-    dome_body,
-    equilibrium,
-    follow,
+    compute_deformed_tips,
+    fit_contact_radius,
+    follow_depths,
+    make_dome_body,
     make_face,
-    pins_at,
-    press,
+    press_dome,
+    solve_equilibrium,
 )
 
 MESH_MM = 2.0
@@ -55,7 +66,7 @@ def tube(inner, outer, height, columns, rows):
 
 
 def uniform(mesh, modulus, poisson):
-    shear, first = lame(modulus, poisson)
+    shear, first = compute_lame_constants(modulus, poisson)
     return make_body(mesh, np.full(len(mesh.elements), shear), np.full(len(mesh.elements), first))
 
 
@@ -74,9 +85,9 @@ def started(moved, points):
 @pytest.fixture(scope="module")
 def pressed():
     """The dome at 2 mm and just beside, on a coarse mesh."""
-    body = dome_body(TACTIP_331, MESH_MM)
+    body = make_dome_body(TACTIP_331, MESH_MM)
     face = make_face(body.mesh)
-    return body, face, follow(body, face, np.array([1.999, 2.0, 2.001]))
+    return body, face, follow_depths(body, face, np.array([1.999, 2.0, 2.001]))
 
 
 def test_forces_and_tangent_are_derivatives_of_the_energy():
@@ -84,20 +95,24 @@ def test_forces_and_tangent_are_derivatives_of_the_energy():
     body = uniform(tube(0.0, 1.0, 1.0, 3, 2), 1.0, 0.49)
     moved = 0.03 * generator.normal(size=body.mesh.nodes.shape)
     way, h = generator.normal(size=moved.shape), 1e-6
-    slope = (energy(body, moved + h * way) - energy(body, moved - h * way)) / (2 * h)
-    assert forces(body, moved) @ way.ravel() == pytest.approx(slope, rel=1e-7)
-    change = (forces(body, moved + h * way) - forces(body, moved - h * way)) / (2 * h)
+    slope = (compute_energy(body, moved + h * way) - compute_energy(body, moved - h * way)) / (
+        2 * h
+    )
+    assert compute_forces(body, moved) @ way.ravel() == pytest.approx(slope, rel=1e-7)
+    change = (compute_forces(body, moved + h * way) - compute_forces(body, moved - h * way)) / (
+        2 * h
+    )
     np.testing.assert_allclose(
-        tangent(body, moved) @ way.ravel(), change, atol=1e-6 * np.abs(change).max()
+        compute_tangent(body, moved) @ way.ravel(), change, atol=1e-6 * np.abs(change).max()
     )
 
 
 def test_rigid_motions_cost_nothing():
-    body = dome_body(TACTIP_331, 4.0)
+    body = make_dome_body(TACTIP_331, 4.0)
     up = np.zeros_like(body.mesh.nodes)
     up[:, 1] = 3.0
-    assert np.abs(forces(body, up)).max() < 1e-10
-    assert abs(energy(body, up)) < 1e-10
+    assert np.abs(compute_forces(body, up)).max() < 1e-10
+    assert abs(compute_energy(body, up)) < 1e-10
     with jax.enable_x64(True):
         gradient = np.eye(3) + 0.3 * np.random.default_rng(1).normal(size=(3, 3))
         rotation, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
@@ -108,7 +123,7 @@ def test_rigid_motions_cost_nothing():
 
 def test_matter_turned_inside_out_has_no_forces():
     body = uniform(tube(0.0, 1.0, 1.0, 3, 2), 1.0, 0.49)
-    assert np.isnan(forces(body, -2 * body.mesh.nodes)).all()
+    assert np.isnan(compute_forces(body, -2 * body.mesh.nodes)).all()
 
 
 def test_patch_a_boundary_stretched_evenly_stretches_everything_evenly():
@@ -124,12 +139,12 @@ def test_patch_a_boundary_stretched_evenly_stretches_everything_evenly():
     held = np.union1d(2 * np.flatnonzero(~inside)[:, None] + np.arange(2), 2 * mesh.axis)
     start = np.where(inside[:, None], 0.9 * even, even)
     start[mesh.axis, 0] = 0
-    made = equilibrium(body, unloaded(mesh), 0.0, started(start, 0), held)
+    made = solve_equilibrium(body, unloaded(mesh), 0.0, started(start, 0), held)
     assert made.converged and made.iterations > 0
-    np.testing.assert_allclose(made.moved, even, atol=1e-9)
-    shear, first = lame(1.0, 0.45)
+    np.testing.assert_allclose(made.displacement, even, atol=1e-9)
+    shear, first = compute_lame_constants(1.0, 0.45)
     stress = shear * (0.65 - 1 / 0.65) + first * np.log(1.25**2 * 0.65) / 0.65  # nominal, MPa
-    top = forces(body, made.moved)[2 * np.flatnonzero(z == 1) + 1].sum()
+    top = compute_forces(body, made.displacement)[2 * np.flatnonzero(z == 1) + 1].sum()
     assert top == pytest.approx(stress * np.pi * 2**2, rel=1e-9)
 
 
@@ -140,9 +155,9 @@ def test_a_cylinder_squeezed_without_friction(stretch):
     held = np.union1d(2 * mesh.axis, 2 * on(mesh, 1, 1.0) + 1)
     made = started(np.zeros_like(mesh.nodes), len(face.place))
     for depth in np.arange(1, 5) / 4 * (1 - stretch):
-        made = equilibrium(body, face, depth, made, held)
+        made = solve_equilibrium(body, face, depth, made, held)
         assert made.converged
-    shear, first = lame(0.1, 0.49)
+    shear, first = compute_lame_constants(0.1, 0.49)
     side = brentq(
         lambda t: shear * (t * t - 1) + first * np.log(t * t * stretch), 1.0, 2.0
     )  # no stress at the side
@@ -151,7 +166,9 @@ def test_a_cylinder_squeezed_without_friction(stretch):
         made.moved, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7
     )
     assert made.push.sum() == pytest.approx(-nominal * np.pi * 2**2, rel=1e-7)
-    np.testing.assert_allclose(deformation(body, made.moved)[1], side**2 * stretch, rtol=1e-7)
+    np.testing.assert_allclose(
+        compute_deformation(body, made.moved)[1], side**2 * stretch, rtol=1e-7
+    )
 
 
 def inflation_error(columns, rows):
@@ -166,10 +183,10 @@ def inflation_error(columns, rows):
         moved = np.zeros_like(mesh.nodes)
         moved[:, 0] = np.sqrt(mesh.nodes[:, 0] ** 2 + change) - mesh.nodes[:, 0]
         moved[:, 0] += np.where(mesh.nodes[:, 0] > 1, 0.2 * (made.moved[:, 0] - moved[:, 0]), 0)
-        made = equilibrium(body, unloaded(mesh), 0.0, started(moved, 0), held)
+        made = solve_equilibrium(body, unloaded(mesh), 0.0, started(moved, 0), held)
         assert made.converged
-    pressure = forces(body, made.moved)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
-    shear, _ = lame(1.0, 0.4999)
+    pressure = compute_forces(body, made.moved)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
+    shear, _ = compute_lame_constants(1.0, 0.4999)
     exact, _ = quad(
         lambda r: shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r,
         1.6,
@@ -187,11 +204,11 @@ def test_a_thick_tube_blown_up():
 
 def test_a_small_press_is_the_linear_one():
     depth = 0.02
-    body = dome_body(TACTIP_331, MESH_MM)
+    body = make_dome_body(TACTIP_331, MESH_MM)
     mesh, face = body.mesh, make_face(body.mesh)
-    skin = isotropic(TACTIP_331.skin_modulus_mpa, TACTIP_331.skin_poisson)
-    gel = isotropic(TACTIP_331.gel_modulus_mpa, TACTIP_331.gel_poisson)
-    full = 2 * np.pi * stiffness(mesh, np.where(mesh.skin[:, None, None], skin, gel))[0]
+    skin = compute_isotropic_stiffness(TACTIP_331.skin_modulus_mpa, TACTIP_331.skin_poisson)
+    gel = compute_isotropic_stiffness(TACTIP_331.gel_modulus_mpa, TACTIP_331.gel_poisson)
+    full = 2 * np.pi * assemble_stiffness(mesh, np.where(mesh.skin[:, None, None], skin, gel))[0]
     in_plane = (3 * np.arange(len(mesh.nodes))[:, None] + [0, 2]).ravel()
     free = np.setdiff1d(np.arange(2 * len(mesh.nodes)), body.held)
     matrix = full.tocsr()[in_plane][:, in_plane][free][:, free].tocsc()
@@ -202,19 +219,20 @@ def test_a_small_press_is_the_linear_one():
     moved = np.zeros(2 * len(mesh.nodes))
     moved[free] = response @ push
 
-    made = press(TACTIP_331, [depth], MESH_MM)
+    made = press_dome(TACTIP_331, [depth], MESH_MM)
     assert made.converged.all()
     assert made.force_n[0] == pytest.approx(push.sum(), rel=0.01)
     tiny = 1e-3  # a linear lever: the limit of a turned one
     linear = (
-        pins_at(TACTIP_331, mesh, tiny * moved.reshape(-1, 2)) - compute_pin_tips(TACTIP_331)
+        compute_deformed_tips(TACTIP_331, mesh, tiny * moved.reshape(-1, 2))
+        - compute_pin_tips(TACTIP_331)
     ) / tiny
     far = np.linalg.norm(made.pins[0] - compute_pin_tips(TACTIP_331) - linear, axis=-1).max()
     assert far < 0.02 * np.linalg.norm(linear, axis=-1).max()
 
 
 def test_pins_are_levers_on_the_inner_face():
-    mesh = dome_body(TACTIP_331, MESH_MM).mesh
+    mesh = make_dome_body(TACTIP_331, MESH_MM).mesh
     squeeze, lift = np.diag([1.1, 1.1, 0.8]), np.array([0, 0, 0.3])
     moved = mesh.nodes @ np.diag([1.1, 0.8]) + [0, 0.3] - mesh.nodes
     rest, centre = compute_pin_tips(TACTIP_331), np.array([0, 0, TACTIP_331.dome_radius_mm])
@@ -226,7 +244,7 @@ def test_pins_are_levers_on_the_inner_face():
         + lift
         + TACTIP_331.pin_length_mm * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     )
-    np.testing.assert_allclose(pins_at(TACTIP_331, mesh, moved), expected, atol=2e-3)
+    np.testing.assert_allclose(compute_deformed_tips(TACTIP_331, mesh, moved), expected, atol=2e-3)
 
 
 def test_the_plate_pushes_only_where_it_touches(pressed):
@@ -235,18 +253,18 @@ def test_the_plate_pushes_only_where_it_touches(pressed):
     gap = face.place[:, 1] + face.rows @ state.moved[:, 1] - 2.0
     assert state.converged and state.push.min() >= -1e-9 and gap.min() > -1e-8
     assert np.abs(state.push * gap).max() < 1e-8
-    at_base = forces(body, state.moved)[2 * body.mesh.clamped + 1].sum()
+    at_base = compute_forces(body, state.moved)[2 * body.mesh.clamped + 1].sum()
     assert at_base == pytest.approx(-state.push.sum(), rel=1e-8)
 
 
 def test_the_force_is_the_slope_of_the_energy_over_depth(pressed):
     body, _, states = pressed
-    below, _, above = (energy(body, state.moved) for state in states)
+    below, _, above = (compute_energy(body, state.moved) for state in states)
     assert states[1].push.sum() == pytest.approx((above - below) / 0.002, rel=1e-5)
 
 
 def test_the_force_converges_with_the_mesh():
-    coarse, middle, fine = (press(TACTIP_331, [3.0], h) for h in (4.0, 2.0, 1.25))
+    coarse, middle, fine = (press_dome(TACTIP_331, [3.0], h) for h in (4.0, 2.0, 1.25))
     assert all(made.converged.all() for made in (coarse, middle, fine))
     assert middle.force_n[0] == pytest.approx(fine.force_n[0], rel=0.02)
     assert abs(middle.force_n[0] - fine.force_n[0]) < abs(coarse.force_n[0] - fine.force_n[0])
@@ -254,7 +272,7 @@ def test_the_force_converges_with_the_mesh():
 
 
 def test_rows_follow_the_order_given_and_no_contact_moves_nothing():
-    made = press(TACTIP_331, [0.5, -1.0, 0.2, 0.0], 4.0)
+    made = press_dome(TACTIP_331, [0.5, -1.0, 0.2, 0.0], 4.0)
     np.testing.assert_array_equal(made.depth_mm, [0.5, -1.0, 0.2, 0.0])
     assert made.converged.all() and made.force_n[0] > made.force_n[2] > 0
     for row in (1, 3):
@@ -272,7 +290,7 @@ def test_what_does_not_converge_is_said_and_not_shown():
         energy, pull = jax.value_and_grad(neo_hookean)(gradient, shear, first)
         return 2 * energy - jnp.sum(jax.lax.stop_gradient(pull) * gradient)
 
-    made = press(TACTIP_331, [-1.0, 2.0, 3.0], 4.0, hesitant)
+    made = press_dome(TACTIP_331, [-1.0, 2.0, 3.0], 4.0, hesitant)
     np.testing.assert_array_equal(made.converged, [True, False, False])
     assert (
         np.isnan(made.pins[1:]).all()
@@ -284,11 +302,11 @@ def test_what_does_not_converge_is_said_and_not_shown():
 @pytest.mark.parametrize("depths", [[], [np.nan], [-np.inf], [12.0], 3.0])
 def test_depths_out_of_reach_are_refused(depths):
     with pytest.raises(UserError, match="depths_mm"):
-        press(TACTIP_331, depths)
+        press_dome(TACTIP_331, depths)
 
 
 def test_the_rim_lies_between_the_points():
     radius = np.arange(8) * 1.0
     gap = np.maximum(radius - 3.4, 0) ** 1.5
-    assert contact_radius(radius, gap, radius < 3.4) == pytest.approx(3.4)
-    assert contact_radius(radius, gap + 1, np.zeros(8, bool)) == 0
+    assert fit_contact_radius(radius, gap, radius < 3.4) == pytest.approx(3.4)
+    assert fit_contact_radius(radius, gap + 1, np.zeros(8, bool)) == 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.contact.skins import Contacts
+from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.errors import UserError
 from verification import cases, stability
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.contact.batches import obstacles_of, plan_paths
+from jaxunshear.contact.batches import plan_paths, sample_obstacles
 from jaxunshear.contact.level import LEVELS, Level
-from jaxunshear.contact.plan import NODE_COUNTS, padded
+from jaxunshear.contact.scheduler import NODE_COUNTS, pad_count
 from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.systems import dome
+from jaxunshear.contact.systems import load_shared_dome
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -100,7 +100,9 @@ def _above(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     def outward(points: np.ndarray) -> np.ndarray:
         return (points - centre) / np.linalg.norm(points - centre, axis=-1, keepdims=True)
 
-    apart, nearest = cKDTree(outward(dome(sensor).nodes)).query(outward(compute_pin_tips(sensor)))
+    apart, nearest = cKDTree(outward(load_shared_dome(sensor).nodes)).query(
+        outward(compute_pin_tips(sensor))
+    )
     return nearest, apart * sensor.dome_radius_mm < ring_spacing(sensor)
 
 
@@ -113,7 +115,13 @@ def warming_touches(sensor: Sensor, friction: float) -> list[Touch]:
             pose = (x, 0.0, 0.0, float(depth))
             touch = Touch(get_stimulus(name), sensor, pose, slide[number % len(slide)], friction)
             batches = plan_paths(
-                sensor, obstacles_of((touch.stimulus,)), make_paths(scenes_of(touch)), LEVEL, BATCH
+                sensor,
+                sample_obstacles((touch.stimulus,)),
+                make_paths(scenes_of(touch)),
+                LEVEL,
+                BATCH,
             )
-            found.setdefault(max(padded(len(batch.nodes), NODE_COUNTS) for batch in batches), touch)
+            found.setdefault(
+                max(pad_count(len(batch.nodes), NODE_COUNTS) for batch in batches), touch
+            )
     return list(found.values())

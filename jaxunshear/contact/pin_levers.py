@@ -5,13 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxunshear.contact.mesh import Mesh, shape_functions
+from jaxunshear.contact.mesh import Mesh, compute_shape_functions
 from jaxunshear.errors import UserError
 
 _ON_AXIS_MM = 1e-9
 
 
-def interpolation(mesh: Mesh, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "3 P V"]:
+def compute_interpolation(
+    mesh: Mesh, points: Float[np.ndarray, "P 2"]
+) -> Float[np.ndarray, "3 P V"]:
     """Values of the shape functions at points of the half-plane, and their slopes in r and in z.
 
     Newton's method in each near element; where elements meet, their mean (slopes along the line where they meet agree).
@@ -22,7 +24,7 @@ def interpolation(mesh: Mesh, points: Float[np.ndarray, "P 2"]) -> Float[np.ndar
         near = mesh.elements[np.argsort(np.sum((centres - point) ** 2, -1))[:32]]
         local = np.zeros((len(near), 2))
         for _ in range(20):
-            values, gradients = shape_functions(local)
+            values, gradients = compute_shape_functions(local)
             jacobian = np.einsum("enl,enx->exl", gradients, mesh.nodes[near])
             miss = point - np.einsum("en,enx->ex", values, mesh.nodes[near])
             local = np.clip(local + np.linalg.solve(jacobian, miss[..., None])[..., 0], -1.5, 1.5)
@@ -38,8 +40,8 @@ def interpolation(mesh: Mesh, points: Float[np.ndarray, "P 2"]) -> Float[np.ndar
 
 
 @dataclass(frozen=True)
-class Pins:
-    """Rigid pins at Q places (r, z) of a face, along its normal by `levers` (Q, 2); `at` as `interpolation` gives it."""
+class PinLevers:
+    """Rigid pins at Q places (r, z) of a face, along its normal by `levers` (Q, 2); `at` as `compute_interpolation` gives it."""
 
     places: np.ndarray
     levers: np.ndarray

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from jaxunshear.contact.contact_results import Skins
 from jaxunshear.contact.level import LEVELS, Level
-from jaxunshear.contact.plan import LEAST_LEG_MM
-from jaxunshear.contact.skins import Skins
+from jaxunshear.contact.scheduler import MIN_LEG_MM
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
 from jaxunshear.scene.scene import Scenes
@@ -12,12 +12,12 @@ from jaxunshear.settings.reach import deepest_touch_mm
 from jaxunshear.settings.sensor import Sensor, check_sensor
 
 
-def level_named(level: str | Level) -> Level:
-    if isinstance(level, Level):
-        return level
-    if level not in LEVELS:
-        raise UserError(f"level '{level}' is unknown: use one of {', '.join(LEVELS)}")
-    return LEVELS[level]
+def get_level(name_or_level: str | Level) -> Level:
+    if isinstance(name_or_level, Level):
+        return name_or_level
+    if name_or_level not in LEVELS:
+        raise UserError(f"level '{name_or_level}' is unknown: use one of {', '.join(LEVELS)}")
+    return LEVELS[name_or_level]
 
 
 def check_batch(batch: int) -> None:
@@ -66,7 +66,7 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
 
 def check_started(paths: Paths) -> None:
     """Refuses, where there is no skin to start from, paths that stand still in contact: nothing says how it came about."""
-    still = np.all(np.abs(np.diff(paths.points, axis=1)) < LEAST_LEG_MM, axis=(1, 2))
+    still = np.all(np.abs(np.diff(paths.points, axis=1)) < MIN_LEG_MM, axis=(1, 2))
     held = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
     if len(held):
         raise UserError(

@@ -14,9 +14,9 @@ class Contacts(NamedTuple):
         np.ndarray
     )  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
     iterations: np.ndarray  # (B,)
-    stuck: np.ndarray  # (B,) contact nodes at the end
-    slipping: np.ndarray
-    free: np.ndarray
+    stuck_nodes: np.ndarray  # (B,) contact nodes at the end
+    slipping_nodes: np.ndarray
+    free_nodes: np.ndarray
     force_n: np.ndarray  # (B, 3) on the sensor, in the sensor frame
     nodes: np.ndarray  # (B,) contact nodes that were solved for
     retried: (

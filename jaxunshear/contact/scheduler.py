@@ -14,26 +14,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame, levelled, product, turn
-from jaxunshear.contact.harmonics import sixfold
-from jaxunshear.contact.level import STRONG, Level
-from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
+from jaxunshear.contact.frame import (
+    compute_level_frame,
+    matmul,
+    rotate_in_plane,
+    transform_to_level,
+)
+from jaxunshear.contact.harmonics import make_sixfold_permutations
+from jaxunshear.contact.level import STRONG_FRICTION, Level
+from jaxunshear.contact.obstacle import Obstacles, compute_surface_drop, interpolate_distance
 from jaxunshear.scene.paths import DEPTH, TILT_X, TURNS, YAW, Paths
 from jaxunshear.settings.reach import REACHED
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
-WIDE = (1.1, 3.0)  # both, where that was not enough
+WIDE_MARGINS = (1.1, 3.0)  # both, where that was not enough
 # A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
-LEAST_LEG_MM = (
-    1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
-)
+MIN_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
-LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
-WORTH = 0.9  # of the unsplit cost: more parts must save more than this
+MIN_SPLIT = 24  # scenes in a batch that is worth splitting
+MIN_SPLIT_SAVING = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
 STRONG_PRESS_MM = (
@@ -42,8 +45,8 @@ STRONG_PRESS_MM = (
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
-class Batch(NamedTuple):
-    """Scenes that are solved together: `nodes` of the turned lattice, in which scene i stands turned by 60 `turn[i]` deg."""
+class ContactBatch(NamedTuple):
+    """Scenes that are solved together: `nodes` of the turned lattice, in which scene i stands turned by 60 `rotate_in_plane[i]` deg."""
 
     rows: np.ndarray  # (b,) of the paths
     nodes: np.ndarray  # (n,) contact nodes; none where nothing touches
@@ -53,7 +56,7 @@ class Batch(NamedTuple):
     tilted: bool
 
 
-def increments(
+def cut_increments(
     paths: Paths, level: Level, radius_mm: float
 ) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
     """Poses along the paths, angles in rad, each padded by staying at its end; numbers of increments.
@@ -65,8 +68,8 @@ def increments(
     pressed = np.abs(change[..., DEPTH])
     along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
     along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
-    pressed, along = (np.where(length < LEAST_LEG_MM, 0, length) for length in (pressed, along))
-    strong = (paths.friction > STRONG)[:, None]
+    pressed, along = (np.where(length < MIN_LEG_MM, 0, length) for length in (pressed, along))
+    strong = (paths.friction > STRONG_FRICTION)[:, None]
     press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
     press, slide = np.ceil(pressed / press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
     if "steps" not in level.omit:
@@ -95,13 +98,13 @@ def _in_target_frame(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Places (B, N, 2) of displaced nodes in the target frame; heights (B, N) over the dome's lowest point, of undeformed nodes and of
     displaced ones."""
-    frame = level_frame(pose) if tilted else None
-    place = levelled(frame, nodes[None] + displacement, centre)
+    frame = compute_level_frame(pose) if tilted else None
+    place = transform_to_level(frame, nodes[None] + displacement, centre)
     height = jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
     if frame is not None:
         lift = jnp.array([0, 0, 1.0], nodes.dtype) * centre
-        height = product(frame[:, 2], (nodes - lift[None]).T) + centre
-    return turn(pose[:, YAW], place[..., :2]) + pose[:, None, :2], height, place[..., 2]
+        height = matmul(frame[:, 2], (nodes - lift[None]).T) + centre
+    return rotate_in_plane(pose[:, YAW], place[..., :2]) + pose[:, None, :2], height, place[..., 2]
 
 
 @partial(jax.jit, static_argnames=("tilted", "wide"))
@@ -115,13 +118,13 @@ def _can_touch(
     wide: bool,
 ) -> jax.Array:
     """(B, N): whether a node can touch at any of poses (S, B, 6)."""
-    reached, margin = WIDE if wide else (REACHED, MARGIN_MM)
+    reached, margin = WIDE_MARGINS if wide else (REACHED, MARGIN_MM)
 
     def at(pose: jax.Array) -> jax.Array:
         still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
         here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
         return (height < reached * pose[:, DEPTH, None]) & (
-            distance_at(obstacles, which, here) < margin
+            interpolate_distance(obstacles, which, here) < margin
         )
 
     return jnp.any(jax.lax.map(at, poses), axis=0)
@@ -138,26 +141,26 @@ def _gaps(
     tilted: bool,
 ) -> jax.Array:
     here, _, height = _in_target_frame(nodes, displacement, centre, pose, tilted)
-    return height - pose[:, DEPTH, None] + drop(obstacles, which, here)
+    return height - pose[:, DEPTH, None] + compute_surface_drop(obstacles, which, here)
 
 
-def gaps(
+def compute_gaps(
     obstacles: Obstacles,
     nodes: Float[np.ndarray, "N 3"],
     centre_mm: float,
-    which: Int[np.ndarray, "B"],
+    stimulus_index: Int[np.ndarray, "B"],
     pose: Float[np.ndarray, "B 6"],
     displacement: Float[np.ndarray, "B N 3"],
 ) -> Float[np.ndarray, "B N"]:
     """In mm, between displaced nodes and the stimulus at poses with angles in rad; negative inside."""
-    count, size = len(pose), padded(len(nodes), NODE_COUNTS)
-    rows = np.minimum(np.arange(padded(count, BATCHES)), count - 1)
+    count, size = len(pose), pad_count(len(nodes), NODE_COUNTS)
+    rows = np.minimum(np.arange(pad_count(count, BATCHES)), count - 1)
     columns = np.minimum(np.arange(size), len(nodes) - 1)
     found = _gaps(
         obstacles,
         jnp.asarray(nodes[columns], jnp.float32),
         jnp.float32(centre_mm),
-        jnp.asarray(which[rows], jnp.int32),
+        jnp.asarray(stimulus_index[rows], jnp.int32),
         jnp.asarray(pose[rows], jnp.float32),
         jnp.asarray(displacement[rows][:, columns], jnp.float32),
         bool(np.any(pose[:, TILT_X:])),
@@ -165,7 +168,7 @@ def gaps(
     return np.asarray(found)[:count, : len(nodes)]
 
 
-def reachable(
+def find_reachable_nodes(
     obstacles: Obstacles,
     nodes: Float[np.ndarray, "N 3"],
     centre_mm: float,
@@ -209,7 +212,7 @@ def make_plan(
     level: Level,
     batch: int,
     wide: bool,
-) -> list[Batch]:
+) -> list[ContactBatch]:
     """Put every path in one batch of at most `batch`; the nodes are those of complete rings.
 
     A batch solves the nodes and increments that any of its scenes needs, so a scene's answer depends
@@ -220,7 +223,7 @@ def make_plan(
     """
     everything = np.ones((len(paths), len(nodes)), bool)
     mask = (
-        reachable(obstacles, nodes, centre_mm, paths, wide or level.wide)
+        find_reachable_nodes(obstacles, nodes, centre_mm, paths, wide or level.wide_margin)
         if "nodes" in level.omit
         else everything
     )
@@ -231,12 +234,12 @@ def make_plan(
         if "grouping" in level.omit and len(paths) > 1
         else np.zeros(len(paths), int)
     )
-    mask = np.take_along_axis(mask, sixfold(len(nodes))[turn], axis=1)
+    mask = np.take_along_axis(mask, make_sixfold_permutations(len(nodes))[turn], axis=1)
     tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
     friction = (
         _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
     )
-    _, steps = increments(paths, level, centre_mm)
+    _, steps = cut_increments(paths, level, centre_mm)
     kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
     for kind in np.unique(kinds, axis=0):
@@ -246,7 +249,7 @@ def make_plan(
         for index in _split(group, rows) if "grouping" in level.omit else in_turn:
             used = np.flatnonzero(mask[index].any(axis=0))
             batches.append(
-                Batch(
+                ContactBatch(
                     index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])
                 )
             )
@@ -283,7 +286,7 @@ def _features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndar
 
 def _cost(group: _Group, rows: np.ndarray) -> float:
     """Of one batch, in multiplications: its increments, and the inverse, which runs at half the rate of a product."""
-    unknowns = group.unknowns * padded(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
+    unknowns = group.unknowns * pad_count(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
     products = PRODUCTS * max(int(group.steps[rows].max()), 1)
     batches = -(-len(rows) // group.batch)
     return batches * (
@@ -294,7 +297,7 @@ def _cost(group: _Group, rows: np.ndarray) -> float:
 def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
     """Halved along the feature that saves most, and again, as long as the parts together cost less than the unsplit batch."""
     fits = len(rows) <= group.batch
-    if fits and len(rows) <= LEAST_SPLIT:
+    if fits and len(rows) <= MIN_SPLIT:
         return [rows]
     half = len(rows) // 2 if fits else group.batch * -(-(len(rows) // 2) // group.batch)
     best, halves = np.inf, [rows]
@@ -305,11 +308,11 @@ def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
         if cost < best:
             best, halves = cost, tried
     parts = [index for part in halves for index in _split(group, np.sort(part))]
-    if fits and sum(_cost(group, part) for part in parts) > WORTH * _cost(group, rows):
+    if fits and sum(_cost(group, part) for part in parts) > MIN_SPLIT_SAVING * _cost(group, rows):
         return [rows]
     return parts
 
 
-def padded(count: int, sizes: tuple[int, ...]) -> int:
+def pad_count(count: int, sizes: tuple[int, ...]) -> int:
     """The least of `sizes` that holds `count`; beyond them `count` itself."""
     return next((size for size in sizes if size >= count), count)
