@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from benchmarks.steps import step_of
-from jaxunshear.image.framing import undeformed
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import kernels, pinnets
 from jaxunshear.progress import Progress
@@ -55,7 +55,7 @@ Work = Callable[[], object]
 def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Json]:
     """A row a network and a use: median and 95th percentile of `rounds` turns of `turn_s` s; compile time apart."""
     keep_freed_memory()
-    rest = undeformed(TACTIP_331, Camera(), Preprocess()).place
+    rest = compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest
     rows = []
     with Progress("bench pinnets", 3 * len(NETS), unit="rows") as progress:
         for name, net in NETS.items():

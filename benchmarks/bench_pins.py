@@ -12,10 +12,10 @@ from typing import TypeVar
 import numpy as np
 
 from jaxunshear.dataset.fresh import fresh_contacts
-from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import detect
-from jaxunshear.image.tracking import follow_pins, usual_motions
+from jaxunshear.image.pin_detection import detect_pins
+from jaxunshear.image.pin_tracking import fit_motion_prior, track_pins
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import PAIRED, sensor_of
 from jaxunshear.settings.experiment import Experiment
@@ -49,7 +49,7 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
     )
     experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
     contacts = fresh_contacts(experiment, FRAMES, seed)
-    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
     seen = {
         "tap": (contacts.tap, contacts.tap_pins),
         "sheared": (contacts.sheared, contacts.sheared_pins),
@@ -68,17 +68,17 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
 
 def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
-    found, find_ms = _timed(detect, images)
-    tracks, follow_ms = _timed(lambda each: follow_pins(lattice, each), found)
-    usual = usual_motions(lattice, tracks)
+    found, find_ms = _timed(detect_pins, images)
+    tracks, follow_ms = _timed(lambda each: track_pins(lattice, each), found)
+    usual = fit_motion_prior(lattice, tracks)
     for row, track in enumerate(tracks):
         if usual is not None and not track.sure:
             (tracks[row],), more = _timed(
-                lambda each: follow_pins(lattice, each, usual), found[row : row + 1]
+                lambda each: track_pins(lattice, each, usual), found[row : row + 1]
             )
             follow_ms[row] += more[0]
     motion = np.array([track.motion for track in tracks])
-    off = np.linalg.norm(lattice.place + motion - true, axis=-1)
+    off = np.linalg.norm(lattice.rest + motion - true, axis=-1)
     mistaken = off > 0.5 * lattice.spacing
     sure = np.array([track.sure for track in tracks])
     right = off[~np.isnan(off) & ~mistaken]

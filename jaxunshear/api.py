@@ -27,7 +27,7 @@ from jaxunshear.downstream.walk_scores import Followed, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import ANY
+from jaxunshear.image.sensor_check import NO_MINIMUM
 from jaxunshear.inference.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.inference.perception import BATCH, in_batches
 from jaxunshear.inference.suitability import learnt_note, suits_recordings
@@ -187,5 +187,9 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
         slides = read_slides(folder / DISENTANGLED)
     network = perceiver(folder, experiment, True, frame)
     return Model(
-        folder, experiment, network._replace(least=ANY) if force else network, encoder, slides
+        folder,
+        experiment,
+        network._replace(least=NO_MINIMUM) if force else network,
+        encoder,
+        slides,
     )

@@ -19,11 +19,11 @@ from jaxunshear.dataset.recorded import LARGEST_PX, MOVED
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.evenly import evenly
-from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.grey import check_frame, to_grey
-from jaxunshear.image.pins import detect
-from jaxunshear.image.preprocess import common_view, own_view, prepare_frame
-from jaxunshear.image.tracking import follow_all
+from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.image.pin_detection import detect_pins
+from jaxunshear.image.pin_tracking import track_all
+from jaxunshear.image.preprocess import combine_views, find_view, prepare_frame
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
@@ -180,15 +180,15 @@ def _check_pins(files: list[Path]) -> PinCheck | None:
 
 def _follow_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), LEAST_PX, LARGEST_PX)))
-    view = common_view([own_view(preprocess, raw) for raw in raws])
-    found = [detect(prepare_frame(preprocess, raw, view)) for raw in raws]
+    view = combine_views([find_view(preprocess, raw) for raw in raws])
+    found = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
     median = float(np.median([len(each.pins) for each in found]))
     layout, followed = None, 0.0
     for sensor in LAYOUTS:
         if PINS_RATIO[0] * sensor.pins <= median <= PINS_RATIO[1] * sensor.pins:
             with suppress(UserError):  # as many pins, in another pattern
-                lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
-                followed = float(np.mean([track.sure for track in follow_all(lattice, found)]))
+                lattice = fit_lattice([each.pins for each in found], make_layout(sensor))
+                followed = float(np.mean([track.sure for track in track_all(lattice, found)]))
                 layout = sensor.name
     return PinCheck(len(found), median, layout, followed, inverted)
 

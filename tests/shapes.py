@@ -16,7 +16,7 @@ CHECKED = ("metrics", "scene", "contact", "model")
 # without what follows pins: checks would take a third of its time
 CHECKED += (
     "image.camera",
-    "image.dots",
+    "image.pin_drawing",
     "image.grey",
     "image.lattice",
     "image.png",

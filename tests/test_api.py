@@ -13,8 +13,8 @@ from jaxunshear.api import servo as walk
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import outline
 from jaxunshear.errors import UserError
-from jaxunshear.image.dots import dots
-from jaxunshear.image.framing import undeformed
+from jaxunshear.image.pin_drawing import draw_dots
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import Ranges
@@ -30,9 +30,9 @@ def model():
 def images(model):
     """Of a few pushed lattices, as a camera would show them."""
     paired = model.experiment.paired
-    lattice = undeformed(model.experiment.sensor, paired.camera, paired.preprocess)
+    lattice = compute_rest_lattice(model.experiment.sensor, paired.camera, paired.preprocess)
     push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
-    drawn = np.asarray(dots(np.float32(lattice.place + push), 1.5, model.size))[..., 0]
+    drawn = np.asarray(draw_dots(np.float32(lattice.rest + push), 1.5, model.size))[..., 0]
     return np.stack([model.prepare(np.uint8(255 * frame)) for frame in drawn])
 
 

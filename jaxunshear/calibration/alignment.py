@@ -19,7 +19,7 @@ from jaxunshear.calibration.labels import Frame, Motions, framed, motions
 from jaxunshear.calibration.prediction import Simulate, Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, camera_turn, ring_motion, ring_radii
 from jaxunshear.calibration.validation import centred, r2, settled
-from jaxunshear.image.lattice import shells
+from jaxunshear.image.lattice import compute_rings
 from jaxunshear.settings.sensor import Sensor
 
 STEPS = {
@@ -59,7 +59,7 @@ def read_labels(
 ) -> Reading | None:
     """The reading of labels (N, 6) of N images that agrees best with them; None where none does."""
     some = np.random.default_rng(0).permutation(np.flatnonzero(seen.sure))[:IMAGES]
-    shell, places = seen.lattice.shell, seen.take(some).place
+    shell, places = seen.lattice.ring, seen.take(some).place
     recorded = ring_motion(shell, places - seen.rest)
     widths = ring_radii(shell, places, seen.rest)
     slid = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
@@ -78,8 +78,8 @@ def read_labels(
             place, rest = place_of(
                 start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan)
             )
-            simulated = ring_motion(shells(sensor), place - rest)
-            wide = ring_radii(shells(sensor), place, rest)
+            simulated = ring_motion(compute_rings(sensor), place - rest)
+            wide = ring_radii(compute_rings(sensor), place, rest)
             for mirrored in (True, False):
                 turn, match = _turn(recorded[converged], simulated[converged], mirrored)
                 score = match + 0.5 * _correlation(widths[converged], wide[converged])

@@ -22,7 +22,7 @@ from jaxunshear.calibration.report import compared, curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
 from jaxunshear.calibration.statistics import Seen
 from jaxunshear.errors import UserError
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import SENSORS, Sensor
@@ -162,7 +162,7 @@ def _groups(
         seen = part.observe(sensor)
         framing.append(
             np.linalg.norm(
-                seen.lattice.place[seen.lattice.shell == sensor.rings] - seen.lattice.middle,
+                seen.lattice.rest[seen.lattice.ring == sensor.rings] - seen.lattice.middle,
                 axis=-1,
             ).mean()
             / seen.size

@@ -12,7 +12,7 @@ import numpy as np
 from jaxunshear.calibration.labels import Motions
 from jaxunshear.calibration.prediction import Simulate, Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, less_mean, ring_radii, ring_shift
-from jaxunshear.image.lattice import shells
+from jaxunshear.image.lattice import compute_rings
 from jaxunshear.settings.sensor import Sensor
 
 RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from
@@ -205,7 +205,7 @@ class Problem:
         if simulated is not None:
             moved = simulated.between(values) if near is None else simulated.nearby(values, near)
         place, rest = place_of(values, self.sensor, group.seen.size, moved)
-        expected = features(shells(self.sensor), place, rest, group.seen.size)
+        expected = features(compute_rings(self.sensor), place, rest, group.seen.size)
         difference = expected - self.recorded[which]
         return difference if simulated is not None else self._undisturbed(difference)
 
@@ -225,7 +225,8 @@ class Problem:
             if self.simulated[i] is None:
                 place, rest = place_of(values, self.sensor, group.seen.size, None)
                 apart[i] = (
-                    features(shells(self.sensor), place, rest, group.seen.size) - self.recorded[i]
+                    features(compute_rings(self.sensor), place, rest, group.seen.size)
+                    - self.recorded[i]
                 )
 
         def redraw(generator: np.random.Generator) -> np.ndarray:

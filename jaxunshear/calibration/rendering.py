@@ -12,8 +12,8 @@ from jaxunshear.calibration.prediction import Values, within_reach
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.statistics import pin_diameters
 from jaxunshear.contact.simulate import follow
-from jaxunshear.image.camera import frame, outer_fraction
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.camera import compute_outer_fraction, render_frame
+from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.image.preprocess import binarise
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -61,7 +61,7 @@ def render(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> n
 
     @jax.jit
     def draw(tips: jax.Array, keys: jax.Array) -> jax.Array:
-        grey = jax.vmap(partial(frame, before, sensor, Nuisance()))(
+        grey = jax.vmap(partial(render_frame, before, sensor, Nuisance()))(
             jnp.asarray(tips, jnp.float32), keys
         )
         return binarise(Preprocess(size=camera.frame_px), grey)
@@ -125,7 +125,7 @@ def fit_housing(
         for group, tip in zip(groups, tips, strict=True):
             camera = replace(values, housing=housing).camera(group.seen.size)
             images = render(camera, sensor, _some(tip))
-            ring = np.pi * outer_fraction(camera, sensor) ** 2
+            ring = np.pi * compute_outer_fraction(camera, sensor) ** 2
             excess.append((np.mean(images > 127) - np.mean(group.seen.white)) / ring)
         housing = float(np.sqrt(housing**2 + np.mean(excess)))
     return housing

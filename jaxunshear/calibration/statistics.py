@@ -15,10 +15,10 @@ import numpy as np
 from skimage.measure import label
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.image.fitting import fit_lattice, layout_of
-from jaxunshear.image.lattice import Lattice, spacing_of
-from jaxunshear.image.pins import Found, find_pins
-from jaxunshear.image.tracking import follow_all
+from jaxunshear.image.lattice import Lattice, measure_spacing
+from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.image.pin_detection import DetectedPins, find_pins
+from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.progress import Progress
 from jaxunshear.settings.sensor import Sensor
 
@@ -33,7 +33,7 @@ class Seen(NamedTuple):
     lattice: Lattice
     place: np.ndarray  # (N, P, 2) from the middle of the outermost ring, as (column, row); NaN where a pin was not found
     diameter: np.ndarray  # (N, P) of a disc of the pin's area; NaN where not found
-    doubt: np.ndarray  # (N,), see `tracking.Track`
+    doubt: np.ndarray  # (N,), see `pin_tracking.PinTrack`
     sure: np.ndarray  # (N,) bool: the pins' identities are beyond doubt
     found: np.ndarray  # (N,) pins
     spacing: np.ndarray  # (N,) usual distance between nearest neighbours
@@ -46,13 +46,13 @@ class Seen(NamedTuple):
         """The same pins seen by a camera that is not mirrored, and turned by `angle` rad from column towards row."""
         turn = camera_turn(angle, mirrored)
         return self._replace(
-            place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn)
+            place=self.place @ turn, lattice=self.lattice._replace(rest=self.lattice.rest @ turn)
         )
 
     @property
     def rest(self) -> np.ndarray:
         """(P, 2) place of each pin of the lattice."""
-        return self.lattice.place - self.lattice.middle
+        return self.lattice.rest - self.lattice.middle
 
 
 def camera_turn(angle: float, mirrored: bool = False) -> np.ndarray:
@@ -76,8 +76,8 @@ def observe(
         found.append(find_pins(image))
         if progress is not None:
             progress.advance()
-    lattice = fit_lattice(found, layout_of(sensor))
-    tracks = follow_all(lattice, [Found(pins) for pins in found])
+    lattice = fit_lattice(found, make_layout(sensor))
+    tracks = track_all(lattice, [DetectedPins(pins) for pins in found])
     diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]
     diameter = [
         np.where(track.which >= 0, np.append(d, np.nan)[track.which], np.nan)
@@ -86,12 +86,12 @@ def observe(
     return Seen(
         images[0].shape[0],
         lattice,
-        np.array([track.motion for track in tracks]) + lattice.place - lattice.middle,
+        np.array([track.motion for track in tracks]) + lattice.rest - lattice.middle,
         np.array(diameter),
         np.array([track.doubt for track in tracks]),
         np.array([track.sure for track in tracks]),
         np.array([len(pins) for pins in found]),
-        np.array([spacing_of(pins) if len(pins) > 1 else np.nan for pins in found]),
+        np.array([measure_spacing(pins) if len(pins) > 1 else np.nan for pins in found]),
         np.array([np.mean(image > 127) for image in images]),
     )
 
@@ -170,7 +170,7 @@ def summaries(
 ) -> list[Summary]:
     """Statistics in px of 128, so that images of any size compare. `slide` (N, 2) mm and `yaw` (N,), see `left_behind`."""
     scale = 128 / seen.size
-    shell, radii = seen.lattice.shell, ring_radii(seen.lattice.shell, seen.place, seen.rest)
+    shell, radii = seen.lattice.ring, ring_radii(seen.lattice.ring, seen.place, seen.rest)
     diameter, middle = (
         _by_ring(shell, seen.diameter),
         _by_ring((shell > CENTRAL).astype(int), seen.diameter)[:, 0],

@@ -223,7 +223,7 @@ def _compared(
         recorded,
         simulated,
         explained_by_labels(contacts, recorded),
-        seen.lattice.shell,
+        seen.lattice.ring,
         np.nanmean(seen.place, axis=0) * scale,
         mm_per_px(known.values, known.sensor, 128, flat),
         np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,

@@ -48,8 +48,8 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
 
     from jaxunshear.dataset.recorded_pins import find_pins, summary
     from jaxunshear.dataset.recordings import read_recordings
-    from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice
+    from jaxunshear.image.lattice_fitting import MarkerLayout, make_layout, read_layout
     from jaxunshear.plain import csv_text, plain
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.settings.sensor import sensor_named
@@ -65,9 +65,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess(size=arguments.size) if arguments.size else None
-    lattice: Lattice | Layout
+    lattice: Lattice | MarkerLayout
     if model:
-        from jaxunshear.image.framing import undeformed
+        from jaxunshear.image.rest_positions import compute_rest_lattice
 
         experiment = model[1]
         paired, _ = simulated_of(experiment, "pins --model")
@@ -76,12 +76,12 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
                 "--model knows the images' size and the untouched pins: leave --size and --rest out"
             )
         preprocess = paired.preprocess
-        lattice = undeformed(experiment.sensor, paired.camera, preprocess)
+        lattice = compute_rest_lattice(experiment.sensor, paired.camera, preprocess)
     else:
         lattice = (
             read_layout(arguments.layout)
             if arguments.layout
-            else layout_of(sensor_named(arguments.sensor))
+            else make_layout(sensor_named(arguments.sensor))
         )
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
     from jaxunshear.report.pin_figure import pin_figure
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
         "sure": found.sure,
         "place_px": found.place_px.astype(np.float32),
         "motion_px": found.motion_px.astype(np.float32),
-        "undeformed_px": found.lattice.place.astype(np.float32),
+        "undeformed_px": found.lattice.rest.astype(np.float32),
     }
     write_npz(out / "pins.npz", arrays, compressed=True)
     write_text(out / "pins.csv", csv_text(plain(found.table.rows)))

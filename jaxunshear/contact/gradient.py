@@ -117,7 +117,7 @@ def make_pin_model(
     rest = domes.load_dome(sensor)
     within = lambda wide: find_reachable_nodes(
         obstacles, rest.nodes, sensor.dome_radius_mm, paths, wide
-    )  # noqa: E731
+    )
     touched = within(wide)
     if start is not None:
         check_start(paths, start, len(rest.nodes))

@@ -16,7 +16,7 @@ from jaxunshear.cluster import Call, Died, Spread, here
 from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
-from jaxunshear.image.png import png
+from jaxunshear.image.png import encode_png
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.configs import config_name, set_name
@@ -195,10 +195,12 @@ def _render() -> Callable[..., tuple[Array, Array]]:
     ) -> tuple[Array, Array]:
         def one(tip: Array, index: Array, when: Array) -> Array:
             key = jax.random.fold_in(jax.random.key(seed), index)
-            return cameras.frame(camera, sensor, nuisance, tip, key, when)
+            return cameras.render_frame(camera, sensor, nuisance, tip, key, when)
 
         frames = jax.vmap(one)(tips, number, age)
-        place = cameras.project(camera, tips, sensor) + cameras.drift(nuisance, age)[:, None, :]
+        place = (
+            cameras.project(camera, tips, sensor) + cameras.compute_drift(nuisance, age)[:, None, :]
+        )
         return binarise(preprocess, frames), cameras.to_image_px(camera, preprocess, place)
 
     return run
@@ -211,7 +213,7 @@ def pack(images: np.ndarray) -> np.ndarray:
 
 def stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
     """One image of a chunk, as sets store it."""
-    return png(unpack(chunk["images"][place], size), PNG_LEVEL)
+    return encode_png(unpack(chunk["images"][place], size), PNG_LEVEL)
 
 
 def unpack(bits: np.ndarray, size: int) -> np.ndarray:

@@ -29,8 +29,8 @@ from jaxunshear.storage import write_npz
 
 if TYPE_CHECKING:
     from jaxunshear.image.lattice import Lattice
+    from jaxunshear.image.pin_tracking import MotionPrior
     from jaxunshear.image.preprocess import View
-    from jaxunshear.image.tracking import Usual
 
 CHUNK = 250  # frames in a file
 NOTHING = np.zeros((0, 1), np.uint8)
@@ -101,24 +101,24 @@ def frame_of_files(
     turned: bool = False,
 ) -> Frame:
     """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
-    from jaxunshear.image.fitting import fit_lattice, layout_of
-    from jaxunshear.image.pins import detect
+    from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
+    from jaxunshear.image.pin_detection import detect_pins
     from jaxunshear.image.preprocess import prepare_frame
-    from jaxunshear.image.understood import inverse
+    from jaxunshear.image.sensor_check import invert_image
 
     rows = evenly(len(files), LATTICE_FRAMES)
     found = []
     for row in rows:
         try:
             image = prepare_frame(replace(preprocess, size=size), read_image(files[row]), view)
-            found.append(detect(inverse(image) if turned else image))
+            found.append(detect_pins(invert_image(image) if turned else image))
         except UserError:
             continue  # reported once all frames are read
-    lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
+    lattice = fit_lattice([each.pins for each in found], make_layout(sensor))
     scale = preprocess.size / size
-    place = (lattice.place + 0.5) * scale - 0.5
+    place = (lattice.rest + 0.5) * scale - 0.5
     radius = scale * float(np.median([each.radius for each in found]))
-    return Frame(view, place, lattice.shell, scale * lattice.spacing, radius, preprocess.size, size)
+    return Frame(view, place, lattice.ring, scale * lattice.spacing, radius, preprocess.size, size)
 
 
 def prepare(
@@ -168,9 +168,9 @@ def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
 def _first_pass(
     files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame
 ) -> dict:
-    from jaxunshear.image.pins import detect
+    from jaxunshear.image.pin_detection import detect_pins
+    from jaxunshear.image.pin_tracking import track_pins
     from jaxunshear.image.preprocess import prepare_frame
-    from jaxunshear.image.tracking import follow_pins
 
     lattice = found_lattice(frame)
     size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
@@ -189,9 +189,9 @@ def _first_pass(
         except UserError as error:
             problem[i] = str(error)
             continue
-        track = follow_pins(lattice, detect(seen[i]))
-        usable[i], sure[i] = True, track.sure
-        pins[i] = to_image(frame, lattice.place + track.motion)
+        track = track_pins(lattice, detect_pins(seen[i]))
+        usable[i], sure[i] = True, track.identified
+        pins[i] = to_image(frame, lattice.rest + track.motion)
     return {
         "number": number,
         "images": pack(images),
@@ -206,26 +206,26 @@ def _first_pass(
     }
 
 
-def _second_pass(path: Path, frame: Frame, usual: "Usual") -> dict:
+def _second_pass(path: Path, frame: Frame, usual: "MotionPrior") -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
-    from jaxunshear.image.pins import detect
-    from jaxunshear.image.tracking import follow_pins
+    from jaxunshear.image.pin_detection import detect_pins
+    from jaxunshear.image.pin_tracking import track_pins
 
     chunk = load_chunk(path)
     lattice = found_lattice(frame)
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
-        track = follow_pins(lattice, detect(image), usual)
-        if track.sure:
+        track = track_pins(lattice, detect_pins(image), usual)
+        if track.identified:
             chunk["sure"][row] = True
-            chunk["pins"][row] = to_image(frame, lattice.place + track.motion)
+            chunk["pins"][row] = to_image(frame, lattice.rest + track.motion)
     return chunk | {"tried": np.array(True), "seen": NOTHING}
 
 
-def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "Usual | None":
+def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "MotionPrior | None":
     """How pins usually move, in training frames; None where no frame needs it."""
-    from jaxunshear.image.track import Track
-    from jaxunshear.image.tracking import usual_motions
+    from jaxunshear.image.pin_track import PinTrack
+    from jaxunshear.image.pin_tracking import fit_motion_prior
 
     if not any(map(_hard, paths)):
         return None
@@ -233,12 +233,12 @@ def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "Usual | None
     lattice = found_lattice(frame)
     train = contacts.split == SPLITS.index("train")
     tracks = [
-        Track(to_found(frame, pins) - lattice.place, np.zeros(0, int), 0.0, 0, 0, True)
+        PinTrack(to_found(frame, pins) - lattice.rest, np.zeros(0, int), 0.0, 0, 0, True)
         for chunk in chunks
         for pins in chunk["pins"][chunk["sure"] & train[chunk["number"]]]
     ]
     step = -(-len(tracks) // 2000) or 1
-    return usual_motions(lattice, tracks[::step])
+    return fit_motion_prior(lattice, tracks[::step])
 
 
 def _hard(path: Path) -> bool:

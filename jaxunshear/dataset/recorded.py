@@ -94,7 +94,7 @@ def everything(settings: Recorded) -> Contacts:
 
 def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
     """The sensor with as many pins as some training frames show. Raises UserError where there is none."""
-    from jaxunshear.image.pins import find_pins
+    from jaxunshear.image.pin_detection import find_pins
 
     counts = [len(find_pins(image)) for image in _probe_images(contacts, preprocess)[:COUNTED]]
     pins = float(np.median(counts))
@@ -121,11 +121,11 @@ def common_view(contacts: Contacts, preprocess: Preprocess) -> "View":
     for row in probes_of(contacts):
         try:
             raw = read_image(contacts.files[row])
-            views.append(frames.own_view(preprocess, raw))
+            views.append(frames.find_view(preprocess, raw))
             sizes.add(raw.shape[:2])
         except UserError:
             continue  # `prepare` says which
-    common = frames.common_view(views)
+    common = frames.combine_views(views)
     return common if len(sizes) == 1 else frames.View(None, common.whites)
 
 

@@ -13,12 +13,12 @@ import numpy as np
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.evenly import evenly
-from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import Found, detect
+from jaxunshear.image.lattice_fitting import MarkerLayout, fit_lattice
+from jaxunshear.image.pin_detection import DetectedPins, detect_pins
+from jaxunshear.image.pin_track import PinTrack
+from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.image.preprocess import View
-from jaxunshear.image.track import Track
-from jaxunshear.image.tracking import follow_all
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinRow, PinRows
 from jaxunshear.settings.image import Preprocess
@@ -26,7 +26,7 @@ from jaxunshear.settings.image import Preprocess
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
 DRAWN = 12
 
-Shown = list[tuple[str, np.ndarray, Track]]
+Shown = list[tuple[str, np.ndarray, PinTrack]]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def prepared_size(path: Path) -> int:
 
 def find_pins(
     path: Path,
-    lattice: Lattice | Layout,
+    lattice: Lattice | MarkerLayout,
     preprocess: Preprocess | None = None,
     rest: Path | None = None,
 ) -> Pins:
@@ -70,12 +70,12 @@ def find_pins(
     found, names, drawn, spent = _found(recordings, view)
     began = time.perf_counter()
     origin = "the untouched pins"
-    if isinstance(lattice, Layout):
+    if isinstance(lattice, MarkerLayout):
         origin = origin if rest is not None else "the pins' mean place in these images"
         some = found if rest is None else _found(read_recordings(rest, preprocess), view)[0]
         lattice = fit_lattice([each.pins for each in some], lattice)
     fitted = time.perf_counter()
-    tracks = follow_all(lattice, found)
+    tracks = track_all(lattice, found)
     spent += time.perf_counter() - fitted
     place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])
     table = PinRows(
@@ -94,9 +94,9 @@ def find_pins(
 
 def _found(
     recordings: Recordings, view: View
-) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
+) -> tuple[list[DetectedPins], list[str], dict[int, np.ndarray], float]:
     """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
-    found: list[Found] = []
+    found: list[DetectedPins] = []
     names: list[str] = []
     wanted = set(evenly(len(recordings), DRAWN).tolist())
     drawn: dict[int, np.ndarray] = {}
@@ -104,7 +104,7 @@ def _found(
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
         for row, name, image in recordings.frames(view):
             began = time.perf_counter()
-            found.append(detect(image))
+            found.append(detect_pins(image))
             spent += time.perf_counter() - began
             if row in wanted:
                 drawn[len(names)] = image
@@ -115,16 +115,16 @@ def _found(
     return found, names, drawn, spent
 
 
-def _row(name: str, track: Track) -> PinRow:
+def _row(name: str, track: PinTrack) -> PinRow:
     return PinRow(
         name=name,
-        matched=int(track.seen.sum()) if track.sure else 0,
-        sure=track.sure,
-        doubt=round(track.doubt, 4) if np.isfinite(track.doubt) else None,
+        matched=int(track.seen.sum()) if track.identified else 0,
+        sure=track.identified,
+        doubt=round(track.max_offset, 4) if np.isfinite(track.max_offset) else None,
         missed=track.missed,
         extra=track.extra,
         largest_motion_px=round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3)
-        if track.sure
+        if track.identified
         else None,
     )
 

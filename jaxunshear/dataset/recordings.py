@@ -124,7 +124,7 @@ class Recordings:
     def common_view(self, folder: Path | None = None) -> View:
         """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would appear
         as motion. No crop where they differ in size."""
-        from jaxunshear.image.preprocess import View, common_view, own_view
+        from jaxunshear.image.preprocess import View, combine_views, find_view
 
         files = [file for file in self.files if folder in (None, file.parent)]
         views, sizes = [], set[tuple[int, ...]]()
@@ -132,8 +132,8 @@ class Recordings:
             with contextlib.suppress(UserError):  # `frames` will report it
                 raw = read_image(file)
                 sizes.add(raw.shape[:2])
-                views.append(own_view(self.preprocess, raw))
-        common = common_view(views)
+                views.append(find_view(self.preprocess, raw))
+        common = combine_views(views)
         return common if len(sizes) == 1 else View(None, common.whites)
 
 

@@ -23,9 +23,9 @@ from sklearn.linear_model import Ridge
 
 from jaxunshear.dataset.fresh import FreshContacts
 from jaxunshear.errors import UserError
-from jaxunshear.image.growing import filled
+from jaxunshear.image.identity_repair import fill_missing
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import motions_of
+from jaxunshear.image.pin_tracking import measure_motions
 
 AREAS, INVERSE = WAYS = ("areas", "inverse")
 NOISE = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px
@@ -45,7 +45,7 @@ def ways_of(lattice: Lattice, known: FreshContacts) -> dict[str, Way]:
     motion = known_motions(lattice, known)
     followed = ~np.isnan(motion[:, 0, 0])
     motion, true = motion[followed], known.indentation_mm[followed]
-    usual = cell_areas(lattice, np.zeros_like(lattice.place)).mean()
+    usual = cell_areas(lattice, np.zeros_like(lattice.rest)).mean()
     inverse = fit_inverse(lattice, motion, true)
     heights: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         AREAS: lambda moved: np.stack([cell_areas(lattice, each) for each in moved]) / usual - 1,
@@ -63,7 +63,7 @@ def known_motions(lattice: Lattice, known: FreshContacts) -> np.ndarray:
 
     Raises `UserError` if hardly any tap shows its pins well enough.
     """
-    motion = motions_of(lattice, known.tap)
+    motion = measure_motions(lattice, known.tap)
     sure = np.mean(~np.isnan(motion[:, 0, 0]))
     if sure < 0.5:
         raise UserError(
@@ -94,20 +94,21 @@ def indentation_of(inverse: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(..., P) area of each pin's cell over that of the undeformed sensor, less one; motion (..., P, 2) px, NaN for pins not seen."""
-    rest = cell_areas(lattice, np.zeros_like(lattice.place))
+    rest = cell_areas(lattice, np.zeros_like(lattice.rest))
     each = motion.reshape(-1, *motion.shape[-2:])
     return np.reshape(
-        [cell_areas(lattice, filled(lattice, one)) / rest - 1 for one in each], motion.shape[:-1]
+        [cell_areas(lattice, fill_missing(lattice, one)) / rest - 1 for one in each],
+        motion.shape[:-1],
     )
 
 
 def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(P,) px^2, areas of the Voronoi cells of the pins moved by (P, 2) px."""
-    rim = np.flatnonzero(lattice.shell == lattice.shell.max())
-    outward = lattice.place[rim] - lattice.middle
+    rim = np.flatnonzero(lattice.ring == lattice.ring.max())
+    outward = lattice.rest[rim] - lattice.middle
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
-    ghosts = lattice.place[rim] + lattice.spacing * outward + motion[rim]
-    points = np.concatenate([lattice.place + motion, ghosts])
+    ghosts = lattice.rest[rim] + lattice.spacing * outward + motion[rim]
+    points = np.concatenate([lattice.rest + motion, ghosts])
     cells = Voronoi(points)
     ends = np.array(cells.ridge_vertices)
     closed = (ends >= 0).all(axis=-1)  # an open side lies between two ghosts

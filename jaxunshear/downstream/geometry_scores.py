@@ -18,7 +18,7 @@ from jaxunshear.downstream.geometry import Way, read_at, ways_of
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import motions_of
+from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference.perception import Unshear, lattice_of, unshearers, unshearing_of
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 from jaxunshear.settings.experiment import Experiment, simulated_of
@@ -88,7 +88,7 @@ def geometry_of(
         if kind in networks:
             networks[kind](given[:1])  # compiles
         began = time.perf_counter()
-        motion = networks[kind](given) if kind in networks else motions_of(lattice, given)
+        motion = networks[kind](given) if kind in networks else measure_motions(lattice, given)
         spent = time.perf_counter() - began
         sure = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
         felt = np.full((len(ways), *motion.shape[:2]), np.nan)
@@ -99,7 +99,7 @@ def geometry_of(
             ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
         for one in sure:
             felt[:, one] = read_at(
-                lattice.place + motion[one], felt[:, one].T, contacts.tap_pins[one]
+                lattice.rest + motion[one], felt[:, one].T, contacts.tap_pins[one]
             ).T
         height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
     return Geometry(height, ms)

@@ -48,7 +48,7 @@ def makers_of(
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
     inverse = fit_inverse(lattice, motion, indentation_mm[followed])
     tips = compute_pin_tips(sensor)[:, :2]
-    px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
+    px_per_mm = np.sum((lattice.rest - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
     undeformed = sensor.dome_radius_mm * (1 - towards_axis)
 

@@ -26,7 +26,7 @@ from jaxunshear.downstream.reconstruct import (
 from jaxunshear.downstream.servo import CLOSED, WALKING, Course, Walks, made_with
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import motions_of
+from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference import perception
 from jaxunshear.inference.perception import Unshear
 from jaxunshear.progress import Progress
@@ -78,7 +78,7 @@ def solids(
     course, walks = walked
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
-    motion = motions_of(lattice, images) if unshear is None else unshear(images)
+    motion = measure_motions(lattice, images) if unshear is None else unshear(images)
     full = (
         float(np.abs(line.points).max()) + CELL_MM
     )  # also what a walk that ended early has not felt

@@ -9,8 +9,12 @@ import numpy as np
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.downstream.geometry import Way
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import motions_of
-from jaxunshear.image.understood import expected_of, plausibility, state_doubt
+from jaxunshear.image.pin_tracking import measure_motions
+from jaxunshear.image.sensor_check import (
+    compute_plausibility,
+    explain_rejection,
+    measure_sensor_appearance,
+)
 from jaxunshear.inference.perception import Unshear
 from jaxunshear.settings.experiment import Experiment
 
@@ -25,12 +29,14 @@ def heights_of_recordings(
         *islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN), strict=True
     )
     stack = np.stack(images)
-    motions = {"as recorded": motions_of(lattice, stack)} | {
+    motions = {"as recorded": measure_motions(lattice, stack)} | {
         name: unshear(stack) for name, unshear in networks.items()
     }
     # networks over images draw pins whatever they are given
-    expected = expected_of(lattice.place, stack.shape[-1])
-    known = np.array([not state_doubt(True, plausibility(image, expected)) for image in stack])
+    expected = measure_sensor_appearance(lattice.rest, stack.shape[-1])
+    known = np.array(
+        [not explain_rejection(True, compute_plausibility(image, expected)) for image in stack]
+    )
     return list(names), {
         kind: np.where(known[:, None], way(motion), np.nan) for kind, motion in motions.items()
     }

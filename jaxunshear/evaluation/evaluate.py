@@ -39,7 +39,7 @@ from jaxunshear.evaluation.summary import (
     with_readers,
 )
 from jaxunshear.evaluation.within import coverage, half_widths
-from jaxunshear.image.framing import undeformed
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
@@ -123,7 +123,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     )
     run = load(run_dir, experiment.networks, taps, examples.pins if over else None)
     inputs = PINS if over else IMAGES
-    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
     readers = readers_of(experiment, data_dir, run_dir)
     reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
     gathered = gather(

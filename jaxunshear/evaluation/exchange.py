@@ -19,7 +19,7 @@ from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.evenly import evenly
-from jaxunshear.image.png import eight_bit
+from jaxunshear.image.png import to_uint8
 from jaxunshear.metrics.pin_error import measure_pin_error
 from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
@@ -163,7 +163,7 @@ def _compared(
 
 def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
     """How far the pins that are found in images (B, S, S, 1) in [0, 1], matched one to one, lie from the true ones (B, P, 2) px."""
-    error = measure_pin_error(eight_bit(images[..., 0]), true, half_pitch(true))
+    error = measure_pin_error(to_uint8(images[..., 0]), true, half_pitch(true))
     return {name: error[name] for name in ("rms_px", "missed_per_image")}
 
 

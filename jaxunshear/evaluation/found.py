@@ -15,7 +15,7 @@ from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.evaluation.gather import IMAGES, PINS
 from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import followed
+from jaxunshear.image.pin_tracking import track_images
 
 FOUND = "found"  # the name of this test
 MOST = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
@@ -40,8 +40,8 @@ def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Foun
     places: dict[str, np.ndarray] = {}
     sure = np.ones(len(rows), bool)
     for kind, image, true in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
-        motion, known = followed(lattice, batch[image][..., 0], alone=True)
-        places[true] = (lattice.place + motion).astype(np.float32)
+        motion, known = track_images(lattice, batch[image][..., 0], independent=True)
+        places[true] = (lattice.rest + motion).astype(np.float32)
         reported[kind] = _reported(places[true][known], batch[true][known], len(rows))
         sure &= known
     if not sure.any():

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
 from jaxunshear.evenly import evenly
-from jaxunshear.image.png import eight_bit
+from jaxunshear.image.png import to_uint8
 from jaxunshear.progress import Progress
 from jaxunshear.settings.targets import Targets, true_values
 
@@ -86,7 +86,7 @@ def gather(
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
                 {
-                    k: eight_bit(np.asarray(x)[inside, ..., 0])
+                    k: to_uint8(np.asarray(x)[inside, ..., 0])
                     for k, x in outputs.images.items()
                     if k not in BASELINES
                 }

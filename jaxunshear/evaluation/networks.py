@@ -12,7 +12,7 @@ from jax import Array
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
-from jaxunshear.image.dots import dots
+from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import unshear
@@ -116,7 +116,7 @@ def pin_run_of(
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets[POSENET_SHEARED])
         shown = places | {"tap": tap}
         images, drawn = (
-            {k: dots(p, pins.radius_px, pins.size) for k, p in each.items()}
+            {k: draw_dots(p, pins.radius_px, pins.size) for k, p in each.items()}
             for each in (shown, cells)
         )
         apart = {

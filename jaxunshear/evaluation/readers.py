@@ -22,7 +22,7 @@ from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
 from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import motions_of
+from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import POSENET, UNSHEARING
@@ -131,7 +131,7 @@ def read_pins(
     are not identified for sure."""
     errors: dict[str, np.ndarray] = {}
     for kind in (kind for kind in READ if kind in images):
-        found = places(lattice.place + motions_of(lattice, images[kind]))
+        found = places(lattice.rest + measure_motions(lattice, images[kind]))
         scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
         errors |= {
             name: np.where(np.isfinite(found[:, 0]), score, np.nan)

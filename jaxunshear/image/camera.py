@@ -42,7 +42,7 @@ def project(camera: Camera, tips: Float[Place, "*B 3"], sensor: Sensor) -> Float
     return centre + _focal_px(camera, sensor) * tips[..., :2] / (camera.distance_mm - tips[..., 2:])
 
 
-def drift(nuisance: Nuisance, age: Float[Array, "*B"] | float) -> Float[Array, "*B 2"]:
+def compute_drift(nuisance: Nuisance, age: Float[Array, "*B"] | float) -> Float[Array, "*B 2"]:
     """How far the entire view has moved at `age` in [0, 1]: px of the frame as (column, row)."""
     return (
         nuisance.drift_px
@@ -58,14 +58,14 @@ def to_image_px(
     return (px_frame + 0.5) * (preprocess.size / camera.frame_px) - 0.5
 
 
-def outer_fraction(camera: Camera, sensor: Sensor) -> float:
+def compute_outer_fraction(camera: Camera, sensor: Sensor) -> float:
     """Radius of the outermost undeformed pins as a fraction of the frame's width: the framing, comparable with real frames."""
     tips = compute_pin_tips(sensor)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (camera.distance_mm - tips[:, 2])
     return float(_focal_px(camera, sensor) * radius.max() / camera.frame_px)
 
 
-def frame(
+def render_frame(
     camera: Camera,
     sensor: Sensor,
     nuisance: Nuisance,
@@ -79,7 +79,7 @@ def frame(
     """
     tips = jnp.asarray(tips, jnp.float32)
     age = jnp.asarray(age, jnp.float32)
-    shift = drift(nuisance, age)
+    shift = compute_drift(nuisance, age)
     light_key, noise_key, speck_key = jax.random.split(key, 3)
     dots = _pins(camera, sensor, nuisance, tips, shift)
     specks = _specks(camera, sensor, nuisance, shift, speck_key)
@@ -135,7 +135,7 @@ def _specks(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array, ke
     rng = np.random.default_rng(1)
     places = 2 * nuisance.specks
     lamps = LAMPS if nuisance.housing_ring else 0
-    outer = outer_fraction(camera, sensor) * camera.frame_px
+    outer = compute_outer_fraction(camera, sensor) * camera.frame_px
     dust = np.where(
         rng.random(places) < 0.7, rng.uniform(1.06, 1.15, places), np.sqrt(rng.random(places))
     )
@@ -197,7 +197,9 @@ def _housing(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array) -
     across = np.arange(camera.frame_px) - (camera.frame_px - 1) / 2
     x, y = np.meshgrid(across, across)
     angle = np.arctan2(y, x)
-    edge = np.full_like(x, camera.housing * outer_fraction(camera, sensor) * camera.frame_px)
+    edge = np.full_like(
+        x, camera.housing * compute_outer_fraction(camera, sensor) * camera.frame_px
+    )
     for wave, phase in enumerate(rng.uniform(0, 2 * np.pi, 12), start=1):
         edge += 0.0015 * camera.frame_px * np.cos(wave * angle + phase) / np.sqrt(wave)
     inside = jnp.asarray(edge - np.hypot(x, y), jnp.float32)

@@ -9,23 +9,23 @@ LUMA = np.array(
     [0.299, 0.587, 0.114], np.float32
 )  # ITU-R BT.601, as cameras and image libraries make grey
 SMALLEST_PX = 16
-NEXT = np.uint8(1)  # after it, as bytes wrap round, 255 and 0 are the only two below 2
+ONE_BYTE = np.uint8(1)  # after it, as bytes wrap round, 255 and 0 are the only two below 2
 
 
-def white_pixels(raw: np.ndarray) -> Bool[np.ndarray, "H W"] | None:
+def find_white_pixels(raw: np.ndarray) -> Bool[np.ndarray, "H W"] | None:
     """Where a frame of black and white is white; None for every other frame, and for one that is all black or white.
 
     What `to_grey` and `is_binary` find out in ten times the time for bytes of 0 and 255, and for masks.
     """
     if raw.ndim != 2 or min(raw.shape) < SMALLEST_PX or raw.dtype not in (np.uint8, bool):
         return None
-    if raw.dtype == np.uint8 and ((raw + NEXT) > 1).any():
+    if raw.dtype == np.uint8 and ((raw + ONE_BYTE) > 1).any():
         return None
     white = raw > 0
     return white if white.any() and not white.all() else None
 
 
-def white_of(raw: np.ndarray) -> float:
+def find_white_level(raw: np.ndarray) -> float:
     """The number that stands for white in a frame: 1 of masks and floats, 255, or what 10, 12, 14 or 16 bits can hold, which cameras
     keep in wider words. One pixel in a thousand may be brighter than 255, or than 1 in floats: some pixels of a camera are."""
     colours = raw[..., : 1 if raw.shape[-1] < 3 else 3] if raw.ndim == 3 else raw
@@ -41,7 +41,7 @@ def white_of(raw: np.ndarray) -> float:
 
 
 def to_grey(raw: np.ndarray, white: float = 0.0) -> Float32[np.ndarray, "H W"]:
-    """An image array -> grey in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
+    """An image array -> grey in [0, 1], where 1 is the number `white`, or the frame's own (`find_white_level`) if that is larger, or
     1 itself.
 
     Raises UserError for a wrong shape, no pixels, values that are no numbers, or numbers below zero (floats may overshoot).
@@ -62,7 +62,7 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> Float32[np.ndarray, "H W"]:
             raise UserError("this image holds values that are not finite (NaN or infinity)")
     elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
-    own = white_of(raw)
+    own = find_white_level(raw)
     if raw.dtype != bool and (least := raw.min()) < (
         -own / 2 if np.issubdtype(raw.dtype, np.floating) else 0
     ):
@@ -86,11 +86,11 @@ def is_binary(grey: Shaped[np.ndarray, "H W"]) -> bool:
     )
 
 
-def middle_level(grey: Shaped[np.ndarray, "H W"]) -> float:
+def compute_middle_level(grey: Shaped[np.ndarray, "H W"]) -> float:
     return float(np.min(grey) + np.max(grey)) / 2
 
 
-def check_seen(grey: Float[np.ndarray, "H W"]) -> None:
+def check_contrast(grey: Float[np.ndarray, "H W"]) -> None:
     """Raises UserError for a frame of one level."""
     if np.ptp(grey) < 0.05:
         raise UserError("this image is one flat grey: there is nothing to see in it")
@@ -98,5 +98,5 @@ def check_seen(grey: Float[np.ndarray, "H W"]) -> None:
 
 def check_frame(raw: np.ndarray) -> None:
     """Raises UserError for an array that is no image, too small, or of one level."""
-    if white_pixels(raw) is None:
-        check_seen(to_grey(raw))
+    if find_white_pixels(raw) is None:
+        check_contrast(to_grey(raw))

@@ -9,32 +9,36 @@ from scipy.spatial import cKDTree
 from jaxunshear.settings.sensor import Sensor
 
 NEIGHBOURS = 18  # pins that give the place of another one
-DEGREES = (2, 3, 4)  # of the polynomials that a motion is refined by, one after the other
+POLYNOMIAL_DEGREES = (
+    2,
+    3,
+    4,
+)  # of the polynomials that a motion is refined by, one after the other
 
 
 class Lattice(NamedTuple):
-    place: np.ndarray  # (P, 2) px as (column, row), in the order of the sensor's lattice
-    shell: np.ndarray  # (P,) 0 in the middle, the largest on the rim
+    rest: np.ndarray  # (P, 2) px as (column, row), in the order of the sensor's lattice
+    ring: np.ndarray  # (P,) 0 in the middle, the largest on the rim
     spacing: float  # px, usual distance between neighbours
-    near: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
-    around: np.ndarray  # (P, P): their weights
+    neighbours: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
+    neighbour_weights: np.ndarray  # (P, P): their weights
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the place
 
     @property
     def middle(self) -> Float[np.ndarray, "2"]:
         """In px, of the outermost shell, which a touch moves least."""
-        return self.place[self.shell == self.shell.max()].mean(axis=0)
+        return self.rest[self.ring == self.ring.max()].mean(axis=0)
 
 
-def shells(sensor: Sensor) -> Int[np.ndarray, "P"]:
+def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
     """Index of the shell of each pin, 0 for the one in the middle."""
     return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
 
 
-def shells_of(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
+def estimate_rings(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
     """The same for pins in any order and layout: by their distance from the middle, in spacings."""
     off = np.linalg.norm(place - place.mean(axis=0), axis=-1)
-    return np.round(off / spacing_of(place)).astype(int)
+    return np.round(off / measure_spacing(place)).astype(int)
 
 
 def make_lattice(
@@ -42,17 +46,22 @@ def make_lattice(
 ) -> Lattice:
     """A lattice from the places px of its pins."""
     offset = place - place.mean(axis=0)
-    powers = {degree: _powers(offset / np.abs(offset).max(), degree) for degree in DEGREES}
-    shell = shells_of(place) if shell is None else shell
+    powers = {
+        degree: _powers(offset / np.abs(offset).max(), degree) for degree in POLYNOMIAL_DEGREES
+    }
+    shell = estimate_rings(place) if shell is None else shell
     near = cKDTree(place).query(place, k=min(NEIGHBOURS + 1, len(place)))[1][:, 1:]
     around = np.zeros((len(place), len(place)))
     np.put_along_axis(
-        around, near, weights(place[near] - place[:, None], spacing_of(place)), axis=1
+        around,
+        near,
+        compute_neighbour_weights(place[near] - place[:, None], measure_spacing(place)),
+        axis=1,
     )
-    return Lattice(place, shell, spacing_of(place), near, around, powers)
+    return Lattice(place, shell, measure_spacing(place), near, around, powers)
 
 
-def spacing_of(place: Float[np.ndarray, "P 2"]) -> float:
+def measure_spacing(place: Float[np.ndarray, "P 2"]) -> float:
     """The usual distance between neighbours: the median from a pin to the nearest other one, in the unit of their places."""
     return float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
 
@@ -63,7 +72,7 @@ def _powers(x: np.ndarray, degree: int) -> np.ndarray:
     return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
 
 
-def weights(
+def compute_neighbour_weights(
     offset: Float[np.ndarray, "M N 2"], spacing: float, known: Bool[np.ndarray, "M N"] | None = None
 ) -> Float[np.ndarray, "M N"]:
     """Weights of other pins at offsets px: of a quadratic motion fitted to theirs, read at the pin itself.

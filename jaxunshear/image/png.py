@@ -7,13 +7,13 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 
-def png(pixels: UInt8[np.ndarray, "H W"], level: int = 6) -> bytes:
+def encode_png(pixels: UInt8[np.ndarray, "H W"], level: int = 6) -> bytes:
     """A grey PNG; `level` of zlib: 1 is fast, 9 small."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "png", compress_level=level)
     return buffer.getvalue()
 
 
-def eight_bit(image: Float[np.ndarray, "*S"]) -> UInt8[np.ndarray, "*S"]:
+def to_uint8(image: Float[np.ndarray, "*S"]) -> UInt8[np.ndarray, "*S"]:
     """Of numbers in [0, 1]; what lies outside is clipped."""
     return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)

@@ -25,14 +25,14 @@ from threadpoolctl import ThreadpoolController
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import (
-    check_seen,
+    check_contrast,
+    compute_middle_level,
+    find_white_level,
+    find_white_pixels,
     is_binary,
-    middle_level,
     to_grey,
-    white_of,
-    white_pixels,
 )
-from jaxunshear.image.pins import in_company, outline
+from jaxunshear.image.pin_detection import find_clustered, find_hull
 from jaxunshear.settings.image import Preprocess
 
 OUTER_PINS_OF_DISC = (
@@ -52,9 +52,9 @@ def binarise(preprocess: Preprocess, grey: Array) -> UInt8[Array, "... S S"]:
 def _binarise(
     matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey
 ) -> Grey:
-    small = _both_sides(matmul, area_matrix(grey.shape[-1], preprocess.size), grey)
-    mean = _both_sides(matmul, mean_matrix(preprocess), small)
-    mask = mask_of(preprocess)
+    small = _both_sides(matmul, make_area_matrix(grey.shape[-1], preprocess.size), grey)
+    mean = _both_sides(matmul, make_mean_matrix(preprocess), small)
+    mask = make_mask(preprocess)
     white = (small > mean + preprocess.offset) & mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
     return white.astype(np.uint8) * np.uint8(255)
 
@@ -72,7 +72,7 @@ def _both_sides(
 
 
 @lru_cache
-def area_matrix(before: int, after: int) -> Float32[np.ndarray, "{after} {before}"]:
+def make_area_matrix(before: int, after: int) -> Float32[np.ndarray, "{after} {before}"]:
     """The share of each old pixel in each new one, rows summing to 1."""
     edges = np.arange(after + 1) * (before / after)
     old = np.arange(before)
@@ -81,7 +81,7 @@ def area_matrix(before: int, after: int) -> Float32[np.ndarray, "{after} {before
 
 
 @lru_cache
-def mean_matrix(preprocess: Preprocess) -> Float32[np.ndarray, "S S"]:
+def make_mean_matrix(preprocess: Preprocess) -> Float32[np.ndarray, "S S"]:
     """The mean over the block of pixels around each, mirrored at the border as scipy's mode 'reflect'."""
     size = preprocess.size
     block = max(3, 2 * round(preprocess.block * size / 2) + 1)
@@ -89,7 +89,7 @@ def mean_matrix(preprocess: Preprocess) -> Float32[np.ndarray, "S S"]:
 
 
 @lru_cache
-def mask_of(preprocess: Preprocess) -> Bool[np.ndarray, "S S"]:
+def make_mask(preprocess: Preprocess) -> Bool[np.ndarray, "S S"]:
     """The circle within which pins are."""
     across = np.arange(preprocess.size) - (preprocess.size - 1) / 2
     return np.hypot(across[:, None], across) <= preprocess.mask_radius * preprocess.size
@@ -114,21 +114,23 @@ def prepare_frame(
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
     raw = np.asarray(raw)
-    grey = white_pixels(raw)
+    grey = find_white_pixels(raw)
     if grey is None:
         grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
-        check_seen(grey)
-    square = crop(grey, view.box or _box(preprocess, grey))
+        check_contrast(grey)
+    square = crop_frame(grey, view.box or _box(preprocess, grey))
     if square.dtype == bool and len(square) == preprocess.size:
-        return (square & mask_of(preprocess)).view(np.uint8) * np.uint8(255)
-    with _one_thread():
+        return (square & make_mask(preprocess)).view(np.uint8) * np.uint8(255)
+    with _limit_to_one_thread():
         if not is_binary(grey):
             return _binarise(np.matmul, preprocess, square)
-        small = _both_sides(np.matmul, area_matrix(len(square), preprocess.size), square)
-    return ((small >= middle_level(grey)) & mask_of(preprocess)).astype(np.uint8) * np.uint8(255)
+        small = _both_sides(np.matmul, make_area_matrix(len(square), preprocess.size), square)
+    return ((small >= compute_middle_level(grey)) & make_mask(preprocess)).astype(
+        np.uint8
+    ) * np.uint8(255)
 
 
-def _one_thread() -> AbstractContextManager[object]:
+def _limit_to_one_thread() -> AbstractContextManager[object]:
     """Of BLAS: on busy cores two threads take ten times as long for products as small as these."""
     return _blas().limit(limits=1, user_api="blas")
 
@@ -138,12 +140,12 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()  # searches for libraries: milliseconds
 
 
-def own_view(preprocess: Preprocess, raw: np.ndarray) -> View:
+def find_view(preprocess: Preprocess, raw: np.ndarray) -> View:
     """What one frame shows. Raises UserError for one that is not usable."""
-    return View(_box(preprocess, to_grey(raw)), ((raw.dtype.name, white_of(raw)),))
+    return View(_box(preprocess, to_grey(raw)), ((raw.dtype.name, find_white_level(raw)),))
 
 
-def common_view(views: list[View]) -> View:
+def combine_views(views: list[View]) -> View:
     """Of some frames' own views: the median crop, since one that trembled would appear as motion, and the brightest white of each
     type of number, since a contrast that changed would too."""
     boxes = [view.box for view in views if view.box]
@@ -164,15 +166,15 @@ def common_view(views: list[View]) -> View:
 
 
 def _box(preprocess: Preprocess, grey: np.ndarray) -> tuple[int, int, int, int]:
-    return (_reframed if is_binary(grey) else find_dome)(grey, preprocess.outer_pins)
+    return (_reframe if is_binary(grey) else find_dome)(grey, preprocess.outer_pins)
 
 
-def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
+def _reframe(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     """Of a binary frame the middle square; where that misses the framing by more than 12%, the one that the pins ask for.
 
     Resampling costs a binary image its edges, so a framing that is near enough stays.
     """
-    pins = _pin_circle(grey > middle_level(grey))
+    pins = _pin_circle(grey > compute_middle_level(grey))
     if pins is None or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
         return _middle(grey.shape)
     return _square(pins.row, pins.column, pins.radius / outer_pins)
@@ -184,7 +186,7 @@ def find_dome(grey: Float[np.ndarray, "H W"], outer_pins: float) -> tuple[int, i
     It goes by the dark dome disc in a light surround; without such a disc by the pins; without pins it is the middle square.
     Raises UserError for a frame of one flat grey.
     """
-    check_seen(grey)
+    check_contrast(grey)
     smallest = min(grey.shape)
     disc = _fit_circle(_disc_rim(grey))
     if (
@@ -238,8 +240,8 @@ def _pin_outline(white: np.ndarray) -> np.ndarray:
     typical = np.median(area[area > 2])
     dots = 1 + np.flatnonzero((area > 0.4 * typical) & (area < 2.5 * typical))
     centres = np.array(ndimage.center_of_mass(white, parts, dots))
-    centres = centres[in_company(centres)]
-    return centres[outline(centres)] if len(centres) >= 20 else np.zeros((0, 2))
+    centres = centres[find_clustered(centres)]
+    return centres[find_hull(centres)] if len(centres) >= 20 else np.zeros((0, 2))
 
 
 class _Circle(NamedTuple):
@@ -273,7 +275,7 @@ def _middle(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     return _square((shape[0] - 1) / 2, (shape[1] - 1) / 2, min(shape))
 
 
-def crop(
+def crop_frame(
     grey: Shaped[np.ndarray, "H W"], bbox: tuple[int, int, int, int]
 ) -> Shaped[np.ndarray, "S S"]:
     """A square crop; what lies outside the frame repeats its border. A bbox that is not square grows about its middle."""

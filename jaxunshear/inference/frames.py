@@ -7,7 +7,7 @@ import numpy as np
 from jaxunshear.dataset.recordings import Recordings, read_image
 from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.image.understood import ANY, inverse, verdict
+from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import Perceiver
 
 SAMPLED = 20  # frames that a folder is judged by
@@ -23,14 +23,14 @@ def open_frames(
     networks over pins find no pins in.
     """
     if force:
-        return network._replace(least=ANY), recordings.frames(network.view)
-    found = verdict(_sample(recordings, network), network.expected)
+        return network._replace(least=NO_MINIMUM), recordings.frames(network.view)
+    found = judge_images(_sample(recordings, network), network.expected)
     if found.inverted:
         recordings.notes.append(f"{found.reason}: they are turned")
         frames = recordings.frames(network.view)
         # what dark pins leave when they are turned looks less like the sensor than light pins do
-        return network._replace(least=ANY), (
-            (row, name, inverse(image)) for row, name, image in frames
+        return network._replace(least=NO_MINIMUM), (
+            (row, name, invert_image(image)) for row, name, image in frames
         )
     if not found.ok:
         raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
-from jaxunshear.image.png import eight_bit, png
+from jaxunshear.image.png import encode_png, to_uint8
 from jaxunshear.inference.suitability import learnt_note
 from jaxunshear.inference.tally import LabelErrors, LeftOut, Log, count_rows, make_row
 from jaxunshear.places import check_beside
@@ -78,7 +78,7 @@ def unshear_recordings(
             if why:  # a picture that is there would pass for its answer
                 (out / targets[row]).unlink(missing_ok=True)
             else:
-                write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
+                write_bytes(out / targets[row], encode_png(to_uint8(answers.unsheared[i])))
             image = {"name": name, "image": "" if why else targets[row]}
             poses = {
                 quantity: _format_cell(values[i])

@@ -22,17 +22,17 @@ from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_fo
 from jaxunshear.dataset.recorded_reading import frame_from
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice
+from jaxunshear.image.pin_drawing import draw_dots
+from jaxunshear.image.pin_tracking import track_images
 from jaxunshear.image.preprocess import View
-from jaxunshear.image.tracking import followed
-from jaxunshear.image.understood import (
-    ANY,
-    ENOUGH,
-    Expected,
-    expected_of,
-    plausibility,
-    state_doubt,
+from jaxunshear.image.sensor_check import (
+    MIN_PLAUSIBILITY,
+    NO_MINIMUM,
+    SensorAppearance,
+    compute_plausibility,
+    explain_rejection,
+    measure_sensor_appearance,
 )
 from jaxunshear.inference.perception import lattice_of, trained, unit
 from jaxunshear.memory import keep_freed_memory
@@ -94,17 +94,18 @@ class Perceiver(NamedTuple):
     names: tuple[str, ...]  # of the poses that it reads
     read: Callable[[np.ndarray], Seen]  # of images (B, S, S) uint8 of {0, 255}
     run: Callable[[Seen], Values]
-    expected: Expected  # how its sensor appears in prepared images
-    least: float = ENOUGH  # plausibility of an image that is understood
+    expected: SensorAppearance  # how its sensor appears in prepared images
+    least: float = MIN_PLAUSIBILITY  # plausibility of an image that is understood
 
     def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
         """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
         likely = [
-            1.0 if self.least == ANY else plausibility(image, self.expected) for image in images
+            1.0 if self.least == NO_MINIMUM else compute_plausibility(image, self.expected)
+            for image in images
         ]
         return np.array(
             [
-                state_doubt(*each, self.least)
+                explain_rejection(*each, self.least)
                 for each in zip(seen.sure.tolist(), likely, strict=True)
             ]
         )
@@ -181,11 +182,11 @@ def frame_for(path: Path, experiment: Experiment) -> Frame | None:
     return frame_of_recordings(read_recordings(path, preprocess), preprocess, experiment.sensor)
 
 
-def expected_by(model: Path, experiment: Experiment) -> Expected:
+def expected_by(model: Path, experiment: Experiment) -> SensorAppearance:
     """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
     if frame := frame_learnt(model, experiment):
-        return expected_of(frame.place, frame.size)
-    return expected_of(lattice_of(experiment).place, experiment.paired.preprocess.size)
+        return measure_sensor_appearance(frame.place, frame.size)
+    return measure_sensor_appearance(lattice_of(experiment).rest, experiment.paired.preprocess.size)
 
 
 Answered = tuple[Array | None, dict[str, dict[str, Array]]]
@@ -225,7 +226,7 @@ def _of_pins(
     names: tuple[str, ...],
     frame: Frame,
     rest: np.ndarray | None,
-    expected: Expected,
+    expected: SensorAppearance,
 ) -> Perceiver:
     """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
     where these are not the frame's."""
@@ -233,8 +234,8 @@ def _of_pins(
     there, back, degrees = between(frame.place, frame.place if rest is None else rest)
 
     def read(images: np.ndarray) -> Seen:
-        motion, sure = followed(lattice, images, alone=True)
-        pins = to_image(frame, lattice.place + motion)
+        motion, sure = track_images(lattice, images, independent=True)
+        pins = to_image(frame, lattice.rest + motion)
         return Seen(there(pins).astype(np.float32), sure, pins)
 
     def run_networks(seen: Seen) -> Values:
@@ -243,9 +244,9 @@ def _of_pins(
         places, drawn = {AS_RECORDED: seen.pins}, None
         if after is not None:
             places[UNSHEARED] = back(after)
-            drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[
-                ..., 0
-            ]
+            drawn = np.asarray(
+                draw_dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size)
+            )[..., 0]
         for pose in poses.values():
             if EDGE in pose:
                 pose[EDGE] = wrap_degrees(pose[EDGE] + degrees)

@@ -16,9 +16,9 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import followed, motions_of
+from jaxunshear.image.pin_tracking import measure_motions, track_images
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.model import posenet
 from jaxunshear.model.parts import Net, Tree, Variables
 from jaxunshear.model.ready import ready
@@ -157,7 +157,7 @@ def load_forward(model: Path, way: str) -> tuple[Forward, Variables, Targets]:
 def lattice_of(experiment: Experiment) -> Lattice:
     """Where the simulated sensor's pins stand untouched. Raises `UserError` for a model that learnt from recordings."""
     paired, _ = simulated_of(experiment, "this")
-    return undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    return compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
 
 
 def _see_of(experiment: Experiment) -> See:
@@ -167,23 +167,23 @@ def _see_of(experiment: Experiment) -> See:
     lattice = lattice_of(experiment)
 
     def see(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        motion, sure = followed(lattice, images, alone=True)
-        return (lattice.place + motion).astype(np.float32), sure
+        motion, sure = track_images(lattice, images, independent=True)
+        return (lattice.rest + motion).astype(np.float32), sure
 
     return see
 
 
 def _of_images(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
     run = ready(lambda known, images: unshear(net, known, unit(images))[..., 0], variables)
-    return lambda images: motions_of(lattice, in_batches(run, images))
+    return lambda images: measure_motions(lattice, in_batches(run, images))
 
 
 def _of_pins(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
     run = ready(lambda known, pins: unshear(net, known, pins), variables)
 
     def motions(images: np.ndarray) -> np.ndarray:
-        motion, sure = followed(lattice, images)
-        after = in_batches(run, (lattice.place + motion).astype(np.float32)) - lattice.place
+        motion, sure = track_images(lattice, images)
+        after = in_batches(run, (lattice.rest + motion).astype(np.float32)) - lattice.rest
         return np.where(sure[:, None, None], after, np.nan)
 
     return motions

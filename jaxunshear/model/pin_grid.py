@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.lattice import spacing_of
+from jaxunshear.image.lattice import measure_spacing
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import patches
 from jaxunshear.settings.networks import PinNet
@@ -33,7 +33,7 @@ def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     """Of pins that stand untouched at `rest` px: G places in rows, as far apart as pins, each interpolated by linear splines."""
     pins = np.asarray(rest, np.float64)
     low, high = pins.min(axis=0), pins.max(axis=0)
-    spacing = spacing_of(pins)
+    spacing = measure_spacing(pins)
     side = max(2, round(float(np.max(high - low)) / spacing))
     columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
     places = np.stack([columns.ravel(), rows.ravel()], axis=-1)

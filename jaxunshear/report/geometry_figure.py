@@ -49,7 +49,7 @@ def _surfaces(
     wide = WIDTH * columns
     figure = Figure(figsize=(wide, 2.6 * max(1, len(lines))), layout="constrained", dpi=DPI)
     size = LABEL * max(1, wide / (ABREAST * PANEL_IN))  # a page shows a wider picture smaller
-    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    low, high = lattice.rest.min(axis=0), lattice.rest.max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[i], high[i], CELLS) for i in (0, 1)))
     for row, (name, heights) in enumerate(lines):
         reported = np.concatenate(
@@ -67,7 +67,7 @@ def _surfaces(
                     0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=size
                 )
             else:
-                drawn = surface(lattice.place, height, CELLS)
+                drawn = surface(lattice.rest, height, CELLS)
                 axes.plot_surface(
                     x,
                     -y,

@@ -6,18 +6,18 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.track import Track
+from jaxunshear.image.pin_track import PinTrack
 from jaxunshear.style import png_of
 
 COLUMNS = 4
 
 
-def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> bytes:
+def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -> bytes:
     """A PNG of (name, image (S, S) uint8, track): shells in turn in two colours, so that an exchanged pin catches the eye."""
     rows = -(-len(shown) // COLUMNS)
     figure = Figure(figsize=(3.6 * COLUMNS, 3.9 * rows), layout="constrained", dpi=110)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
-    colours = colormaps["Set1"](lattice.shell % 2)
+    colours = colormaps["Set1"](lattice.ring % 2)
     for axes in panels[len(shown) :]:
         axes.set_axis_off()
     for axes, (name, image, track) in zip(panels, shown, strict=False):
@@ -27,10 +27,10 @@ def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> 
         if not track.sure:
             continue
         seen = track.seen
-        ends = np.stack([lattice.place, lattice.place + track.motion], 1)[seen]
+        ends = np.stack([lattice.rest, lattice.rest + track.motion], 1)[seen]
         axes.add_collection(LineCollection(list(ends), colors=colours[seen], linewidths=1))
         axes.scatter(*ends[:, 1].T, s=5, c=colours[seen])
-        lost = lattice.place[~seen]
+        lost = lattice.rest[~seen]
         axes.scatter(*lost.T, s=18, facecolors="none", edgecolors="yellow", linewidths=0.8)
     figure.suptitle(
         "Lines lead from where each pin stands untouched to where it is; circled: not found",
@@ -39,9 +39,7 @@ def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> 
     return png_of(figure)
 
 
-def _words(lattice: Lattice, track: Track) -> str:
-    if not track.sure:
+def _words(lattice: Lattice, track: PinTrack) -> str:
+    if not track.identified:
         return "identities not sure: left out"
-    return (
-        f"{len(lattice.place) - track.missed} of {len(lattice.place)} pins, doubt {track.doubt:.2f}"
-    )
+    return f"{len(lattice.rest) - track.missed} of {len(lattice.rest)} pins, doubt {track.max_offset:.2f}"

@@ -17,7 +17,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.angles import rotate_2d, wrap_degrees
-from jaxunshear.image.lattice import spacing_of
+from jaxunshear.image.lattice import measure_spacing
 from jaxunshear.storage import Json
 from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
 
@@ -40,7 +40,7 @@ def drawing_of(
 ) -> Callable[[Batch, Array], Batch]:
     """Draws `share` of all batches anew; the others are as the simulator gave them. The camera's place has standard deviations of
     `turned_deg`, and of `shifted` spacings of the pins."""
-    turns, spacing_px = turns_of(rest, 1), spacing_of(rest)
+    turns, spacing_px = turns_of(rest, 1), measure_spacing(rest)
 
     def draw(batch: Batch, key: Array) -> Batch:
         chance, angle, follow, camera = jax.random.split(key, 4)

@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.calibration.sampling import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.image.camera import outer_fraction
+from jaxunshear.image.camera import compute_outer_fraction
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import Sensor
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
@@ -43,11 +43,11 @@ def test_known_values_are_found(results, simulated):
         results[0]["preset"],
         simulated.camera,
     )  # a ratio to the outermost pins, whose place is fitted too
-    edge = preset["camera"]["housing"] * outer_fraction(
+    edge = preset["camera"]["housing"] * compute_outer_fraction(
         Camera(**preset["camera"]), Sensor(**preset["sensor"])
     )
     assert edge == pytest.approx(
-        camera.housing * outer_fraction(camera, simulated.sensor), rel=0.005
+        camera.housing * compute_outer_fraction(camera, simulated.sensor), rel=0.005
     )
     for name in ("mm_across", "friction", "skin_to_gel"):
         assert found[name]["determined"], name

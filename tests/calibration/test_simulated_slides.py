@@ -9,7 +9,7 @@ from jaxunshear.calibration.prediction import displacements
 from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
 from jaxunshear.calibration.validation import places
 from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.lattice import compute_rings, make_lattice
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
@@ -46,7 +46,7 @@ def taps():
 @pytest.fixture(scope="module")
 def lattice(taps):
     return make_lattice(
-        _at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], shells(SMALL)
+        _at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], compute_rings(SMALL)
     )
 
 

@@ -18,7 +18,7 @@ from jaxunshear.calibration.statistics import (
     summaries,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.image.camera import outer_fraction
+from jaxunshear.image.camera import compute_outer_fraction
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
@@ -41,7 +41,7 @@ def test_known_lattice(images):
     means = _means(images)
     assert means["pins found"] == 331
     assert means["outermost ring, share of width"] == pytest.approx(
-        outer_fraction(Camera(), TACTIP_331), rel=0.005
+        compute_outer_fraction(Camera(), TACTIP_331), rel=0.005
     )
     tips = compute_pin_tips(TACTIP_331)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (Camera().distance_mm - tips[:, 2])
@@ -127,7 +127,7 @@ def test_central_pins_weigh_alike():
 def test_missing_pins_move_no_ring(images):
     """Hidden on one side, as the housing hides them after a slide."""
     seen = observe(images, TACTIP_331)
-    shell, place = seen.lattice.shell, seen.place.copy()
+    shell, place = seen.lattice.ring, seen.place.copy()
     place[0, -8:] = np.nan
     full = ring_motion(shell, seen.place - seen.rest)
     np.testing.assert_allclose(ring_motion(shell, place - seen.rest), full, atol=0.05)

@@ -17,7 +17,7 @@ from jaxunshear.calibration.validation import (
     settled,
     stand,
 )
-from jaxunshear.image.lattice import shells
+from jaxunshear.image.lattice import compute_rings
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
@@ -41,7 +41,14 @@ def _compared(noise_px: float = 0.0, count: int = 30) -> Compared:
     recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
     one, other = centred(recorded, place)
     return Compared(
-        "a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), np.arange(count) % 2 > 0
+        "a",
+        one,
+        other,
+        one,
+        compute_rings(SENSOR),
+        rest,
+        np.ones(len(rest)),
+        np.arange(count) % 2 > 0,
     )
 
 
@@ -64,7 +71,7 @@ def test_places_on_the_lattice_are_those_of_the_calibration():
 def test_rings_with_phases_of_their_own_are_followed():
     """Pins that stand between the simulated ones: their mean place, which contacts shift, says where."""
     moved = _moved()
-    turn = 0.3 + 0.05 * shells(SENSOR)
+    turn = 0.3 + 0.05 * compute_rings(SENSOR)
     flat = compute_pin_lattice(SENSOR)
     flat = np.stack(
         [

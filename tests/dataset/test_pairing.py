@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.dataset import pairing
-from jaxunshear.image.dots import dots
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.pin_detection import find_pins
+from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.settings.targets import of_labels
@@ -18,7 +18,7 @@ SPACING = 0.375 * SIZE / 6
 
 
 def image(pins):
-    return (np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(
+    return (np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(
         np.uint8
     )[..., 0]
 

@@ -9,8 +9,8 @@ from PIL import Image
 
 from jaxunshear.api import find_pins
 from jaxunshear.errors import UserError
-from jaxunshear.image.camera import frame, project
-from jaxunshear.image.fitting import layout_of, read_layout
+from jaxunshear.image.camera import project, render_frame
+from jaxunshear.image.lattice_fitting import make_layout, read_layout
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import PinRows
 from jaxunshear.results.stored import SCHEMA, record_of
@@ -26,7 +26,9 @@ def frames(sensor, shifts_mm):
     tips, key = np.asarray(compute_pin_tips(sensor), np.float32), jax.random.key(0)
     bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
     moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
-    look = jax.jit(jax.vmap(lambda t, k: frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k)))
+    look = jax.jit(
+        jax.vmap(lambda t, k: render_frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k))
+    )
     grey = look(moved, jax.random.split(key, len(moved)))
     return np.asarray(grey), np.asarray(project(CAMERA, moved, sensor))
 
@@ -82,7 +84,7 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
 def test_from_python_as_arrays(tmp_path):
     grey, true = frames(TACTIP_127, SHIFTS)
     write(tmp_path / "images", [*grey, np.random.default_rng(0).random((256, 256))])
-    found = find_pins(tmp_path / "images", layout_of(TACTIP_127))
+    found = find_pins(tmp_path / "images", make_layout(TACTIP_127))
     assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
     assert (
         found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()

@@ -18,8 +18,8 @@ from jaxunshear.downstream.geometry import (
 )
 from jaxunshear.downstream.geometry_scores import correlation
 from jaxunshear.downstream.recorded_geometry import heights_of_recordings
-from jaxunshear.image.dots import dots
-from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.lattice import compute_rings, make_lattice
+from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
@@ -28,21 +28,21 @@ from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 @pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)
 def lattice(request):
     flat = compute_pin_lattice(request.param)
-    return make_lattice(flat / np.abs(flat).max() * 46 + 64, shells(request.param))
+    return make_lattice(flat / np.abs(flat).max() * 46 + 64, compute_rings(request.param))
 
 
 def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
     flat = compute_pin_lattice(TACTIP_127)
     untouched = make_lattice(
-        flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127)
+        flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, compute_rings(TACTIP_127)
     )
-    pins = np.asarray(dots(np.float32(untouched.place)[None], 2.0, 128))[0, ..., 0]
+    pins = np.asarray(draw_dots(np.float32(untouched.rest)[None], 2.0, 128))[0, ..., 0]
     noise = np.random.default_rng(0).random((128, 128)) < 0.2
     for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
         (tmp_path / name).mkdir()
         Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
-    drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.place.shape))}
+    drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
     names, heights = heights_of_recordings(
         tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
     )
@@ -70,8 +70,8 @@ def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
 
 def test_hexagons_have_their_closed_form():
     flat = compute_pin_lattice(TACTIP_127)
-    lattice = make_lattice(flat, shells(TACTIP_127))
-    inner = lattice.shell < lattice.shell.max()
+    lattice = make_lattice(flat, compute_rings(TACTIP_127))
+    inner = lattice.ring < lattice.ring.max()
     expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2
     np.testing.assert_allclose(cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9)
 

@@ -7,11 +7,11 @@ from jaxunshear.dataset.fresh import FreshContacts
 from jaxunshear.downstream.makers import SKIN, VORONOI, makers_of, parting_level
 from jaxunshear.downstream.reconstruct import skin_places
 from jaxunshear.errors import UserError
-from jaxunshear.image.framing import undeformed
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.sensor import TACTIP_331
 
-LATTICE = undeformed(TACTIP_331, Camera(), Preprocess(size=128))
+LATTICE = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=128))
 
 
 def test_a_level_misses_as_much_as_it_adds():
@@ -30,12 +30,12 @@ def test_a_level_lies_between_what_does_not_overlap():
 def makers():
     """Made-up taps: skin is pressed in on one side of an edge, and draws its pins apart there."""
     generator = np.random.default_rng(1)
-    place, pins = skin_places(TACTIP_331), len(LATTICE.place)
+    place, pins = skin_places(TACTIP_331), len(LATTICE.rest)
     angle, aside = generator.uniform(0, 2 * np.pi, 60), generator.uniform(-3, 3, 60)
     distance = place @ np.stack([np.cos(angle), np.sin(angle)]) - aside
     distance = distance.T
     pressed = 2.0 / (1 + np.exp(distance))
-    spread = 0.1 * pressed[..., None] * (LATTICE.place - LATTICE.middle)
+    spread = 0.1 * pressed[..., None] * (LATTICE.rest - LATTICE.middle)
     motion = spread + generator.normal(0, 0.05, spread.shape)
     assert pressed.shape == (60, pins)
     return makers_of(TACTIP_331, LATTICE, motion, pressed, distance), motion
@@ -54,7 +54,7 @@ def test_makers_agree_on_what_they_are_given(makers):
 
 def test_untouched_skin_stands_as_the_dome_does(makers):
     maker = makers[0][SKIN]
-    still = np.zeros((1, *LATTICE.place.shape))
+    still = np.zeros((1, *LATTICE.rest.shape))
     off = np.linalg.norm(maker.place(still)[0], axis=-1)
     radius = TACTIP_331.dome_radius_mm
     np.testing.assert_allclose(

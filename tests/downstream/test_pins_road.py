@@ -12,9 +12,9 @@ from jaxunshear.dataset.chunks import render
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import outline
 from jaxunshear.downstream.walk_scores import walk_scores
-from jaxunshear.image.dots import dots
-from jaxunshear.image.framing import undeformed
-from jaxunshear.image.tracking import followed, motions_of
+from jaxunshear.image.pin_drawing import draw_dots
+from jaxunshear.image.pin_tracking import measure_motions, track_images
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -29,7 +29,7 @@ from jaxunshear.training import checkpoint
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))
 PAIRED = EXPERIMENT.paired
-LATTICE = undeformed(EXPERIMENT.sensor, PAIRED.camera, PAIRED.preprocess)
+LATTICE = compute_rest_lattice(EXPERIMENT.sensor, PAIRED.camera, PAIRED.preprocess)
 TARGETS = of_ranges((), PAIRED.ranges)
 NETS = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
 AWAY = 2.0  # px that all pins are moved by
@@ -42,7 +42,7 @@ def model(tmp_path_factory):
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     for seed, (name, net) in enumerate(NETS.items()):
         count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
-        fresh = pinnets.init(net, LATTICE.place, 2.0, jax.random.key(seed), outputs=count)
+        fresh = pinnets.init(net, LATTICE.rest, 2.0, jax.random.key(seed), outputs=count)
         draw = np.random.default_rng(seed).normal
         shaken = jax.tree.map(
             lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"]
@@ -63,26 +63,26 @@ def model(tmp_path_factory):
 @pytest.fixture(scope="module")
 def seen():
     """Images of pins that have moved, with one that the housing hides, and a black image; the places of the first."""
-    rim = int(np.argmax(LATTICE.place[:, 0]))
-    pins = LATTICE.place + np.array([AWAY, 0.0])
+    rim = int(np.argmax(LATTICE.rest[:, 0]))
+    pins = LATTICE.rest + np.array([AWAY, 0.0])
     pins[rim] = np.nan
-    drawn = np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size))[
-        ..., 0
-    ]
+    drawn = np.asarray(
+        draw_dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size)
+    )[..., 0]
     return np.concatenate([drawn, 0 * drawn]).astype(np.uint8) * 255, pins
 
 
 def test_pins_are_followed_and_what_is_not_is_nan(seen):
     images, pins = seen
     for alone in (False, True):
-        found = followed(LATTICE, images, alone)
-        assert found.sure.tolist() == [True, False]
+        found = track_images(LATTICE, images, alone)
+        assert found.identified.tolist() == [True, False]
         assert (
             np.isnan(found.motion[1]).all() and (np.isnan(found.motion[0]) == np.isnan(pins)).all()
         )
-        off = np.linalg.norm(LATTICE.place + found.motion[0] - pins, axis=-1)
+        off = np.linalg.norm(LATTICE.rest + found.motion[0] - pins, axis=-1)
         assert np.nanmax(off) < 0.5
-    motion = motions_of(LATTICE, images)
+    motion = measure_motions(LATTICE, images)
     np.testing.assert_array_equal(motion[0][np.isfinite(pins)], found.motion[0][np.isfinite(pins)])
     np.testing.assert_allclose(motion[0][np.isnan(pins[:, 0])], [[AWAY, 0]], atol=0.3)
     assert np.isnan(motion[1]).all()
@@ -99,7 +99,7 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
     assert ways_of(model) == ("sheared", "disentangled") and unshearing_of(model) == (
         "disentangled",
     )
-    pins = LATTICE.place + followed(LATTICE, images[:1]).motion
+    pins = LATTICE.rest + track_images(LATTICE, images[:1]).motion
     after = by_hand(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
         edge_mm, edge_deg = perceptions(model, EXPERIMENT, (way,))[way](images)
@@ -109,7 +109,7 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()
     motion = unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
     np.testing.assert_allclose(
-        motion[0], after[0] - LATTICE.place, atol=1e-4
+        motion[0], after[0] - LATTICE.rest, atol=1e-4
     )  # not drawn and found again
     assert np.isnan(motion[1]).all()
 

@@ -11,8 +11,8 @@ import pytest
 from jaxunshear.evaluation.evaluate import results_of
 from jaxunshear.evaluation.found import FOUND, SEEN_TAP, batches_of, found_pairs
 from jaxunshear.evaluation.networks import pin_run_of
-from jaxunshear.image.dots import dots
-from jaxunshear.image.framing import undeformed
+from jaxunshear.image.pin_drawing import draw_dots
+from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.report import scores
 from jaxunshear.settings.data import PairedData
@@ -25,13 +25,13 @@ from tests.report.conftest import made_up_gathered
 
 SETTINGS = PairedData()
 SIZE = SETTINGS.preprocess.size
-LATTICE = undeformed(TACTIP_331, SETTINGS.camera, SETTINGS.preprocess)
+LATTICE = compute_rest_lattice(TACTIP_331, SETTINGS.camera, SETTINGS.preprocess)
 MOVES = np.array([[0.0, 0.0], [2.0, -1.0], [0.5, 3.0]])  # px, of the pins of a slide
 TARGETS = of_ranges((), SETTINGS.ranges)
 
 
 def drawn(pins):
-    return np.asarray(dots(jnp.asarray(pins, jnp.float32), 1.6, SIZE)).astype(np.uint8) * 255
+    return np.asarray(draw_dots(jnp.asarray(pins, jnp.float32), 1.6, SIZE)).astype(np.uint8) * 255
 
 
 class Reader:
@@ -44,7 +44,7 @@ class Reader:
         return len(MOVES)
 
     def take(self, split, rows, fields):
-        tap = np.repeat(LATTICE.place[None], len(MOVES), axis=0).astype(np.float32)
+        tap = np.repeat(LATTICE.rest[None], len(MOVES), axis=0).astype(np.float32)
         slide = tap + MOVES[:, None].astype(np.float32)
         found = {
             "canonical_pins": tap,
@@ -73,10 +73,10 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
         and 0 < found.reported["sheared"]["rms_px"] < 0.4
     )
     np.testing.assert_array_equal(
-        found.pairs["canonical_pins"][0], LATTICE.place.astype(np.float32)
+        found.pairs["canonical_pins"][0], LATTICE.rest.astype(np.float32)
     )  # as it is
-    np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.place, atol=0.7)
-    np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.place, atol=0.7)
+    np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.rest, atol=0.7)
+    np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.rest, atol=0.7)
     assert [len(batch["pose_id"]) for batch in batches_of(found, 1)] == [1, 1]
     assert found_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
 
@@ -88,14 +88,14 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
     }
     counts = {"disentangled": 0, "posenet": posenet.outputs_of(TARGETS)}
     variables = {
-        name: pinnets.init(net, LATTICE.place, 2.0, jax.random.key(1), outputs=counts[name])
+        name: pinnets.init(net, LATTICE.rest, 2.0, jax.random.key(1), outputs=counts[name])
         for name, net in nets.items()
     }
     run = partial(
-        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.place, 1.6, SIZE))),
+        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.rest, 1.6, SIZE))),
         variables,
     )
-    tap = LATTICE.place[None].astype(np.float32)
+    tap = LATTICE.rest[None].astype(np.float32)
     noisy = tap + np.random.default_rng(0).normal(0, 1, tap.shape).astype(np.float32)
     (plain, true), (outputs, found) = run(tap, tap + 1), run(tap, tap + 1, noisy)
     of_noisy, _ = run(noisy, noisy)

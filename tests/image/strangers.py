@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
 
 from jaxunshear.dataset.chunks import render
-from jaxunshear.image.lattice import spacing_of
-from jaxunshear.image.pins import glance
+from jaxunshear.image.lattice import measure_spacing
+from jaxunshear.image.pin_detection import detect_pins_fast
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import inverse
+from jaxunshear.image.sensor_check import invert_image
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
@@ -84,7 +84,7 @@ def _resampled(
 
 
 def _masked(white: np.ndarray) -> np.ndarray:
-    return inverse(np.where(white, np.uint8(0), np.uint8(255)))
+    return invert_image(np.where(white, np.uint8(0), np.uint8(255)))
 
 
 def _dots(place: np.ndarray, size: int, radius: float) -> np.ndarray:
@@ -134,8 +134,8 @@ def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
-    pins = glance(image)
-    spacing = spacing_of(pins)
+    pins = detect_pins_fast(image)
+    spacing = measure_spacing(pins)
     return _dots(
         pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing
     )
@@ -207,7 +207,7 @@ def _half_covered(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 
 def _inverted(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return inverse(image)
+    return invert_image(image)
 
 
 def _blank(image: np.ndarray, rng: Generator) -> np.ndarray:

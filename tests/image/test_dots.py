@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.image.dots import dots
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.pin_detection import find_pins
+from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
 
@@ -16,7 +16,9 @@ PINS = (SIZE - 1) / 2 + 0.375 * SIZE * FLAT / np.linalg.norm(FLAT, axis=-1).max(
 
 @pytest.mark.parametrize("shift", [0.0, 0.3])
 def test_dots_are_found_where_they_were_drawn(shift):
-    image = np.asarray(dots(jnp.asarray(PINS[None] + shift, jnp.float32), 2.1, SIZE))[0, ..., 0]
+    image = np.asarray(draw_dots(jnp.asarray(PINS[None] + shift, jnp.float32), 2.1, SIZE))[
+        0, ..., 0
+    ]
     found = find_pins((image * 255).astype(np.uint8))
     assert len(found) == len(PINS)
     apart = np.linalg.norm(found[:, None] - (PINS + shift), axis=-1).min(axis=1)
@@ -27,5 +29,5 @@ def test_dots_are_found_where_they_were_drawn(shift):
 def test_pins_that_are_not_seen_are_not_drawn():
     holes = PINS.copy()
     holes[:30] = np.nan
-    image = np.asarray(dots(jnp.asarray(holes[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
+    image = np.asarray(draw_dots(jnp.asarray(holes[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
     assert len(find_pins((image * 255).astype(np.uint8))) == len(PINS) - 30

@@ -3,14 +3,20 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.growing import CALM, filled, off_neighbours, rated, repaired
-from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.image.track import judged
+from jaxunshear.image.identity_repair import (
+    MAX_OFFSET,
+    fill_missing,
+    measure_neighbour_offsets,
+    rate_identities,
+    repair_identities,
+)
+from jaxunshear.image.lattice import compute_rings, make_lattice
+from jaxunshear.image.pin_track import assess_track
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_331
 
 PLACE = compute_pin_lattice(TACTIP_331) / 2.0 * 4.5 + 64
-LATTICE = make_lattice(PLACE, shells(TACTIP_331))
+LATTICE = make_lattice(PLACE, compute_rings(TACTIP_331))
 
 
 def moved():
@@ -25,7 +31,7 @@ def moved():
 def one_place_off(place, count=6):
     """Rows of the found pins, a row of them each in its neighbour's stead; the last has none."""
     which = np.arange(len(place))
-    row = np.flatnonzero(LATTICE.shell == 6)[:count]
+    row = np.flatnonzero(LATTICE.ring == 6)[:count]
     which[row[:-1]] = row[1:]
     which[row[-1]] = -1
     return which, row
@@ -34,17 +40,17 @@ def one_place_off(place, count=6):
 def test_a_row_one_place_off_is_repaired():
     found = moved()
     wrong, row = one_place_off(found)
-    before = rated(LATTICE, found, wrong)
-    assert not before.calm and before.off[row].max() > 2 * CALM
-    right = repaired(LATTICE, found, cKDTree(found), wrong)
+    before = rate_identities(LATTICE, found, wrong)
+    assert not before.calm and before.offset[row].max() > 2 * MAX_OFFSET
+    right = repair_identities(LATTICE, found, cKDTree(found), wrong)
     np.testing.assert_array_equal(right, np.arange(len(found)))
 
 
 def test_what_is_right_stays():
     found = moved()
     which = np.arange(len(found))
-    assert rated(LATTICE, found, which).calm
-    np.testing.assert_array_equal(repaired(LATTICE, found, cKDTree(found), which), which)
+    assert rate_identities(LATTICE, found, which).calm
+    np.testing.assert_array_equal(repair_identities(LATTICE, found, cKDTree(found), which), which)
 
 
 def test_a_hidden_side_stays_empty():
@@ -52,7 +58,7 @@ def test_a_hidden_side_stays_empty():
     found = found[found[:, 0] < 100]
     which = cKDTree(found).query(moved())
     which = np.where(which[0] < 1e-9, which[1], -1)
-    got = repaired(LATTICE, found, cKDTree(found), which)
+    got = repair_identities(LATTICE, found, cKDTree(found), which)
     np.testing.assert_array_equal(got, which)
 
 
@@ -60,22 +66,22 @@ def test_a_row_one_place_off_is_not_sure_though_it_is_smooth_elsewhere():
     found = moved()
     wrong, _ = one_place_off(found)
     motion = np.where(wrong[:, None] >= 0, found[wrong] - PLACE, np.nan)
-    assert not judged(LATTICE, motion, wrong, len(found)).sure
-    assert judged(LATTICE, found - PLACE, np.arange(len(found)), len(found)).sure
+    assert not assess_track(LATTICE, motion, wrong, len(found)).identified
+    assert assess_track(LATTICE, found - PLACE, np.arange(len(found)), len(found)).identified
 
 
 def test_pins_missing_on_one_side_and_left_over_on_the_other_are_not_sure():
     which = np.where(PLACE[:, 0] > np.sort(PLACE[:, 0])[5], np.arange(len(PLACE)), -1)
     motion = np.where(which[:, None] >= 0, 0.0, np.nan) + np.zeros_like(PLACE)
-    assert judged(LATTICE, motion, which, len(PLACE) - 6).sure  # hidden ones
-    assert not judged(LATTICE, motion, which, len(PLACE)).sure
+    assert assess_track(LATTICE, motion, which, len(PLACE) - 6).identified  # hidden ones
+    assert not assess_track(LATTICE, motion, which, len(PLACE)).identified
 
 
 def test_filled_and_off_neighbours():
     flat = np.tile([1.5, -0.5], (len(PLACE), 1))
     flat[40:50] = np.nan
     np.testing.assert_allclose(
-        filled(LATTICE, flat), np.tile([1.5, -0.5], (len(PLACE), 1)), atol=0.02
+        fill_missing(LATTICE, flat), np.tile([1.5, -0.5], (len(PLACE), 1)), atol=0.02
     )
-    off = off_neighbours(LATTICE, flat)
+    off = measure_neighbour_offsets(LATTICE, flat)
     assert off.max() < 0.01 and (off[40:50] == 0).all()

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.image.pins import detect
-from jaxunshear.image.tracking import follow_pins
+from jaxunshear.image.lattice import compute_rings, make_lattice
+from jaxunshear.image.pin_detection import detect_pins
+from jaxunshear.image.pin_tracking import track_pins
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_331
 
 SIZE, RADIUS = 256, 2.9
 PLACE = compute_pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5
-LATTICE = make_lattice(PLACE, shells(TACTIP_331))
+LATTICE = make_lattice(PLACE, compute_rings(TACTIP_331))
 
 
 def picture(place, radius=None):
@@ -30,12 +30,12 @@ def slid():
 
 
 def error(track):
-    return np.linalg.norm(LATTICE.place + track.motion - slid(), axis=-1)
+    return np.linalg.norm(LATTICE.rest + track.motion - slid(), axis=-1)
 
 
 def test_a_clean_image():
-    track = follow_pins(LATTICE, detect(picture(slid())))
-    assert track.sure and track.seen.all() and track.extra == 0
+    track = track_pins(LATTICE, detect_pins(picture(slid())))
+    assert track.identified and track.seen.all() and track.extra == 0
     assert np.sqrt(np.mean(error(track) ** 2)) < 0.15 and error(track).max() < 0.4
 
 
@@ -43,10 +43,11 @@ def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
     pin = 331 - 30
     outward = (PLACE[pin] - 127.5) / np.linalg.norm(PLACE[pin] - 127.5)
     glint = slid()[pin] + 4.4 * outward
-    track = follow_pins(
-        LATTICE, detect(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9)))
+    track = track_pins(
+        LATTICE,
+        detect_pins(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))),
     )
-    assert track.sure and track.seen[pin] and error(track)[pin] < 0.8
+    assert track.identified and track.seen[pin] and error(track)[pin] < 0.8
     np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
 
 
@@ -54,8 +55,8 @@ def test_faint_pins_are_seen():
     radius = np.full(331, RADIUS)
     faint = [7, 150, 260]
     radius[faint] = 1.5
-    track = follow_pins(LATTICE, detect(picture(slid(), radius)))
-    assert track.sure and track.seen[faint].all() and error(track)[faint].max() < 0.5
+    track = track_pins(LATTICE, detect_pins(picture(slid(), radius)))
+    assert track.identified and track.seen[faint].all() and error(track)[faint].max() < 0.5
 
 
 def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
@@ -65,14 +66,14 @@ def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
         1.3,
     ]  # a lever that turns at an edge; a window smaller than the pin finds white wherever it looks
     radius[100] *= 1.1
-    track = follow_pins(LATTICE, detect(picture(place, radius)))
-    assert track.sure and track.doubt > 0.1
-    assert np.linalg.norm(LATTICE.place + track.motion - place, axis=-1)[100] < 0.2
+    track = track_pins(LATTICE, detect_pins(picture(place, radius)))
+    assert track.identified and track.max_offset > 0.1
+    assert np.linalg.norm(LATTICE.rest + track.motion - place, axis=-1)[100] < 0.2
 
 
 def test_pins_that_are_not_there_are_not_made_up():
     gone = [7, 150, 260]
-    track = follow_pins(LATTICE, detect(picture(np.delete(slid(), gone, axis=0))))
+    track = track_pins(LATTICE, detect_pins(picture(np.delete(slid(), gone, axis=0))))
     assert not track.seen[gone].any() and track.missed == 3
 
 
@@ -80,12 +81,12 @@ def test_pins_that_are_not_there_are_not_made_up():
     "image", [np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)]
 )
 def test_nothing_to_see(image):
-    track = follow_pins(LATTICE, detect(image))
-    assert not track.sure and not track.seen.any()
+    track = track_pins(LATTICE, detect_pins(image))
+    assert not track.identified and not track.seen.any()
 
 
 def test_half_an_image_is_not_sure():
     image = picture(slid())
     image[:, 120:] = 0
-    track = follow_pins(LATTICE, detect(image))
-    assert not track.sure
+    track = track_pins(LATTICE, detect_pins(image))
+    assert not track.identified

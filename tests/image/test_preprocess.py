@@ -9,19 +9,19 @@ from skimage.transform import resize_local_mean
 
 from jaxunshear.errors import UserError
 from jaxunshear.image import grey
-from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.camera import compute_outer_fraction, project, render_frame, to_image_px
+from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.image.preprocess import (
     View,
-    _reframed,
+    _reframe,
     binarise,
-    common_view,
-    crop,
+    combine_views,
+    crop_frame,
     find_dome,
-    own_view,
+    find_view,
+    find_white_level,
     prepare_frame,
     to_grey,
-    white_of,
 )
 from jaxunshear.metrics.pin_error import measure_pin_error
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -61,7 +61,9 @@ def frames():
     ).astype(np.float32)
     keys = jax.random.split(jax.random.key(3), len(tips))
     return np.asarray(
-        jax.vmap(lambda tip, key: frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(tips, keys)
+        jax.vmap(lambda tip, key: render_frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(
+            tips, keys
+        )
     )
 
 
@@ -144,13 +146,13 @@ def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
     found = find_pins(prepare_frame(Preprocess(size=size), photo))
     assert abs(len(found) - 331) <= 1
     reach = np.hypot(*(found - (size - 1) / 2).T).max() / size
-    assert reach == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+    assert reach == pytest.approx(compute_outer_fraction(CAMERA, TACTIP_331), abs=0.01)
 
 
 def test_pins_in_a_dark_surround_are_found_too():
     dark = Nuisance(housing_ring=False, specks=0)
     square = np.asarray(
-        frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
+        render_frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
     )
     photo = photograph(square, side=380, top=60, left=200, light=0.03)
     left, top, right, bottom = find_dome(to_grey(photo), Preprocess().outer_pins)
@@ -163,7 +165,7 @@ def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(scale):
     """Its corners, which an opening would round, are not taken for a dome's rim."""
     dark = Nuisance(housing_ring=False, specks=0)
     square = np.asarray(
-        frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
+        render_frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
     )
     side = square.shape[0]
     around = np.full((round(side / scale),) * 2, square.min(), np.float32)
@@ -178,7 +180,7 @@ def test_a_bbox_is_obeyed(frames):
     image = prepare_frame(Preprocess(size=256), photo, View((150, 30, 550, 430)))
     same = np.asarray(binarise(Preprocess(size=256), frames[0]))
     assert np.mean(image == same) > 0.97
-    assert crop(np.zeros((20, 30)), (5, 2, 15, 8)).shape == (10, 10)
+    assert crop_frame(np.zeros((20, 30)), (5, 2, 15, 8)).shape == (10, 10)
     with pytest.raises(UserError, match="bbox"):
         prepare_frame(Preprocess(), photo, View((700, 0, 800, 100)))
 
@@ -223,7 +225,7 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
     ],
 )
 def test_white_is_the_range_that_a_camera_fills(frame, white):
-    assert white_of(frame) == white
+    assert find_white_level(frame) == white
 
 
 def test_a_hot_pixel_changes_nothing_but_itself(frames):
@@ -249,7 +251,7 @@ def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     )
     shared, alone = (
         prepare_frame(Preprocess(), dark, view)
-        for view in (View(None, (("uint16", white_of(bright)),)), View())
+        for view in (View(None, (("uint16", find_white_level(bright)),)), View())
     )
     other, off = (
         np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone)
@@ -261,7 +263,7 @@ def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
     """A folder may hold photographs and masks: none is black beside a wider type's white."""
     photo = photograph(frames[0])
     raws = [photo, photo.astype(np.uint16) * 257, (photo[..., 0] > 150).astype(np.uint8)]
-    view = common_view([own_view(Preprocess(), raw) for raw in raws])
+    view = combine_views([find_view(Preprocess(), raw) for raw in raws])
     assert dict(view.whites) == {"uint8": 255, "uint16": 65535}
     for raw in raws:
         np.testing.assert_array_equal(
@@ -297,7 +299,7 @@ def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, si
     generator = np.random.default_rng(size)
     raws = [generator.random(shape) > 0.7 for shape in ((96, 96), (96, 120), (64, 96))]
     raws = [raw if kind is bool else raw.astype(np.uint8) * np.uint8(255) for raw in raws]
-    assert all(grey.white_pixels(raw) is not None for raw in raws)
+    assert all(grey.find_white_pixels(raw) is not None for raw in raws)
     quick = [prepare_frame(Preprocess(size=size), raw, view) for raw in raws]
     for image, raw in zip(quick, raws, strict=True):
         wider = raw.astype(
@@ -311,7 +313,7 @@ def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, si
 def test_what_is_not_black_and_white_goes_the_long_way():
     """Also what is black or white all over, and too small: the long way refuses these."""
     raw = np.random.default_rng(0).integers(0, 2, (32, 32), np.uint8) * np.uint8(255)
-    assert grey.white_pixels(raw) is not None
+    assert grey.find_white_pixels(raw) is not None
     other = [
         raw.astype(np.uint16),
         raw.astype(float),
@@ -324,7 +326,7 @@ def test_what_is_not_black_and_white_goes_the_long_way():
         spoilt = raw.copy()
         spoilt[3, 4] = level
         other.append(spoilt)
-    assert [grey.white_pixels(each) for each in other] == [None] * len(other)
+    assert [grey.find_white_pixels(each) for each in other] == [None] * len(other)
 
 
 def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
@@ -333,7 +335,7 @@ def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
     found = find_pins(prepare_frame(Preprocess(size=256), closer))
     assert abs(len(found) - 331) <= 1
     assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(
-        outer_fraction(CAMERA, TACTIP_331), abs=0.015
+        compute_outer_fraction(CAMERA, TACTIP_331), abs=0.015
     )
 
 
@@ -362,7 +364,7 @@ def test_real_frames(real_recordings, number, size):
     raw = np.asarray(Image.open(real_recordings / "raw" / f"image_{number}.png"))
     preprocess = Preprocess(size=size)
     grey = to_grey(raw)
-    square = crop(grey, find_dome(grey, preprocess.outer_pins))
+    square = crop_frame(grey, find_dome(grey, preprocess.outer_pins))
     image = prepare_frame(preprocess, raw)
     assert (
         np.mean(np.asarray(binarise(preprocess, square)) == binarise_reference(preprocess, square))
@@ -372,7 +374,7 @@ def test_real_frames(real_recordings, number, size):
     found = find_pins(image)
     assert abs(len(found) - 331) <= 3
     outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size
-    assert outermost == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+    assert outermost == pytest.approx(compute_outer_fraction(CAMERA, TACTIP_331), abs=0.01)
 
 
 @pytest.mark.parametrize("grey", [False, True])
@@ -392,4 +394,4 @@ def test_dots_on_a_shallow_arc_are_not_taken_for_a_dome_of_a_hundred_thousand_pi
     for left in range(20, 980, 24):
         top = round(500 + 3 * ((left - 500) / 480) ** 2)
         image[top : top + 7, left : left + 7] = 255
-    assert _reframed(image / 255, 0.36) == (0, 0, 1000, 1000)
+    assert _reframe(image / 255, 0.36) == (0, 0, 1000, 1000)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.image.fitting import Layout, fit_lattice, layout_of
-from jaxunshear.image.lattice import make_lattice, shells, shells_of
-from jaxunshear.image.pins import Found
-from jaxunshear.image.track import judged
-from jaxunshear.image.tracking import follow_pins
+from jaxunshear.image.lattice import compute_rings, estimate_rings, make_lattice
+from jaxunshear.image.lattice_fitting import MarkerLayout, fit_lattice, make_layout
+from jaxunshear.image.pin_detection import DetectedPins
+from jaxunshear.image.pin_track import assess_track
+from jaxunshear.image.pin_tracking import track_pins
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
@@ -32,9 +32,9 @@ def test_identities(sensor, shift_px):
     place = _flat(sensor)
     order = rng.permutation(len(place))
     found = (_slid(place, shift_px) + rng.normal(0, 0.1, place.shape))[order]
-    track = follow_pins(make_lattice(place, shells(sensor)), Found(found))
-    assert track.sure and track.missed == track.extra == 0
-    np.testing.assert_array_equal(order[track.which], np.arange(len(place)))
+    track = track_pins(make_lattice(place, compute_rings(sensor)), DetectedPins(found))
+    assert track.identified and track.missed == track.extra == 0
+    np.testing.assert_array_equal(order[track.identity], np.arange(len(place)))
 
 
 def test_nearest_would_be_wrong():
@@ -49,7 +49,7 @@ def test_missing_and_extra_pins_are_counted():
     found = np.concatenate(
         [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
     )
-    track = follow_pins(make_lattice(place), Found(found))
+    track = track_pins(make_lattice(place), DetectedPins(found))
     assert (
         track.missed <= 3 and track.extra >= 1
     )  # an extra pin may stand in for a missing neighbour
@@ -59,8 +59,10 @@ def test_missing_and_extra_pins_are_counted():
 def test_scrambled_pins_are_not_sure():
     rng = np.random.default_rng(1)
     place = _flat(TACTIP_331)
-    assert not follow_pins(make_lattice(place), Found(rng.uniform(16, 112, place.shape))).sure
-    assert not follow_pins(make_lattice(place), Found(place[:100])).sure
+    assert not track_pins(
+        make_lattice(place), DetectedPins(rng.uniform(16, 112, place.shape))
+    ).identified
+    assert not track_pins(make_lattice(place), DetectedPins(place[:100])).identified
 
 
 def test_lattice_is_found_turned_and_shifted():
@@ -73,30 +75,30 @@ def test_lattice_is_found_turned_and_shifted():
     ]
     rng = np.random.default_rng(2)
     frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
-    lattice = fit_lattice(frames, layout_of(TACTIP_331))
-    off = np.min(np.linalg.norm(lattice.place[:, None] - turned[None], axis=-1), axis=1)
+    lattice = fit_lattice(frames, make_layout(TACTIP_331))
+    off = np.min(np.linalg.norm(lattice.rest[:, None] - turned[None], axis=-1), axis=1)
     assert off.max() < 0.15
     np.testing.assert_allclose(lattice.middle, [60, 66], atol=0.1)
     np.testing.assert_allclose(
-        np.linalg.norm(lattice.place - lattice.middle, axis=-1),
-        RIM_PX / 10 * shells(TACTIP_331),
+        np.linalg.norm(lattice.rest - lattice.middle, axis=-1),
+        RIM_PX / 10 * compute_rings(TACTIP_331),
         atol=0.2,
     )
 
 
 def test_another_sensor_is_refused():
     with pytest.raises(UserError, match="tactip127"):
-        fit_lattice([_flat(TACTIP_331)], layout_of(TACTIP_127))
+        fit_lattice([_flat(TACTIP_331)], make_layout(TACTIP_127))
 
 
 def test_a_pin_without_company_counts_as_not_seen():
     place = _flat(TACTIP_331)
-    lattice = make_lattice(place, shells(TACTIP_331))
+    lattice = make_lattice(place, compute_rings(TACTIP_331))
     motion = np.zeros_like(place)
     rim = int(np.argmax(place[:, 0]))
-    motion[lattice.near[rim, :7]] = np.nan
+    motion[lattice.neighbours[rim, :7]] = np.nan
     motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could say
-    track = judged(lattice, motion, np.arange(len(place)), len(place))
+    track = assess_track(lattice, motion, np.arange(len(place)), len(place))
     assert not track.seen[rim] and track.missed == 8
 
 
@@ -117,5 +119,5 @@ def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
     frames = [
         place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
     ]
-    found = fit_lattice(frames, Layout("layout", flat, shells_of(flat), 360.0))
-    np.testing.assert_allclose(found.place, place, atol=0.5)
+    found = fit_lattice(frames, MarkerLayout("layout", flat, estimate_rings(flat), 360.0))
+    np.testing.assert_allclose(found.rest, place, atol=0.5)

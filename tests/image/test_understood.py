@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.camera import frame
-from jaxunshear.image.fitting import fit_lattice, layout_of
-from jaxunshear.image.framing import undeformed
-from jaxunshear.image.pins import find_pins, glance
+from jaxunshear.image.camera import render_frame
+from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.image.pin_detection import detect_pins_fast, find_pins
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import (
-    Expected,
-    expected_of,
-    inverse,
-    plausibility,
-    seen_of,
-    verdict,
+from jaxunshear.image.rest_positions import compute_rest_lattice
+from jaxunshear.image.sensor_check import (
+    SensorAppearance,
+    compute_plausibility,
+    invert_image,
+    judge_images,
+    measure_image_appearance,
+    measure_sensor_appearance,
 )
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
@@ -38,7 +38,9 @@ def sets():
     return {
         name: SimpleNamespace(
             images=touched(sensor, camera, 16, seed=5),
-            expected=expected_of(undeformed(sensor, camera, Preprocess()).place, 128),
+            expected=measure_sensor_appearance(
+                compute_rest_lattice(sensor, camera, Preprocess()).rest, 128
+            ),
         )
         for name, (sensor, camera) in SENSORS.items()
     }
@@ -48,11 +50,11 @@ def sets():
 def test_known_images_are_plausible_also_turned_drifted_and_with_specks(sets, name):
     rng = np.random.default_rng(2)
     images, expected = sets[name].images, sets[name].expected
-    plain = [plausibility(image, expected) for image in images]
-    other_day = [plausibility(varied(image, rng), expected) for image in images]
+    plain = [compute_plausibility(image, expected) for image in images]
+    other_day = [compute_plausibility(varied(image, rng), expected) for image in images]
     assert np.median(plain) > 0.95 and np.mean(np.array(plain) > 0.5) > 0.9
     assert np.median(other_day) > 0.9 and np.mean(np.array(other_day) > 0.5) > 0.8
-    assert verdict(images, expected).ok and verdict(images, expected).reason == ""
+    assert judge_images(images, expected).ok and judge_images(images, expected).reason == ""
 
 
 @pytest.mark.parametrize("kind", STRANGERS)
@@ -60,16 +62,20 @@ def test_strangers_are_not(sets, kind):
     rng = np.random.default_rng(3)
     for name in ("331", "127"):
         made = np.array([STRANGERS[kind](image, rng) for image in sets[name].images[:8]])
-        likely = [plausibility(image, sets[name].expected) for image in made]
+        likely = [compute_plausibility(image, sets[name].expected) for image in made]
         assert np.median(likely) < 0.05, name
-        assert not verdict(made, sets[name].expected).ok
+        assert not judge_images(made, sets[name].expected).ok
 
 
 def test_the_order_of_known_images_and_strangers(sets):
     rng = np.random.default_rng(4)
-    known = [plausibility(image, each.expected) for each in sets.values() for image in each.images]
+    known = [
+        compute_plausibility(image, each.expected)
+        for each in sets.values()
+        for image in each.images
+    ]
     strange = [
-        plausibility(make(image, rng), each.expected)
+        compute_plausibility(make(image, rng), each.expected)
         for each in sets.values()
         for make in STRANGERS.values()
         for image in each.images[:3]
@@ -80,16 +86,16 @@ def test_the_order_of_known_images_and_strangers(sets):
 @pytest.fixture(scope="module")
 def grey():
     """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
-    draw = jax.jit(frame, static_argnums=(0, 1, 2))
+    draw = jax.jit(render_frame, static_argnums=(0, 1, 2))
     return np.asarray(
         draw(Camera(), TACTIP_331, Nuisance(), compute_pin_tips(TACTIP_331), jax.random.key(0))
     )
 
 
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
-    place = undeformed(TACTIP_331, Camera(), Preprocess()).place
+    place = compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest
     expected = sets["331"].expected
-    seen = seen_of(prepare_frame(Preprocess(), grey, FULL_VIEW))
+    seen = measure_image_appearance(prepare_frame(Preprocess(), grey, FULL_VIEW))
     assert seen.pins == expected.pins == 331
     assert seen.spacing == pytest.approx(expected.spacing, rel=0.02)
     assert seen.rim == pytest.approx(expected.rim, rel=0.02)
@@ -102,7 +108,7 @@ def test_what_is_seen_is_where_the_pins_are(sets, grey):
 
 def test_a_glance_finds_what_find_pins_finds(sets):
     for each in sets.values():
-        found, seen = find_pins(each.images[3]), glance(each.images[3])
+        found, seen = find_pins(each.images[3]), detect_pins_fast(each.images[3])
         off = cKDTree(found).query(seen)[0]
         assert abs(len(found) - len(seen)) <= 0.03 * len(found)
         assert np.median(off) < 1e-9 and np.mean(off < 0.7) > 0.97
@@ -118,29 +124,29 @@ def test_a_glance_sets_touching_pins_apart():
         )
         <= 3**2
     )
-    found = glance(white.astype(np.uint8) * np.uint8(255))
+    found = detect_pins_fast(white.astype(np.uint8) * np.uint8(255))
     off = cKDTree(found).query(place)[0]
     assert len(found) == 64 and off.max() < 0.5
 
 
 def test_light_images_with_dark_pins_are_noticed(sets, grey):
     expected = sets["331"].expected
-    turned = np.array([inverse(image) for image in sets["331"].images[:5]])
-    said = verdict(turned, expected)
+    turned = np.array([invert_image(image) for image in sets["331"].images[:5]])
+    said = judge_images(turned, expected)
     assert said.inverted and not said.ok and "dark pins" in said.reason
-    assert not verdict(sets["331"].images[:5], expected).inverted
-    assert not verdict(np.zeros((3, 128, 128), np.uint8), expected).inverted
+    assert not judge_images(sets["331"].images[:5], expected).inverted
+    assert not judge_images(np.zeros((3, 128, 128), np.uint8), expected).inverted
     # as a camera with the other polarity gives them, before the threshold
     light = prepare_frame(Preprocess(), 1 - grey, FULL_VIEW)
-    assert verdict(light[None], expected).inverted
+    assert judge_images(light[None], expected).inverted
     # and of a sensor whose pins are others
-    assert not verdict(turned, sets["127"].expected).inverted
+    assert not judge_images(turned, sets["127"].expected).inverted
 
 
 def test_inverse_twice_is_the_image_within_the_mask(sets):
     image = sets["331"].images[0]
-    assert np.array_equal(inverse(inverse(image)), image)
-    assert inverse(image)[0, 0] == 0 and inverse(image)[64, 64] == 255 - image[64, 64]
+    assert np.array_equal(invert_image(invert_image(image)), image)
+    assert invert_image(image)[0, 0] == 0 and invert_image(image)[64, 64] == 255 - image[64, 64]
 
 
 def test_reasons(sets):
@@ -148,13 +154,15 @@ def test_reasons(sets):
     images, expected = sets["331"].images, sets["331"].expected
 
     def reason(kind):
-        return verdict(np.array([STRANGERS[kind](image, rng) for image in images]), expected).reason
+        return judge_images(
+            np.array([STRANGERS[kind](image, rng) for image in images]), expected
+        ).reason
 
     assert reason("white noise") == reason("scattered dots") == "dots are scattered, not a lattice"
     assert reason("blank") == "no pins are found"
     number = "127 pins are found, the model's sensor has 331: it is another sensor"
-    assert number in verdict(sets["127"].images, expected).reason
-    assert "the model's sensor has 127: it" in verdict(images, sets["127"].expected).reason
+    assert number in judge_images(sets["127"].images, expected).reason
+    assert "the model's sensor has 127: it" in judge_images(images, sets["127"].expected).reason
     assert "crop the frames alike" in reason("shrunk by 15 % and more")
     for kind in ("zoomed by 15 % and more", "half covered", "off by 15 % and more"):
         assert reason(kind).endswith("or the frames are cropped otherwise"), kind
@@ -163,7 +171,7 @@ def test_reasons(sets):
 def test_reasons_give_another_framing(sets):
     expected = sets["331"].expected
     for other in (replace(expected, rim=expected.rim / 1.5), replace(expected, column=0.3)):
-        assert "crop the frames alike" in verdict(sets["331"].images, other).reason
+        assert "crop the frames alike" in judge_images(sets["331"].images, other).reason
 
 
 def test_half_of_a_folder_is_enough(sets):
@@ -171,28 +179,30 @@ def test_half_of_a_folder_is_enough(sets):
     noise = np.array(
         [STRANGERS["shuffled pixels"](image, np.random.default_rng(0)) for image in images]
     )
-    assert verdict(np.concatenate([images, noise]), expected).ok
-    assert not verdict(np.concatenate([images[:3], noise]), expected).ok
+    assert judge_images(np.concatenate([images, noise]), expected).ok
+    assert not judge_images(np.concatenate([images[:3], noise]), expected).ok
 
 
 @pytest.mark.parametrize("size", [1, 2, 16, 128])
 def test_images_without_pins(sets, size):
     for value in (0, 255):
         image = np.full((size, size), value, np.uint8)
-        assert plausibility(image, sets["331"].expected) == 0
-        assert verdict(image[None], sets["331"].expected).reason
+        assert compute_plausibility(image, sets["331"].expected) == 0
+        assert judge_images(image[None], sets["331"].expected).reason
 
 
 def test_other_sizes_are_the_same_sensor(sets):
     large = [np.kron(image, np.ones((2, 2), np.uint8)) for image in sets["331"].images[:4]]
-    assert all(plausibility(image, sets["331"].expected) > 0.9 for image in large)
+    assert all(compute_plausibility(image, sets["331"].expected) > 0.9 for image in large)
 
 
 def test_what_cannot_be():
     with pytest.raises(ValueError, match="at least 10"):
-        expected_of(np.zeros((9, 2)), 128)
+        measure_sensor_appearance(np.zeros((9, 2)), 128)
     with pytest.raises(ValueError, match="no images"):
-        verdict(np.zeros((0, 128, 128), np.uint8), Expected(331, 0.04, 0.38, 0.5, 0.5, 0.6))
+        judge_images(
+            np.zeros((0, 128, 128), np.uint8), SensorAppearance(331, 0.04, 0.38, 0.5, 0.5, 0.6)
+        )
 
 
 def test_real_images(real_recordings):
@@ -200,18 +210,22 @@ def test_real_images(real_recordings):
     taps, slides = (
         _packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear")
     )
-    expected = expected_of(
-        fit_lattice([find_pins(image) for image in taps], layout_of(TACTIP_331)).place, 128
+    expected = measure_sensor_appearance(
+        fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331)).rest, 128
     )
-    likely = np.array([plausibility(image, expected) for image in slides])
+    likely = np.array([compute_plausibility(image, expected) for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
-    assert verdict(slides[:20], expected).ok
-    hexagonal = expected_of(undeformed(TACTIP_127, Camera(), Preprocess()).place, 128)
-    assert verdict(slides[:20], hexagonal).reason.startswith(
+    assert judge_images(slides[:20], expected).ok
+    hexagonal = measure_sensor_appearance(
+        compute_rest_lattice(TACTIP_127, Camera(), Preprocess()).rest, 128
+    )
+    assert judge_images(slides[:20], hexagonal).reason.startswith(
         "about 331 pins are found, the model's sensor has 127"
     )
-    simulated = expected_of(undeformed(TACTIP_331, Camera(), Preprocess()).place, 128)
-    assert verdict(
+    simulated = measure_sensor_appearance(
+        compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest, 128
+    )
+    assert judge_images(
         slides[:20], simulated
     ).ok  # a model of simulated images may be asked about real ones
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.metrics.pin_error import match_pins, measure_pin_error
 
 

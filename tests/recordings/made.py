@@ -11,12 +11,12 @@ import jax
 import numpy as np
 from PIL import Image
 
-from jaxunshear.image.dots import dots
+from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, Sensor
 
 SIZE = 96
-DOTS = jax.jit(dots, static_argnums=(1, 2))
+DOTS = jax.jit(draw_dots, static_argnums=(1, 2))
 OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
 NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "Rx", "Ry", "Rz")]
 

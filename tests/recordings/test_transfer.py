@@ -15,7 +15,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import transfer
 from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
 from jaxunshear.evaluation.unseen import table
-from jaxunshear.image.understood import expected_of
+from jaxunshear.image.sensor_check import measure_sensor_appearance
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.plain import plain
@@ -125,7 +125,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     def read(images):
         return Seen(images, np.ones(len(images), bool))
 
-    expected = expected_of(made.rest_px(), made.SIZE)
+    expected = measure_sensor_appearance(made.rest_px(), made.SIZE)
     network = Perceiver(preprocess, None, (), read, values, expected)
     results = score_transfer(
         Experiment("small", "none"), tmp_path / "weights", folder, "a command", network

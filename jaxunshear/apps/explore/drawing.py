@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxunshear.apps.explore.outline import outlines
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
-from jaxunshear.image.png import png
+from jaxunshear.image.png import encode_png
 from jaxunshear.settings.reach import reach_mm
 
 MAP_PX = 640
@@ -19,7 +19,7 @@ COLOURS = {STUCK: "#1f6feb", SLIPPING: "#d9822b", FREE: "#aab2bf"}
 
 def data_url(image: np.ndarray) -> str:
     """(S, S) uint8 -> a PNG that an `img` takes."""
-    return f"data:image/png;base64,{base64.b64encode(png(image, level=1)).decode()}"
+    return f"data:image/png;base64,{base64.b64encode(encode_png(image, level=1)).decode()}"
 
 
 def to_mm(column: float, row: float) -> tuple[float, float]:

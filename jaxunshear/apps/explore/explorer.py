@@ -19,11 +19,11 @@ from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.preparing import Frame
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.image.framing import undeformed
-from jaxunshear.image.pins import detect
-from jaxunshear.image.png import eight_bit
+from jaxunshear.image.pin_detection import detect_pins
+from jaxunshear.image.png import to_uint8
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import ANY, inverse, verdict
+from jaxunshear.image.rest_positions import compute_rest_lattice
+from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
     UNSHEARED,
@@ -95,11 +95,13 @@ class Explorer:
         images, note = {SHEARED: seen[0], TAP: seen[1]}, ""
         poses = {TRUE: _true_pose(touch, self.perceive.names)}
         if touch.sensor != self.experiment.sensor:
-            note = verdict(seen[:1], self.perceive.expected).reason
+            note = judge_images(seen[:1], self.perceive.expected).reason
             note = f"the model does not know this sensor: {note or 'its pins only resemble those that it learnt from'}"
         else:
             # what the simulator draws is of this sensor, however far it is pressed
-            note = _add_answer(images, poses, self.perceive._replace(least=ANY).answer(seen[:1]))
+            note = _add_answer(
+                images, poses, self.perceive._replace(least=NO_MINIMUM).answer(seen[:1])
+            )
         return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
 
     def recorded(self, name: str, data: bytes) -> Picture:
@@ -110,12 +112,14 @@ class Explorer:
             image = prepare_frame(network.preprocess, raw, network.view or View())
         except UserError as error:
             raise UserError(f"{name}: {error}") from None
-        found = verdict(image[None], network.expected)
+        found = judge_images(image[None], network.expected)
         if not found.ok and not found.inverted:
             raise UserError(f"{name}: {found.reason}")
-        images: dict[str, np.ndarray] = {SHEARED: inverse(image) if found.inverted else image}
+        images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if found.inverted else image}
         poses: dict[str, dict[str, float]] = {}
-        note = _add_answer(images, poses, network._replace(least=ANY).answer(images[SHEARED][None]))
+        note = _add_answer(
+            images, poses, network._replace(least=NO_MINIMUM).answer(images[SHEARED][None])
+        )
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
 
@@ -147,7 +151,7 @@ def _add_answer(
     if answers.doubt[0]:
         return f"no unsheared image: {answers.doubt[0]}"
     if answers.unsheared is not None:
-        images[UNSHEARED] = eight_bit(answers.unsheared[0])
+        images[UNSHEARED] = to_uint8(answers.unsheared[0])
     for way, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):
         if way in answers.poses:
             poses[key] = {name: float(values[0]) for name, values in answers.poses[way].items()}
@@ -171,16 +175,16 @@ def _edge_of(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
 
 @lru_cache(maxsize=8)
 def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
-    return undeformed(sensor, paired.camera, paired.preprocess).place
+    return compute_rest_lattice(sensor, paired.camera, paired.preprocess).rest
 
 
 def _simulated_frame(sensor: Sensor, paired: PairedData) -> Frame:
     """What the simulator's frames have in common."""
-    lattice = undeformed(sensor, paired.camera, paired.preprocess)
+    lattice = compute_rest_lattice(sensor, paired.camera, paired.preprocess)
     image = render(
         paired, sensor, compute_pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1
     )[0][0]
     size = paired.preprocess.size
     return Frame(
-        View(), lattice.place, lattice.shell, lattice.spacing, detect(image).radius, size, size
+        View(), lattice.rest, lattice.ring, lattice.spacing, detect_pins(image).radius, size, size
     )

@@ -12,7 +12,13 @@ from jaxunshear.apps.export.graph import BYTE, FLOAT, Graph
 from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import LUMA
-from jaxunshear.image.preprocess import View, area_matrix, mask_of, mean_matrix, prepare_frame
+from jaxunshear.image.preprocess import (
+    View,
+    make_area_matrix,
+    make_mask,
+    make_mean_matrix,
+    prepare_frame,
+)
 from jaxunshear.settings.image import Preprocess
 
 SAMPLED = 8  # frames that the nodes are compared by
@@ -66,13 +72,13 @@ def prepare(graph: Graph, camera: Camera, frame: str) -> str:
         _cut(*edges, preprocess.size) for edges in ((top, bottom, height), (left, right, width))
     )
     small = _both_sides(graph, rows, grey, columns)
-    local = mean_matrix(preprocess)
+    local = make_mean_matrix(preprocess)
     level = graph.add("Add", _both_sides(graph, local, small, local), np.float32(preprocess.offset))
     binary, middle = _levels(graph, grey)
     thresholded = graph.add("And", graph.add("Not", binary), graph.add("Greater", small, level))
     halved = graph.add("And", binary, graph.add("GreaterOrEqual", small, middle))
     white = graph.add("Or", thresholded, halved)
-    return graph.add("And", white, mask_of(preprocess))
+    return graph.add("And", white, make_mask(preprocess))
 
 
 def as_bytes(graph: Graph, white: str) -> str:
@@ -91,7 +97,7 @@ def _cut(start: int, end: int, length: int, size: int) -> np.ndarray:
     """(size, length): the pixels from `start` to `end` resized by area; beyond the frame its border repeats."""
     cut = np.zeros((end - start, length), np.float32)
     cut[np.arange(end - start), np.clip(np.arange(start, end), 0, length - 1)] = 1
-    return area_matrix(end - start, size) @ cut
+    return make_area_matrix(end - start, size) @ cut
 
 
 def _both_sides(graph: Graph, rows: np.ndarray, image: str, columns: np.ndarray) -> str:

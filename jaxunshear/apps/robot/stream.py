@@ -22,9 +22,15 @@ from jaxunshear.apps.robot.sources import Frame
 from jaxunshear.dataset.preparing import Frame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
-from jaxunshear.image.png import eight_bit, png
-from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
-from jaxunshear.image.understood import ANY, ENOUGH, Expected, plausibility, state_doubt
+from jaxunshear.image.png import encode_png, to_uint8
+from jaxunshear.image.preprocess import View, combine_views, find_view, prepare_frame
+from jaxunshear.image.sensor_check import (
+    MIN_PLAUSIBILITY,
+    NO_MINIMUM,
+    SensorAppearance,
+    compute_plausibility,
+    explain_rejection,
+)
 from jaxunshear.inference.perceiver import UNSHEARED, expected_by, perceiver
 from jaxunshear.inference.perception import Forward, confidence, load_forward
 from jaxunshear.metrics import compute_pose_errors
@@ -62,10 +68,10 @@ class Robot(NamedTuple):
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    expected: Expected | None = (
+    expected: SensorAppearance | None = (
         None  # how its sensor appears: confidence falls for what appears otherwise
     )
-    least: float = ENOUGH  # plausibility of a frame that is understood
+    least: float = MIN_PLAUSIBILITY  # plausibility of a frame that is understood
 
 
 def robot_of(
@@ -78,7 +84,7 @@ def robot_of(
 
     `frame` as `perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
     """
-    least = ANY if force else ENOUGH
+    least = NO_MINIMUM if force else MIN_PLAUSIBILITY
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment)
         return Robot(
@@ -186,7 +192,7 @@ def stream(
             if images is not None and after is not None:
                 line["image"] = _save(images, frame, after)
             elif inline and after is not None:
-                line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
+                line["image_png"] = base64.b64encode(encode_png(to_uint8(after), FAST)).decode()
             found.networks_ms.append(1e3 * spent)
             found.total_ms.append(1e3 * (time.perf_counter() - came))
             found.confident.append(sure)
@@ -212,8 +218,8 @@ def _answer(
     asked = time.perf_counter()
     found = robot.step(image)
     answered = time.perf_counter()
-    likely = 1.0 if robot.expected is None else plausibility(image, robot.expected)
-    if why := state_doubt(found.sure, likely, robot.least):
+    likely = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
+    if why := explain_rejection(found.sure, likely, robot.least):
         raise UserError(why)
     return found.after, found.pose, found.crisp * likely, answered - asked
 
@@ -251,8 +257,8 @@ def steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     def seen(raw: np.ndarray) -> View:
         known = views.setdefault(raw.shape, [])
         if len(known) < PROBES:
-            known.append(own_view(preprocess, raw))
-            common[raw.shape] = common_view(known)
+            known.append(find_view(preprocess, raw))
+            common[raw.shape] = combine_views(known)
         return common[raw.shape]
 
     return seen
@@ -279,5 +285,5 @@ def _write(out: TextIO, line: Json) -> None:
 
 def _save(folder: Path, frame: Frame, image: np.ndarray) -> str:
     path = folder / f"{frame.number:06d}.png"
-    write_bytes(path, png(eight_bit(image), FAST))
+    write_bytes(path, encode_png(to_uint8(image), FAST))
     return str(path)

@@ -14,9 +14,14 @@ from jaxunshear.apps.robot.sources import Frame, frames_of
 from jaxunshear.apps.robot.stream import Perceived, Robot, steady_view, stream
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.dots import dots as draw_dots
-from jaxunshear.image.framing import undeformed
-from jaxunshear.image.understood import ANY, ENOUGH, STRANGE, UNSURE
+from jaxunshear.image.pin_drawing import draw_dots
+from jaxunshear.image.rest_positions import compute_rest_lattice
+from jaxunshear.image.sensor_check import (
+    FOREIGN_REASON,
+    MIN_PLAUSIBILITY,
+    NO_MINIMUM,
+    UNIDENTIFIED_REASON,
+)
 from jaxunshear.inference.perceiver import expected_by
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
@@ -74,9 +79,9 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
     preprocess = EXPERIMENT.paired.preprocess
     expected = expected_by(None, EXPERIMENT)
-    known = undeformed(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
+    known = compute_rest_lattice(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
     pins = np.uint8(
-        255 * np.asarray(draw_dots(np.float32(known.place)[None], 1.5, preprocess.size))[0, ..., 0]
+        255 * np.asarray(draw_dots(np.float32(known.rest)[None], 1.5, preprocess.size))[0, ..., 0]
         + 0.5
     )
     frames = [
@@ -95,14 +100,20 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
         )
         return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
-    summary, lines = answer(ENOUGH)
-    assert (summary.used, summary.skipped, summary.problems) == (1, 2, {STRANGE: 1, UNSURE: 1})
+    summary, lines = answer(MIN_PLAUSIBILITY)
+    assert (summary.used, summary.skipped, summary.problems) == (
+        1,
+        2,
+        {FOREIGN_REASON: 1, UNIDENTIFIED_REASON: 1},
+    )
     assert lines[0]["confidence"] > 0.5 and summary.pose_mae == {"edge_mm": 0}
-    for line, reason in zip(lines[1:], (STRANGE, UNSURE), strict=True):
+    for line, reason in zip(lines[1:], (FOREIGN_REASON, UNIDENTIFIED_REASON), strict=True):
         assert line.keys() == {"frame", "name", "confidence", "error"}
         assert (line["confidence"], line["error"]) == (0, reason)
-    summary, lines = answer(ANY)
-    assert (summary.used, summary.problems) == (2, {UNSURE: 1}) and lines[1]["confidence"] < 0.01
+    summary, lines = answer(NO_MINIMUM)
+    assert (summary.used, summary.problems) == (2, {UNIDENTIFIED_REASON: 1}) and lines[1][
+        "confidence"
+    ] < 0.01
 
 
 @pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])

@@ -1,6 +1,6 @@
 """Pins drawn as round dots, where only their places are known.
 
->>> images = dots(pins, radius_px=1.4, size=128)       # (B, P, 2) px -> (B, 128, 128, 1) in {0, 1}
+>>> images = draw_dots(pins, radius_px=1.4, size=128)       # (B, P, 2) px -> (B, 128, 128, 1) in {0, 1}
 """
 
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jax import Array
 from jaxtyping import Float, Float32
 
 
-def dots(
+def draw_dots(
     pins: Float[Array, "B P 2"], radius_px: float, size: int
 ) -> Float32[Array, "B {size} {size} 1"]:
     """Binary images of pins px as (column, row); a pin that is NaN is not drawn.

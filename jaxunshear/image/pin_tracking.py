@@ -9,10 +9,10 @@ Where pins have left the view, mean and spread mislead. Then the frames that wen
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
 
     lattice = fit_lattice([find_pins(image) for image in images], layout_of(TACTIP_331))
-    tracks = follow_all(lattice, [detect(image) for image in images])
+    tracks = track_all(lattice, [detect_pins(image) for image in images])
     motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
 
-What reads pins takes `followed` images, or their `motions_of`.
+What reads pins takes `track_images` images, or their `measure_motions`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,118 +24,124 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.image.growing import filled, rated, repaired
-from jaxunshear.image.lattice import DEGREES, Lattice
-from jaxunshear.image.measuring import measured
-from jaxunshear.image.pins import Found, detect
-from jaxunshear.image.track import Track, judged
+from jaxunshear.image.identity_repair import fill_missing, rate_identities, repair_identities
+from jaxunshear.image.lattice import POLYNOMIAL_DEGREES, Lattice
+from jaxunshear.image.pin_detection import DetectedPins, detect_pins
+from jaxunshear.image.pin_refinement import refine_track
+from jaxunshear.image.pin_track import PinTrack, assess_track
 
-LIMIT = 0.75  # of the spacing: beyond it a found pin is another one
+MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a found pin is another one
 REPEATS = 3  # of a polynomial's fit, fewer where pairs come no nearer than
-AT_REST = 0.9  # of their distance before
-LEARNT_FROM = 10  # sure frames, at least
+CONVERGED_RATIO = 0.9  # of their distance before
+MIN_PRIOR_FRAMES = 10  # sure frames, at least
 MODES = 3
 STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may differ at a pin
 GRID = 15  # points along a mode, at most
-TRIED = 6  # of the grid's motions
-CLOSE = 0.1  # share of the pins that are at fault in a motion worth mending at once
-REPAIRED = 2  # of the others
+TRIED_MOTIONS = 6  # of the grid's motions
+MAX_FAULT_SHARE = 0.1  # share of the pins that are at fault in a motion worth mending at once
+MAX_REPAIRED = 2  # of the others
 
 
-class Usual(NamedTuple):
+class MotionPrior(NamedTuple):
     """How the pins of a set usually move."""
 
     motion: np.ndarray  # (M, P, 2) px, a grid over the ways in which motions differ
     view: float  # px from the lattice's centre within which pins are seen
 
 
-class Followed(NamedTuple):
+class TrackedPins(NamedTuple):
     """The pins of N images by identity."""
 
     # (N, P, 2) px from the lattice; NaN where a pin is not seen, and all of an image that is not sure
     motion: np.ndarray
-    sure: np.ndarray  # (N,) whether the pins were identified for sure
+    identified: np.ndarray  # (N,) whether the pins were identified for sure
 
 
-def followed(
-    lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone: bool = False
-) -> Followed:
-    """The pins of binary images (S, S) of one camera. `alone`: each image by itself, as a robot sees it; else the sure ones help with
+def track_images(
+    lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, independent: bool = False
+) -> TrackedPins:
+    """The pins of binary images (S, S) of one camera. `independent`: each image by itself, as a robot sees it; else the sure ones help with
     the others."""
-    found = [detect(image) for image in images]
-    tracks = [follow_pins(lattice, each) for each in found] if alone else follow_all(lattice, found)
+    found = [detect_pins(image) for image in images]
+    tracks = (
+        [track_pins(lattice, each) for each in found] if independent else track_all(lattice, found)
+    )
     sure = np.array([track.sure for track in tracks], bool)
-    motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.place.shape)
-    return Followed(np.where(sure[:, None, None], motion, np.nan), sure)
+    motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.rest.shape)
+    return TrackedPins(np.where(sure[:, None, None], motion, np.nan), sure)
 
 
-def motions_of(
+def measure_motions(
     lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray
 ) -> Float[np.ndarray, "N P 2"]:
     """In px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
-    motion, sure = followed(lattice, images)
+    motion, sure = track_images(lattice, images)
     for row in np.flatnonzero(sure):
-        motion[row] = filled(lattice, motion[row])
+        motion[row] = fill_missing(lattice, motion[row])
     return motion
 
 
-def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
+def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     """Every pin's identity and motion in frames of one camera, in their order; those that are sure help with the others."""
-    tracks = [follow_pins(lattice, found) for found in frames]
-    usual = usual_motions(lattice, tracks)
+    tracks = [track_pins(lattice, found) for found in frames]
+    usual = fit_motion_prior(lattice, tracks)
     if usual is None:
         return tracks
     return [
-        track if track.sure else follow_pins(lattice, found, usual)
+        track if track.sure else track_pins(lattice, found, usual)
         for track, found in zip(tracks, frames, strict=True)
     ]
 
 
-def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Track:
-    """The same of one frame, with the help of how pins `usual`ly move where that is known."""
-    found, pins = seen.pins, len(lattice.place)
-    best = Track(
+def track_pins(
+    lattice: Lattice, detected: DetectedPins, prior: MotionPrior | None = None
+) -> PinTrack:
+    """The same of one frame, with the help of how pins `prior`ly move where that is known."""
+    found, pins = detected.pins, len(lattice.rest)
+    best = PinTrack(
         np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False
     )
     if len(found) < 0.7 * pins:
         return best
     tree = cKDTree(found)
     left = []
-    for motion in _first_motions(lattice, found, usual):
-        which = _settled(lattice, found, motion)
-        rating = rated(lattice, found, which)
-        if rating.faults > CLOSE * pins:
-            left.append((rating.faults, which))
+    for motion in _first_motions(lattice, found, prior):
+        which = _match_iteratively(lattice, found, motion)
+        rating = rate_identities(lattice, found, which)
+        if rating.fault_count > MAX_FAULT_SHARE * pins:
+            left.append((rating.fault_count, which))
             continue
-        best = min(best, _ended(lattice, seen, tree, which), key=_worth)
+        best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
         if best.sure:
             return best
-    for _, which in sorted(left, key=lambda pair: pair[0])[:REPAIRED]:
-        best = min(best, _ended(lattice, seen, tree, which), key=_worth)
+    for _, which in sorted(left, key=lambda pair: pair[0])[:MAX_REPAIRED]:
+        best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
         if best.sure:
             break
     return best
 
 
-def _ended(lattice: Lattice, seen: Found, tree: cKDTree, which: np.ndarray) -> Track:
+def _finish_track(
+    lattice: Lattice, seen: DetectedPins, tree: cKDTree, which: np.ndarray
+) -> PinTrack:
     """From rows (P,) of the found pins: repaired, then measured where that leaves doubt."""
-    which = repaired(lattice, seen.pins, tree, which)
-    motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.place, np.nan)
-    return measured(lattice, judged(lattice, motion, which, len(seen.pins)), seen)
+    which = repair_identities(lattice, seen.pins, tree, which)
+    motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.rest, np.nan)
+    return refine_track(lattice, assess_track(lattice, motion, which, len(seen.pins)), seen)
 
 
-def _worth(track: Track) -> tuple[bool, int, float]:
-    return not track.sure, track.missed, track.doubt
+def _rank_track(track: PinTrack) -> tuple[bool, int, float]:
+    return not track.identified, track.missed, track.max_offset
 
 
-def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
+def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | None:
     """What the sure ones of some tracks have in common; None where there are too few."""
     sure = [track for track in tracks if track.sure]
-    if len(sure) < LEARNT_FROM:
+    if len(sure) < MIN_PRIOR_FRAMES:
         return None
     known = np.array(
         [
-            np.where(np.isnan(track.motion), filled(lattice, track.motion), track.motion)
+            np.where(np.isnan(track.motion), fill_missing(lattice, track.motion), track.motion)
             for track in sure
         ]
     )
@@ -151,30 +157,30 @@ def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
     amounts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
     grid = mean + np.tensordot(amounts, right[: len(axes)].reshape(-1, *mean.shape), 1)
     off = np.linalg.norm(
-        lattice.place + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1
+        lattice.rest + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1
     )
-    return Usual(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
+    return MotionPrior(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
 
 
 def _centre(lattice: Lattice) -> np.ndarray:
-    return (lattice.place.max(axis=0) + lattice.place.min(axis=0)) / 2
+    return (lattice.rest.max(axis=0) + lattice.rest.min(axis=0)) / 2
 
 
 def _first_motions(
-    lattice: Lattice, found: np.ndarray, usual: Usual | None
+    lattice: Lattice, found: np.ndarray, usual: MotionPrior | None
 ) -> Iterator[np.ndarray]:
     """Motions (P, 2) px to start from: the likeliest affine one, then the best usual ones, or turned ones where none is known."""
     likeliest = _affine(lattice, found)
-    yield likeliest - lattice.place
+    yield likeliest - lattice.rest
     if usual is not None:
-        yield from _searched(lattice, found, usual)
+        yield from _search_prior(lattice, found, usual)
         return
     middle = likeliest.mean(axis=0)
     for angle in np.radians([4, -4, 8, -8]):
-        yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.place
+        yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.rest
 
 
-def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:
+def _search_prior(lattice: Lattice, found: np.ndarray, usual: MotionPrior) -> np.ndarray:
     """The usual motions (TRIED, P, 2) that put the lattice nearest to the found pins.
 
     A pin counts as far off as the nearest found one, half a spacing at most; so does one too many or too few in view. Distances are read
@@ -188,13 +194,13 @@ def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:
     off = np.minimum(ndimage.distance_transform_edt(empty) / (2 * lattice.spacing), 0.5).astype(
         np.float32
     )
-    place = lattice.place.astype(np.float32) + usual.motion
+    place = lattice.rest.astype(np.float32) + usual.motion
     inside = np.linalg.norm(place - _centre(lattice), axis=-1) < usual.view
     cell = np.clip(np.round(2 * (place - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
     apart = (off[cell[..., 1], cell[..., 0]] * inside).sum(-1) + 0.5 * np.abs(
         inside.sum(-1) - len(found)
     )
-    return usual.motion[np.argsort(apart)[:TRIED]].astype(float)
+    return usual.motion[np.argsort(apart)[:TRIED_MOTIONS]].astype(float)
 
 
 def _affine(lattice: Lattice, found: np.ndarray) -> np.ndarray:
@@ -202,7 +208,7 @@ def _affine(lattice: Lattice, found: np.ndarray) -> np.ndarray:
 
     Where a side of the pins has left the view, those that stand farthest out are left out of the comparison.
     """
-    place, middle, spread = lattice.place, found.mean(axis=0), np.cov(found.T)
+    place, middle, spread = lattice.rest, found.mean(axis=0), np.cov(found.T)
     kept = np.arange(len(place))
     for _ in range(5):
         here = place[kept]
@@ -223,11 +229,11 @@ def _root(matrix: np.ndarray) -> np.ndarray:
     return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
 
 
-def _settled(lattice: Lattice, found: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _match_iteratively(lattice: Lattice, found: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """From a first motion (P, 2) to the rows (P,) of the found pins, -1 for none."""
-    place, pins = lattice.place, len(lattice.place)
+    place, pins = lattice.rest, len(lattice.rest)
     pairs = _pairs(place + motion, found)
-    for degree in DEGREES:
+    for degree in POLYNOMIAL_DEGREES:
         for _ in range(REPEATS):
             rows, columns, off = pairs
             middle = _middle(off)
@@ -237,17 +243,19 @@ def _settled(lattice: Lattice, found: np.ndarray, motion: np.ndarray) -> np.ndar
             normal = weighted @ powers[rows] + 1e-3 * np.eye(powers.shape[1])
             motion = powers @ np.linalg.solve(normal, weighted @ (found[columns] - place[rows]))
             pairs = _pairs(place + motion, found)
-            if _middle(pairs[2]) > AT_REST * middle:
+            if _middle(pairs[2]) > CONVERGED_RATIO * middle:
                 break
     which = np.full(pins, -1)
     for _ in range(4):
         rows, columns, off = pairs
-        near = off <= LIMIT * lattice.spacing
+        near = off <= MAX_MATCH_DISTANCE * lattice.spacing
         before, which = which, np.full(pins, -1)
         which[rows[near]] = columns[near]
         if np.array_equal(before, which):
             break
-        motion = lattice.around @ np.where(which[:, None] >= 0, found[which] - place, motion)
+        motion = lattice.neighbour_weights @ np.where(
+            which[:, None] >= 0, found[which] - place, motion
+        )
         pairs = _pairs(place + motion, found)
     return which
 

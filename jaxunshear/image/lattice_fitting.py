@@ -9,22 +9,22 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
 from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
-from jaxunshear.image.pins import Found, outline
-from jaxunshear.image.tracking import follow_all
+from jaxunshear.image.lattice import Lattice, compute_rings, estimate_rings, make_lattice
+from jaxunshear.image.pin_detection import DetectedPins, find_hull
+from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import Sensor
 
-BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
+RADIAL_BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
-ALIKE = (
+MAX_MATCH_RATIO = (
     1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
 )
-ENOUGH = 0.7  # of a layout's pins: images that show fewer say nothing of it
-MOST = 60  # images, evenly spaced: more do not change the mean
+MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer say nothing of it
+MAX_IMAGES = 60  # images, evenly spaced: more do not change the mean
 
 
-class Layout(NamedTuple):
+class MarkerLayout(NamedTuple):
     """Pins on the skin rolled out flat, in any unit."""
 
     name: str
@@ -33,17 +33,17 @@ class Layout(NamedTuple):
     symmetry_deg: float  # turned by this it is the same again, and no image shows which
 
 
-def layout_of(sensor: Sensor) -> Layout:
+def make_layout(sensor: Sensor) -> MarkerLayout:
     """The pins of a sensor, in its order."""
-    return Layout(
+    return MarkerLayout(
         f"sensor '{sensor.name}' ({sensor.layout})",
         compute_pin_lattice(sensor),
-        shells(sensor),
+        compute_rings(sensor),
         60.0,
     )
 
 
-def read_layout(file: Path) -> Layout:
+def read_layout(file: Path) -> MarkerLayout:
     """A user's layout: two numbers a line, x and y of a pin in any unit, a heading allowed. Raises `UserError` by file and line."""
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
@@ -68,7 +68,7 @@ def read_layout(file: Path) -> Layout:
     if len(np.unique(flat, axis=0)) < len(flat):
         raise UserError(f"--layout {file}: two pins stand at the same place")
     flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
-    return Layout(f"layout {file.name}", flat, shells_of(flat), 360.0)
+    return MarkerLayout(f"layout {file.name}", flat, estimate_rings(flat), 360.0)
 
 
 def _is_number(word: str) -> bool:
@@ -79,22 +79,22 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: Layout) -> Lattice:
+def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) -> Lattice:
     """The lattice that the found pins px of images of one camera share: the mean place of each pin.
 
     Raises UserError where they do not appear to be pins of this layout.
     """
-    full = [found for found in frames if len(found) >= ENOUGH * len(layout.flat)]
+    full = [found for found in frames if len(found) >= MIN_PIN_SHARE * len(layout.flat)]
     if not full:
         most = max((len(found) for found in frames), default=0)
         raise UserError(
             f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
         )
-    frames = full[:: -(-len(full) // MOST)]
+    frames = full[:: -(-len(full) // MAX_IMAGES)]
     place = _first_guess(frames, layout)
     for _ in range(2):
         lattice = make_lattice(place, layout.shell)
-        tracks = follow_all(lattice, [Found(pins) for pins in frames])
+        tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
         motion = np.array(
             [track.motion for track in tracks if track.sure] or [track.motion for track in tracks]
         )
@@ -104,7 +104,7 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: Layout) -> Latti
         ):
             break
         mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
-        place = place + np.where(count[:, None] > 0, mean, lattice.around @ mean)
+        place = place + np.where(count[:, None] > 0, mean, lattice.neighbour_weights @ mean)
     else:
         return make_lattice(place, layout.shell)
     raise UserError(
@@ -113,7 +113,7 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: Layout) -> Latti
     )
 
 
-def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
+def _first_guess(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
     """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells.
 
     By the least turn of those that match about equally well: in a lattice of some symmetry noise must not choose which pin is which.
@@ -134,16 +134,16 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
         [
             [
                 np.mean([np.median(tree.query(guess(turn, bend)[outer])[0]) for tree in trees])
-                for bend in BENDS
+                for bend in RADIAL_BENDS
             ]
             for turn in turns
         ]
     )
-    alike = np.flatnonzero(off.min(axis=1) <= ALIKE * off.min())
+    alike = np.flatnonzero(off.min(axis=1) <= MAX_MATCH_RATIO * off.min())
     chosen = alike[np.argmin(np.abs(turns[alike]))]
-    return guess(turns[chosen], BENDS[np.argmin(off[chosen])])
+    return guess(turns[chosen], RADIAL_BENDS[np.argmin(off[chosen])])
 
 
 def _hull(found: np.ndarray) -> np.ndarray:
-    corners = outline(found)
+    corners = find_hull(found)
     return found[corners] if len(corners) else found

@@ -4,13 +4,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.image.camera import project, to_image_px
-from jaxunshear.image.lattice import Lattice, make_lattice, shells
+from jaxunshear.image.lattice import Lattice, compute_rings, make_lattice
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.sensor import Sensor
 
 
-def undeformed(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
+def compute_rest_lattice(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
     """The lattice of a sensor that touches nothing, seen through this camera and prepared like all frames."""
     px = project(camera, jnp.asarray(compute_pin_tips(sensor), jnp.float32), sensor)
-    return make_lattice(np.asarray(to_image_px(camera, preprocess, px), float), shells(sensor))
+    return make_lattice(
+        np.asarray(to_image_px(camera, preprocess, px), float), compute_rings(sensor)
+    )

@@ -7,64 +7,70 @@ within one pin's radius of there is its own.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.growing import filled, off_neighbours
+from jaxunshear.image.identity_repair import fill_missing, measure_neighbour_offsets
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import Found
-from jaxunshear.image.track import Track, judged
+from jaxunshear.image.pin_detection import DetectedPins
+from jaxunshear.image.pin_track import PinTrack, assess_track
 
-AGREED = (
+MIN_OFFSET = (
     0.1  # of the spacing off its neighbours: pins nearer than this are taken as they were found
 )
-AWAY = 0.3  # of the spacing: a window may lead this far
-WHITE = (0.2, 1.4)  # of a usual pin's area that its window holds
+MAX_WINDOW_SHIFT = 0.3  # of the spacing: a window may lead this far
+AREA_RANGE = (0.2, 1.4)  # of a usual pin's area that its window holds
 STEPS = 3
-BRINKS = 3  # pins deep, at most, that one left out leads to others
+MAX_RIM_DEPTH = 3  # pins deep, at most, that one left out leads to others
 
 
-def measured(lattice: Lattice, track: Track, found: Found) -> Track:
+def refine_track(lattice: Lattice, track: PinTrack, found: DetectedPins) -> PinTrack:
     """A track whose missing and doubtful pins are searched for in their windows, where there is an image."""
-    if found.white is None or track.seen.mean() < 0.6:
+    if found.mask is None or track.seen.mean() < 0.6:
         return track
-    motion = filled(lattice, track.motion)
-    expected = lattice.place + lattice.around @ motion
-    again = ~track.seen | (off_neighbours(lattice, track.motion) > AGREED)
+    motion = fill_missing(lattice, track.motion)
+    expected = lattice.rest + lattice.neighbour_weights @ motion
+    again = ~track.seen | (measure_neighbour_offsets(lattice, track.motion) > MIN_OFFSET)
     if not again.any():
         return track
     start = at = expected[again]
     for _ in range(STEPS):
-        at, area = _centroids(found.white, at, found.radius)
+        at, area = _centroids(found.mask, at, found.radius)
     share = area / (np.pi * found.radius**2)
-    near = np.linalg.norm(at - start, axis=-1) < AWAY * lattice.spacing
-    good = (share > WHITE[0]) & (share < WHITE[1]) & near
-    motion[again] = np.where(good[:, None], at - lattice.place[again], np.nan)
-    for _ in range(BRINKS):
-        motion[_at_the_brink(lattice, motion)] = np.nan
-    return _as_found(lattice, judged(lattice, motion, track.which, len(found.pins)), again, found)
+    near = np.linalg.norm(at - start, axis=-1) < MAX_WINDOW_SHIFT * lattice.spacing
+    good = (share > AREA_RANGE[0]) & (share < AREA_RANGE[1]) & near
+    motion[again] = np.where(good[:, None], at - lattice.rest[again], np.nan)
+    for _ in range(MAX_RIM_DEPTH):
+        motion[_find_rim_pins(lattice, motion)] = np.nan
+    return _snap_to_detected(
+        lattice, assess_track(lattice, motion, track.identity, len(found.pins)), again, found
+    )
 
 
-def _as_found(lattice: Lattice, track: Track, again: np.ndarray, found: Found) -> Track:
+def _snap_to_detected(
+    lattice: Lattice, track: PinTrack, again: np.ndarray, found: DetectedPins
+) -> PinTrack:
     """A track whose pins that were measured `again` (P,) stand on the complete dots that are near.
 
     A complete dot's centroid is the better measurement: a window that is smaller than a pin finds white all over, and stays near where the
     neighbours put it. That these expect the pin elsewhere is doubt, and was judged before.
     """
     rows = np.flatnonzero(again & track.seen)
-    dots = found.pins[found.single]
+    dots = found.pins[found.is_single]
     if not (len(rows) and len(dots)):
         return track
-    distance, nearest = cKDTree(dots).query(lattice.place[rows] + track.motion[rows])
-    near = distance < AGREED * lattice.spacing
+    distance, nearest = cKDTree(dots).query(lattice.rest[rows] + track.motion[rows])
+    near = distance < MIN_OFFSET * lattice.spacing
     motion = track.motion.copy()
-    motion[rows[near]] = dots[nearest[near]] - lattice.place[rows[near]]
+    motion[rows[near]] = dots[nearest[near]] - lattice.rest[rows[near]]
     return track._replace(motion=motion)
 
 
-def _at_the_brink(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+def _find_rim_pins(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(P,) bool: pins off their neighbours and next to one that is not seen: the housing hides part of them, or all."""
     unseen = np.isnan(motion[:, 0])
     if not unseen.any():
         return unseen
-    return (off_neighbours(lattice, motion) > AGREED) & unseen[lattice.near[:, :8]].any(axis=1)
+    return (measure_neighbour_offsets(lattice, motion) > MIN_OFFSET) & unseen[
+        lattice.neighbours[:, :8]
+    ].any(axis=1)
 
 
 def _centroids(white: np.ndarray, at: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:

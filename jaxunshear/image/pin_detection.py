@@ -14,18 +14,18 @@ from skimage.segmentation import watershed
 # A part of more than this times the usual pin's area, or length, may be several pins that touch.
 MERGED_AREA = 1.45
 MERGED_LENGTH = 1.6
-SINGLE = (
+SINGLE_AREA_RANGE = (
     0.65,
     1.35,
 )  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
 
 
-class Found(NamedTuple):
+class DetectedPins(NamedTuple):
     """The pins of an image, and what is needed to search again."""
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
-    single: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
-    white: np.ndarray | None = (
+    is_single: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
+    mask: np.ndarray | None = (
         None  # (S, S) bool, without parts as long as those of the housing ring
     )
     radius: float = 0.0  # px, of the usual pin; 0 where there is none
@@ -37,49 +37,49 @@ def find_pins(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
     Pins that touch are parted at the waist. The housing ring and specks are left out: they are too long, too large,
     too small or too far from other pins.
     """
-    return detect(image).pins
+    return detect_pins(image).pins
 
 
-def detect(image: np.ndarray) -> Found:
+def detect_pins(image: np.ndarray) -> DetectedPins:
     """`find_pins`, with what it saw."""
-    return _detected(image, _parted)
+    return _detect(image, _split_touching)
 
 
-def glance(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
+def detect_pins_fast(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
     """`find_pins` in a third of the time, and in a tenth for noise: pins that touch are set in a row of equal steps, a fraction of a pixel
     off. Good for what many pins have in common."""
-    return _detected(image, _in_a_row).pins
+    return _detect(image, _split_in_row).pins
 
 
-def _detected(image: np.ndarray, part: "_Part") -> Found:
+def _detect(image: np.ndarray, part: "_SplitComponent") -> DetectedPins:
     image = np.asarray(image)
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
-    parts = _parts(image > (127 if image.dtype == np.uint8 else 0.5))
+    parts = _find_components(image > (127 if image.dtype == np.uint8 else 0.5))
     short = parts.length < len(image) / 5
-    kept = short & _within(parts)
+    kept = short & _is_inside_mask(parts)
     white = np.append(False, short)[parts.labels]
     if not kept.any():
-        return Found(np.zeros((0, 2)), white=white)
+        return DetectedPins(np.zeros((0, 2)), mask=white)
     centre, area = parts.centre[kept], parts.area[kept]
-    usual = _usual(area)
+    usual = _compute_usual_area(area)
     diameter = 2 * np.sqrt(usual / np.pi)
     merged = (area > MERGED_AREA * usual) | (parts.length[kept] > MERGED_LENGTH * diameter)
     pieces = [part(parts, number, diameter) for number in 1 + np.flatnonzero(kept)[merged]]
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
-    usual = _usual(area)
+    usual = _compute_usual_area(area)
     single = (
         (np.arange(len(area)) < np.sum(~merged))
-        & (area > SINGLE[0] * usual)
-        & (area < SINGLE[1] * usual)
+        & (area > SINGLE_AREA_RANGE[0] * usual)
+        & (area < SINGLE_AREA_RANGE[1] * usual)
     )
     pins = np.flatnonzero((area > 0.4 * usual) & (area < 3 * usual))
-    pins = pins[in_company(centre[pins])]
-    return Found(centre[pins], single[pins], white, float(np.sqrt(usual / np.pi)))
+    pins = pins[find_clustered(centre[pins])]
+    return DetectedPins(centre[pins], single[pins], white, float(np.sqrt(usual / np.pi)))
 
 
-class _Parts(NamedTuple):
+class _Components(NamedTuple):
     """Connected parts of an image, numbered from 1 in `labels`; row k of the others is part k + 1."""
 
     labels: np.ndarray  # (S, S)
@@ -90,16 +90,16 @@ class _Parts(NamedTuple):
 
 
 # (parts, number of one, px diameter of the usual pin) -> centroids (K, 2) px and areas (K,) px of the pins that touch in it
-_Part = Callable[[_Parts, int, float], tuple[np.ndarray, np.ndarray]]
+_SplitComponent = Callable[[_Components, int, float], tuple[np.ndarray, np.ndarray]]
 
 
-def _parts(white: np.ndarray) -> _Parts:
+def _find_components(white: np.ndarray) -> _Components:
     labels, count = ndimage.label(white)
     boxes = ndimage.find_objects(labels)
     length = np.array(
         [max(rows.stop - rows.start, columns.stop - columns.start) for rows, columns in boxes]
     )
-    return _Parts(labels, boxes, *_centres(labels, count), length)
+    return _Components(labels, boxes, *_centres(labels, count), length)
 
 
 def _centres(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +111,7 @@ def _centres(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([column, row], -1) / area[:, None], area
 
 
-def _within(parts: _Parts) -> np.ndarray:
+def _is_inside_mask(parts: _Components) -> np.ndarray:
     """(N,) bool: parts that do not reach the edge of the circular mask."""
     at_edge = np.zeros(len(parts.area) + 1, bool)
     at_edge[parts.labels.ravel()[_edge(*parts.labels.shape)]] = True
@@ -125,11 +125,13 @@ def _edge(height: int, width: int) -> np.ndarray:
     return np.flatnonzero(np.hypot(rows[:, None], columns) >= 0.47 * height)
 
 
-def _usual(area: np.ndarray) -> float:
+def _compute_usual_area(area: np.ndarray) -> float:
     return float(np.median(area[area >= 0.25 * np.median(area)]))
 
 
-def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+def _split_touching(
+    parts: _Components, number: int, diameter: float
+) -> tuple[np.ndarray, np.ndarray]:
     """One part cut at its waists, the watersheds of a smoothed distance to the black: centroids and areas of the pieces."""
     rows, columns = parts.boxes[number - 1]
     white = np.pad(parts.labels[rows, columns] == number, 2)
@@ -144,7 +146,9 @@ def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np
     return centre + np.array([columns.start - 2, rows.start - 2]), area
 
 
-def _in_a_row(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+def _split_in_row(
+    parts: _Components, number: int, diameter: float
+) -> tuple[np.ndarray, np.ndarray]:
     """One part as equal discs along its longer axis, of its area and its second moment in all: centroids and areas."""
     rows, columns = parts.boxes[number - 1]
     row, column = np.nonzero(parts.labels[rows, columns] == number)
@@ -163,7 +167,7 @@ def _in_a_row(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, 
     return centre + steps[:, None] * axis, np.full(count, area / count)
 
 
-def in_company(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
+def find_clustered(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
     """Rows of those points that are near two others: within twice the usual distance between neighbours.
 
     On the outline, where glints of the housing lie and the skin hardly stretches, within 1.5 times.
@@ -176,14 +180,14 @@ def in_company(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
         usual = np.median(distance)
         lonely = distance[:, 1] > (1.5 if outline_only else 2) * usual
         if outline_only and lonely.any():
-            lonely &= np.isin(np.arange(len(kept)), outline(centre[kept]))
+            lonely &= np.isin(np.arange(len(kept)), find_hull(centre[kept]))
         if lonely.any():
             kept = kept[~lonely]
             distance = _to_two_nearest(centre[kept])
     return kept
 
 
-def outline(points: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
+def find_hull(points: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
     """Rows of the corners of their convex hull; none where they are too few, or all on one line."""
     try:
         return ConvexHull(points).vertices
