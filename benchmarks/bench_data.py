@@ -11,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.chunks import simulate_chunks, simulator
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import open_set
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.chunks import make_engine, simulate_chunks
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import open_set
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.settings.configs import PAIRED, set_folder, unfinished_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331
@@ -35,9 +35,9 @@ def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
 
 
 def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
-    engine, chunks = simulator(), unfinished_folder(settings, TACTIP_331, data)
+    engine, chunks = make_engine(), unfinished_folder(settings, TACTIP_331, data)
     drawn = [
-        draw(one)
+        sample_contacts(one)
         for one in (settings, dataclasses.replace(settings, poses=PLANNED * settings.poses))
     ]
     shots, many = drawn

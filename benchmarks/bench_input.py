@@ -16,8 +16,8 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from benchmarks.steps import dots, step_of
-from jaxunshear.dataset.chunks import pack
-from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.dataset.chunks import pack_bits
+from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
@@ -75,7 +75,7 @@ def bench_input(
 def _images(widths: tuple[int, ...]) -> Case:
     net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
     canonical, sheared = dots(EXAMPLES, net.size)[..., 0]
-    stored = {"canonical": pack(canonical), "sheared": pack(sheared)}
+    stored = {"canonical": pack_bits(canonical), "sheared": pack_bits(sheared)}
     return Case("images", unshear_task(net, training), training, stored | _poses(), net.size, 2)
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.dataset.labels import Problem
-from jaxunshear.dataset.preparing import LEAST_FRAMES
-from jaxunshear.dataset.recorded import LARGEST_PX, MOVED
+from jaxunshear.dataset.preprocessing import MIN_FRAMES
+from jaxunshear.dataset.recorded_contacts import LARGEST_PX, MIN_MOVE
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.evenly import evenly
@@ -156,11 +156,11 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     poses = unknown if recordings.poses is None else recordings.poses[rows]
     moves = unknown if recordings.moves is None else recordings.moves[rows]
     posed, moved = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
-    slid = (np.abs(moves) > MOVED).any(axis=1)
+    slid = (np.abs(moves) > MIN_MOVE).any(axis=1)
     ranges = {}
     for name, (field, column) in (RECORDED | SLIDES).items():
         values = poses[posed, column] if field == "pose" else moves[moved, column]
-        if len(values) and np.ptp(values) > MOVED:
+        if len(values) and np.ptp(values) > MIN_MOVE:
             ranges[name] = (float(values.min()), float(values.max()))
     both = posed & moved
     return LabelCheck(int(posed.sum()), int((both & ~slid).sum()), int((both & slid).sum()), ranges)
@@ -225,8 +225,8 @@ def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str
     if not released:
         advice = f"released weights need {TACTIP_331.pins} pins"
         return _join("pins", path, "--sensor", pins.layout), advice
-    if sum(each.usable for each in usable) < LEAST_FRAMES:
-        advice = f"`unshear` needs {LEAST_FRAMES} frames of the same sensor: name them by --like"
+    if sum(each.usable for each in usable) < MIN_FRAMES:
+        advice = f"`unshear` needs {MIN_FRAMES} frames of the same sensor: name them by --like"
         return _join("pins", path), advice
     advice = "training needs labels of poses, which these frames lack"
     if any(each.labels.posed for each in usable):

@@ -7,8 +7,8 @@ import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.dataset.digests import digest_of
-from jaxunshear.dataset.recorded import sensor_of, survey
+from jaxunshear.dataset.digests import compute_digest
+from jaxunshear.dataset.recorded_contacts import identify_sensor, read_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
@@ -59,13 +59,13 @@ def with_recordings(
         raise UserError(
             f"'{experiment.name}' is about simulated touches: recordings are for experiments such as experiments/recorded.py"
         )
-    digest = digest_of(tuple(folder for folder in (taps, slides) if folder), pairs)
+    digest = compute_digest(tuple(folder for folder in (taps, slides) if folder), pairs)
     recorded = replace(recorded, tap_folder=taps, slide_folder=slides, digest=digest, pairs=pairs)
     if pairs:
         recorded = replace(recorded, pairing="file")
-    contacts = survey(recorded)
-    dragged = bool(contacts.slid.any()) or recorded.pairing == "simulated"
-    tapped = bool((~contacts.slid).any())
+    contacts = read_contacts(recorded)
+    dragged = bool(contacts.is_slide.any()) or recorded.pairing == "simulated"
+    tapped = bool((~contacts.is_slide).any())
     if recorded.direct_taps != "none" and not tapped:
         asked = f"--paired.direct_taps {recorded.direct_taps}"
         raise UserError(f"{asked}: these recordings hold no taps: leave it at none")
@@ -74,7 +74,7 @@ def with_recordings(
         raise UserError(
             f"networks: none of {', '.join(experiment.networks)} can learn from these recordings"
         )
-    sensor = sensor_of(contacts, recorded.preprocess)
+    sensor = identify_sensor(contacts, recorded.preprocess)
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 

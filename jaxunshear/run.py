@@ -112,11 +112,11 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
-    from jaxunshear.dataset.chunks import simulator
-    from jaxunshear.dataset.making import make_sets
+    from jaxunshear.dataset.chunks import make_engine
+    from jaxunshear.dataset.generation import make_sets
 
     there = all(_exist(experiment, data, configs.set_folder))
-    for name, metadata in make_sets(experiment, data, simulator(spread)).items():
+    for name, metadata in make_sets(experiment, data, make_engine(spread)).items():
         counts = metadata["counts"]
         print(
             f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped{_slowest(counts)}"
@@ -134,11 +134,11 @@ def _slowest(counts: Json) -> str:
 
 def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:
     """Of each data set, whether its `folder_of` is there."""
-    from jaxunshear.dataset.making import sets_of
+    from jaxunshear.dataset.generation import list_sets
 
     return [
         folder_of(settings, experiment.sensor, data).exists()
-        for settings in sets_of(experiment).values()
+        for settings in list_sets(experiment).values()
     ]
 
 

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import run
-from jaxunshear.dataset import making
+from jaxunshear.dataset import generation
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.locks import locked
@@ -370,7 +370,7 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock)
         part.rmdir()
         return {}
 
-    monkeypatch.setattr(making, "make_sets", make)
+    monkeypatch.setattr(generation, "make_sets", make)
     for seconds in (5, 10):
         with contextlib.suppress(KeyboardInterrupt):
             run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")

@@ -14,7 +14,7 @@ from jax import Array
 
 from jaxunshear.cluster import Call, Died, Spread, here
 from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.dataset.shots import Shots
+from jaxunshear.dataset.sampling import ContactSamples
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import encode_png
 from jaxunshear.progress import Progress
@@ -26,10 +26,10 @@ from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 PNG_LEVEL = 4
-RENDER = 16  # images rendered at once: one shape to compile, little memory
+RENDER_BATCH = 16  # images rendered at once: one shape to compile, little memory
 
 
-class Engine(NamedTuple):
+class SimulationEngine(NamedTuple):
     """What makes contacts and images; the tests put fast stand-ins here."""
 
     plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
@@ -37,14 +37,14 @@ class Engine(NamedTuple):
     render: Callable[
         ..., tuple[np.ndarray, np.ndarray]
     ]  # (settings, sensor, tips, number, age) -> images, pins in px
-    spread: Spread = here  # who makes the chunks
+    run_calls: Spread = here  # who makes the chunks
 
 
-def simulator(spread: Spread = here) -> Engine:
+def make_engine(spread: Spread = here) -> SimulationEngine:
     """The real one."""
     from jaxunshear.contact import simulate
 
-    return Engine(simulate.plan, simulate.simulate, render, spread)
+    return SimulationEngine(simulate.plan, simulate.simulate, render_images, spread)
 
 
 def _usable(contacts: Contacts) -> np.ndarray:
@@ -53,7 +53,11 @@ def _usable(contacts: Contacts) -> np.ndarray:
 
 
 def simulate_chunks(
-    settings: PairedData | PoseData, sensor: Sensor, shots: Shots, folder: Path, engine: Engine
+    settings: PairedData | PoseData,
+    sensor: Sensor,
+    samples: ContactSamples,
+    folder: Path,
+    engine: SimulationEngine,
 ) -> list[Path]:
     """Simulates all shots into one file per batch of `engine.plan`; files that are there already are kept.
 
@@ -61,17 +65,17 @@ def simulate_chunks(
     usable. A chunk holds `number`, `usable`, `retried` (n,), `images` (n, bytes) at
     one bit a pixel, `pins` (n, P, 2) px, and what the solver says of each contact.
     """
-    batches = engine.plan(sensor, settings.stimuli, shots.scenes)
+    batches = engine.plan(sensor, settings.stimuli, samples.scenes)
     paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
     left = {
         path: batch for path, batch in zip(paths, batches, strict=True) if not _holds(path, batch)
     }
-    total, scenes = len(shots.scenes), shots.scenes
+    total, scenes = len(samples.scenes), samples.scenes
     calls = (
         Call(
             path,
             _chunk,
-            (settings, sensor, scenes.take(batch), np.asarray(batch), shots.age[batch], engine),
+            (settings, sensor, scenes.take(batch), np.asarray(batch), samples.age[batch], engine),
         )
         for path, batch in left.items()
     )
@@ -79,7 +83,7 @@ def simulate_chunks(
     with Progress(
         label, total, unit="contacts", done=total - sum(map(len, left.values()))
     ) as progress:
-        for path, chunk in engine.spread(calls):
+        for path, chunk in engine.run_calls(calls):
             if isinstance(chunk, Died):
                 hint = (
                     "fewer at once (--ray-cores) have more memory each; then run the same command"
@@ -101,7 +105,7 @@ def _chunk(
     scenes: Scenes,
     number: np.ndarray,
     age: np.ndarray,
-    engine: Engine,
+    engine: SimulationEngine,
 ) -> dict[str, np.ndarray]:
     """Of the contacts `number` (n,), which touch at `scenes` and `age`. A machine of a cluster needs no more than that."""
     contacts = engine.simulate(sensor, settings.stimuli, scenes)
@@ -114,7 +118,7 @@ def _chunk(
     pins = np.zeros((*tips.shape[:2], 2), np.float32)
     if usable.any():
         seen, places = engine.render(settings, sensor, tips[usable], number[usable], age[usable])
-        images[usable] = pack(seen)
+        images[usable] = pack_bits(seen)
         pins[usable] = places
         usable &= images.any(axis=-1)  # a frame that is not finite comes out black
     return {
@@ -136,7 +140,7 @@ def load_chunk(path: Path) -> dict[str, np.ndarray]:
         ) from error
 
 
-def usable_rows(
+def iterate_usable_rows(
     paths: Iterable[Path], wanted: np.ndarray
 ) -> Iterator[tuple[dict[str, np.ndarray], int, int]]:
     """(chunk, place in it, row) of every usable contact that is `wanted` (N,), by row. Raises UserError for a damaged chunk."""
@@ -146,13 +150,13 @@ def usable_rows(
             yield chunk, int(place), int(chunk["number"][place])
 
 
-def render(
+def render_images(
     settings: PairedData | PoseData,
     sensor: Sensor,
     tips: np.ndarray,
     number: np.ndarray,
     age: np.ndarray,
-    at_once: int = RENDER,
+    at_once: int = RENDER_BATCH,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px. Fewer `at_once`, to
     which batches are filled up, take less time where there are never more."""
@@ -206,17 +210,17 @@ def _render() -> Callable[..., tuple[Array, Array]]:
     return run
 
 
-def pack(images: np.ndarray) -> np.ndarray:
+def pack_bits(images: np.ndarray) -> np.ndarray:
     """(B, S, S) binary -> (B, bytes), one bit a pixel."""
     return np.packbits(images.reshape(len(images), -1) > 0, axis=-1)
 
 
-def stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
+def encode_stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
     """One image of a chunk, as sets store it."""
-    return encode_png(unpack(chunk["images"][place], size), PNG_LEVEL)
+    return encode_png(unpack_bits(chunk["images"][place], size), PNG_LEVEL)
 
 
-def unpack(bits: np.ndarray, size: int) -> np.ndarray:
+def unpack_bits(bits: np.ndarray, size: int) -> np.ndarray:
     """(..., bytes) -> (..., S, S) uint8 in {0, 255}."""
     return np.unpackbits(bits, axis=-1, count=size * size).reshape(
         *bits.shape[:-1], size, size

@@ -3,11 +3,11 @@
 import hashlib
 from pathlib import Path
 
-from jaxunshear.dataset.recorded import read_folder
+from jaxunshear.dataset.recorded_contacts import read_folder
 from jaxunshear.settings.image import Preprocess
 
 
-def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
+def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
     """Sixteen hexadecimal digits of what lies in each folder: labels by their bytes, images by name and size; after a `p` those of a
     table of pairs. All joined by `+`, so that a folder is known beside others."""
     parts = [_folder_digest(Path(folder)) for folder in dict.fromkeys(folders)]
@@ -16,7 +16,7 @@ def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
     return "+".join(parts)
 
 
-def folders_in(digest: str) -> set[str]:
+def parse_folder_digests(digest: str) -> set[str]:
     """The folders' own digests."""
     return {part for part in digest.split("+") if part and not part.startswith("p")}
 

@@ -1,6 +1,6 @@
 """Chunks of contacts -> examples of the two data sets, and the counts that go with a set.
 
-shots = draw(settings)                                                    # dataset/shots.py
+shots = draw(settings)                                                    # dataset/sampling.py
 paths = simulate_chunks(settings, sensor, shots, folder, simulator())     # dataset/chunks.py
 for key, example in paired_examples(settings, shots, paths, "train"): ...
 """
@@ -10,32 +10,34 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, stored_png, usable_rows
-from jaxunshear.dataset.shots import Shots
+from jaxunshear.dataset.chunks import encode_stored_png, iterate_usable_rows, load_chunk
+from jaxunshear.dataset.sampling import ContactSamples
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import Json
 
 
-def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) -> dict:
+def summarise_set(
+    settings: PairedData | PoseData, samples: ContactSamples, paths: list[Path]
+) -> dict:
     """Counts of a set, and the scene of every contact that was dropped (plain JSON types)."""
-    usable = np.zeros(len(shots.scenes), bool)
-    iterations = np.zeros(len(shots.scenes), int)
+    usable = np.zeros(len(samples.scenes), bool)
+    iterations = np.zeros(len(samples.scenes), int)
     retried = 0
     for path in paths:
         chunk = load_chunk(path)
         usable[chunk["number"]] = chunk["usable"]
         iterations[chunk["number"]] = chunk["iterations"]
         retried += int(chunk["retried"].sum())
-    written = usable & shots.slid if isinstance(settings, PairedData) else usable
+    written = usable & samples.is_slide if isinstance(settings, PairedData) else usable
     unpaired = 0
     if isinstance(settings, PairedData):
-        taps = _by_pose(shots, np.flatnonzero(usable & ~shots.slid))
-        alone = np.array([not taps.get(key) for key in _pose_keys(shots)])
+        taps = _by_pose(samples, np.flatnonzero(usable & ~samples.is_slide))
+        alone = np.array([not taps.get(key) for key in _pose_keys(samples)])
         unpaired = int((written & alone).sum())
         written &= ~alone
     return {
-        "contacts": len(shots.scenes),
+        "contacts": len(samples.scenes),
         "retried": retried,
         "dropped": int((~usable).sum()),
         "iterations": {
@@ -45,26 +47,27 @@ def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) ->
         },
         "slides_without_tap": unpaired,
         "written": {
-            name: int((written & (shots.split == index)).sum()) for index, name in enumerate(SPLITS)
+            name: int((written & (samples.split == index)).sum())
+            for index, name in enumerate(SPLITS)
         },
         "dropped_scenes": [
             {
                 "number": int(row),
-                "stimulus": settings.names[shots.scenes.stimulus[row]],
-                "pose_id": int(shots.pose_id[row]),
-                "pose": shots.scenes.pose[row].tolist(),
-                "move": shots.scenes.move[row].tolist(),
+                "stimulus": settings.names[samples.scenes.stimulus[row]],
+                "pose_id": int(samples.pose_id[row]),
+                "pose": samples.scenes.pose[row].tolist(),
+                "move": samples.scenes.move[row].tolist(),
             }
             for row in np.flatnonzero(~usable)
         ],
     }
 
 
-def _pose_keys(shots: Shots) -> list[tuple[int, int]]:
+def _pose_keys(shots: ContactSamples) -> list[tuple[int, int]]:
     return list(zip(shots.scenes.stimulus.tolist(), shots.pose_id.tolist(), strict=True))
 
 
-def _by_pose(shots: Shots, rows: np.ndarray) -> dict[tuple[int, int], list[int]]:
+def _by_pose(shots: ContactSamples, rows: np.ndarray) -> dict[tuple[int, int], list[int]]:
     keys = _pose_keys(shots)
     groups: dict[tuple[int, int], list[int]] = {}
     for row in rows.tolist():
@@ -72,7 +75,7 @@ def _by_pose(shots: Shots, rows: np.ndarray) -> dict[tuple[int, int], list[int]]
     return groups
 
 
-def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> Json:
+def _labels(settings: PairedData | PoseData, shots: ContactSamples, row: int) -> Json:
     return {
         "pose": shots.scenes.pose[row].astype(np.float32),
         "edge": shots.edge[row].astype(np.float32),
@@ -81,18 +84,18 @@ def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> Json:
     }
 
 
-def paired_examples(
-    settings: PairedData, shots: Shots, paths: list[Path], split: str
+def iterate_paired_examples(
+    settings: PairedData, shots: ContactSamples, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
     """(key, example) of every usable slide of a split with a tap of its pose: slide j takes tap j modulo their number."""
     inside = shots.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
-    for chunk, place, row in usable_rows(paths, inside & ~shots.slid):
-        tap_images[row] = stored_png(chunk, place, settings.preprocess.size)
+    for chunk, place, row in iterate_usable_rows(paths, inside & ~shots.is_slide):
+        tap_images[row] = encode_stored_png(chunk, place, settings.preprocess.size)
         tap_pins[row] = chunk["pins"][place]
     taps = _by_pose(shots, np.array(sorted(tap_images), int))
     keys = _pose_keys(shots)
-    for chunk, place, row in usable_rows(paths, inside & shots.slid):
+    for chunk, place, row in iterate_usable_rows(paths, inside & shots.is_slide):
         if keys[row] not in taps:
             continue
         slide = int(shots.instance[row])
@@ -102,7 +105,7 @@ def paired_examples(
             f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
             {
                 "canonical": tap_images[tap],
-                "sheared": stored_png(chunk, place, settings.preprocess.size),
+                "sheared": encode_stored_png(chunk, place, settings.preprocess.size),
                 "canonical_pins": tap_pins[tap],
                 "sheared_pins": chunk["pins"][place],
                 **labels,
@@ -120,17 +123,17 @@ def paired_examples(
         )
 
 
-def pose_examples(
-    settings: PoseData, shots: Shots, paths: list[Path], split: str
+def iterate_pose_examples(
+    settings: PoseData, shots: ContactSamples, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
     """(key, example) of every usable tap of a split."""
     inside = shots.split == SPLITS.index(split)
-    for chunk, place, row in usable_rows(paths, inside):
+    for chunk, place, row in iterate_usable_rows(paths, inside):
         labels = _labels(settings, shots, row)
         yield (
             f"{labels['stimulus']}_{labels['pose_id']}",
             {
-                "image": stored_png(chunk, place, settings.preprocess.size),
+                "image": encode_stored_png(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place],
                 **labels,
                 "residual_mm": np.float32(chunk["residual_mm"][place]),

@@ -15,18 +15,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, SetReader
-from jaxunshear.dataset.shots import slide_leaders
-from jaxunshear.dataset.siblings import onward
+from jaxunshear.dataset.pose_groups import sample_next
+from jaxunshear.dataset.reader import Batch, SetReader
+from jaxunshear.dataset.sampling import find_slide_leaders
 from jaxunshear.settings.data import PairedData
 
-FEEDS = "sheared_pins"  # the field that both are taken from
+SHEARED_PINS = "sheared_pins"  # the field that both are taken from
 OTHER, SWAPPED = "other_pins", "swapped_pins"
 IMAGE, OTHER_IMAGE, SWAPPED_IMAGE = "sheared", "other", "swapped"  # likewise
-PARTNERS = {OTHER: FEEDS, SWAPPED: FEEDS, OTHER_IMAGE: IMAGE, SWAPPED_IMAGE: IMAGE}
+PARTNERS = {OTHER: SHEARED_PINS, SWAPPED: SHEARED_PINS, OTHER_IMAGE: IMAGE, SWAPPED_IMAGE: IMAGE}
 
 
-class Shared(NamedTuple):
+class SharedSlides(NamedTuple):
     """Which rows of a split share a pose, and which a slide."""
 
     group: np.ndarray  # (N,) of poses that share their slides
@@ -40,16 +40,16 @@ class Shared(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray]:
         """For rows (B,) those, drawn, of another pose after another slide, and of the same pose after that slide: (B,) each."""
         group, place, slide = self.group[rows], self.place[rows], self.slide[rows]
-        elsewhere = onward(place, self.places[group], generator)
-        after = onward(slide, np.full(len(rows), self.row.shape[2]), generator)
+        elsewhere = sample_next(place, self.places[group], generator)
+        after = sample_next(slide, np.full(len(rows), self.row.shape[2]), generator)
         other, swapped = self.row[group, elsewhere, after], self.row[group, place, after]
         known = (other >= 0) & (swapped >= 0)
         return np.where(known, other, rows), np.where(known, swapped, rows)
 
 
-def shared_of(rows: Batch, settings: PairedData) -> Shared:
+def index_shared_slides(rows: Batch, settings: PairedData) -> SharedSlides:
     """Of a split's rows: `stimulus`, `pose_id`, `slide_id` (N,)."""
-    leaders = np.stack([slide_leaders(settings, name) for name in settings.names])
+    leaders = np.stack([find_slide_leaders(settings, name) for name in settings.names])
     leader = leaders[rows["stimulus"], rows["pose_id"]]
     group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)[
         1
@@ -60,7 +60,7 @@ def shared_of(rows: Batch, settings: PairedData) -> Shared:
     places = np.bincount(pose[:, 0])
     row = np.full((len(places), settings.poses_a_slide, settings.slides), -1)
     row[group, place, rows["slide_id"]] = np.arange(len(group))
-    return Shared(group, place, rows["slide_id"], row, places)
+    return SharedSlides(group, place, rows["slide_id"], row, places)
 
 
 class FactorialReader(SetReader):
@@ -68,10 +68,12 @@ class FactorialReader(SetReader):
 
     def __init__(self, settings: PairedData, folder: Path, metadata: dict) -> None:
         super().__init__(settings, folder, metadata)
-        self.shared = functools.cache(lambda split: shared_of(self.rows(split), settings))
+        self.shared = functools.cache(lambda split: index_shared_slides(self.rows(split), settings))
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
-        return super().take(name, rows, _stored(fields)) | self._partners_of(name, rows, fields)
+        return super().take(name, rows, _select_stored_fields(fields)) | self._partners_of(
+            name, rows, fields
+        )
 
     def partners(self, split: str, rows: np.ndarray, *step: int) -> tuple[np.ndarray, np.ndarray]:
         """The rows (B,) that others and swapped ones are of: in evaluation, or for a training's seed and step."""
@@ -80,7 +82,7 @@ class FactorialReader(SetReader):
     def _drawn(
         self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
     ) -> Batch:
-        return super()._drawn(here, taps, _stored(fields), seed) | self._partners_of(
+        return super()._drawn(here, taps, _select_stored_fields(fields), seed) | self._partners_of(
             "train", here, fields, *seed
         )
 
@@ -100,5 +102,5 @@ class FactorialReader(SetReader):
         )
 
 
-def _stored(fields: Sequence[str]) -> tuple[str, ...]:
+def _select_stored_fields(fields: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in fields if name not in PARTNERS)

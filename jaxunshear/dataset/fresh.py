@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxunshear.contact.indentation import compute_indentation
 from jaxunshear.contact.simulate import follow
-from jaxunshear.dataset.chunks import render
-from jaxunshear.dataset.shots import draw_paired
+from jaxunshear.dataset.chunks import render_images
+from jaxunshear.dataset.sampling import sample_paired
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.experiment import Experiment, simulated_of
@@ -51,14 +51,16 @@ def fresh_contacts(
         settings = replace(
             settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
         )
-    shots = draw_paired(settings)
+    shots = sample_paired(settings)
     contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(shots.scenes))
-    slid = np.flatnonzero(shots.slid)
-    tapped = np.flatnonzero(~shots.slid)  # in the same order: one tap and one slide a pose
+    slid = np.flatnonzero(shots.is_slide)
+    tapped = np.flatnonzero(~shots.is_slide)  # in the same order: one tap and one slide a pose
     good = contacts.converged[slid] & contacts.converged[tapped]
     slid, tapped = slid[good], tapped[good]
     rows = np.concatenate([tapped, slid])
-    images, pins = render(settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows])
+    images, pins = render_images(
+        settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows]
+    )
     half = len(slid)
     return FreshContacts(
         shots.scenes.stimulus[slid],
@@ -76,6 +78,6 @@ def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
     paired, _ = simulated_of(experiment, "this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
-    return render(
+    return render_images(
         paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)
     )[0]

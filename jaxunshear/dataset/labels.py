@@ -22,20 +22,20 @@ IMAGE_COLUMNS = ("sensor_image", "image_name")
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{axis}" for axis in AXES)
 MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{axis}" for axis in AXES)
-FARTHEST = 1e5  # mm or degrees: a number beyond it is no label
+MAX_LABEL = 1e5  # mm or degrees: a number beyond it is no label
 MOST_POSES = 2.0**53
 UNKNOWN_ID = -1
 
-Wrong = tuple[int, str]  # row, and what is wrong with it
+WrongRow = tuple[int, str]  # row, and what is wrong with it
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     number: int  # in the file, the heading being 1
     cells: dict[str, str]
 
 
-class Uneven(NamedTuple):
+class MisfitRow(NamedTuple):
     """A row that does not fit the heading."""
 
     number: int
@@ -43,11 +43,11 @@ class Uneven(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class LabelTable:
     file: Path
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
-    uneven: tuple[Uneven, ...]  # not among `rows`
+    rows: tuple[TableRow, ...]
+    uneven: tuple[MisfitRow, ...]  # not among `rows`
 
 
 class Problem(str):
@@ -76,7 +76,7 @@ def _refusal(file: Path, text: str, row: int | None = None) -> UserError:
     return UserError(Problem.at(file, text, row))
 
 
-class Targets(NamedTuple):
+class ImageLabels(NamedTuple):
     """Of N images, in their order."""
 
     poses: np.ndarray  # (N, 6) mm and degrees, NaN where unknown
@@ -84,7 +84,7 @@ class Targets(NamedTuple):
     pose_ids: np.ndarray  # (N,) int64, UNKNOWN_ID where unknown
 
 
-def read_table(file: Path) -> Table:
+def read_table(file: Path) -> LabelTable:
     """Raises UserError, by file and row, for what is no table of text."""
     try:
         data = file.read_bytes()
@@ -114,21 +114,21 @@ def read_table(file: Path) -> Table:
     columns = tuple(lines[0][1])
     twice = next((name for i, name in enumerate(columns) if name and name in columns[:i]), None)
     if twice is not None:
-        raise _refusal(file, f"the heading names column {_shown(twice)} twice", lines[0][0])
+        raise _refusal(file, f"the heading names column {_format_cell(twice)} twice", lines[0][0])
     width = len(columns)
-    return Table(
+    return LabelTable(
         file,
         columns,
         tuple(
-            Row(row, dict(zip(columns, cells, strict=True)))
+            TableRow(row, dict(zip(columns, cells, strict=True)))
             for row, cells in lines[1:]
             if len(cells) == width
         ),
-        tuple(Uneven(row, len(cells)) for row, cells in lines[1:] if len(cells) != width),
+        tuple(MisfitRow(row, len(cells)) for row, cells in lines[1:] if len(cells) != width),
     )
 
 
-def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Problem]]:
+def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, list[Problem]]:
     """The labels of images of these names. Raises UserError where the table names no images."""
     column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
     if column is None:
@@ -144,24 +144,26 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
     poses, bad_poses = _six(table, rows, POSE_COLUMNS, "pose")
     moves, bad_moves = _six(table, rows, MOVE_COLUMNS, "slide")
     ids, bad_ids = _ids(table, rows)
-    return Targets(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
+    return ImageLabels(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
 
 
-def no_targets(images: int) -> Targets:
+def make_unknown_labels(images: int) -> ImageLabels:
     """Of images that no table names."""
     unknown = np.full((images, 6), np.nan)
-    return Targets(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
+    return ImageLabels(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
 
 
-def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row], list[Problem]]:
+def _by_name(
+    table: LabelTable, column: str, names: set[str]
+) -> tuple[dict[str, TableRow], list[Problem]]:
     """The row of each image; none where two rows of one image differ."""
-    by_name: dict[str, Row] = {}
-    absent, again, differ = list[Wrong](), list[Wrong](), set[str]()
+    by_name: dict[str, TableRow] = {}
+    absent, again, differ = list[WrongRow](), list[WrongRow](), set[str]()
     for row in table.rows:
         name = re.split(r"[/\\]", row.cells[column])[-1]
         first = by_name.setdefault(name, row)
         if name not in names:
-            absent.append((row.number, f"there is no image {_shown(name)} in this folder"))
+            absent.append((row.number, f"there is no image {_format_cell(name)} in this folder"))
         elif row.cells != first.cells:
             again.append(
                 (
@@ -177,11 +179,13 @@ def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row]
         (row, f"{cells} cells where the heading has {width}: this row is not used")
         for row, cells in table.uneven
     ]
-    problems = [problem for wrong in (uneven, absent, again) for problem in _reported(table, wrong)]
+    problems = [
+        problem for wrong in (uneven, absent, again) for problem in _group_problems(table, wrong)
+    ]
     return {name: row for name, row in by_name.items() if name not in differ}, problems
 
 
-def _reported(table: Table, wrong: list[Wrong]) -> list[Problem]:
+def _group_problems(table: LabelTable, wrong: list[WrongRow]) -> list[Problem]:
     """One problem for all rows that have the same, with the first of them: there may be thousands."""
     if not wrong:
         return []
@@ -192,7 +196,10 @@ def _reported(table: Table, wrong: list[Wrong]) -> list[Problem]:
 
 
 def _six(
-    table: Table, rows: Sequence[Row | None], choices: tuple[tuple[str, ...], ...], what: str
+    table: LabelTable,
+    rows: Sequence[TableRow | None],
+    choices: tuple[tuple[str, ...], ...],
+    what: str,
 ) -> tuple[np.ndarray, list[Problem]]:
     """The six columns (N, 6) of whichever naming the file uses, NaN in rows that have not all of them."""
     values = np.full((len(rows), 6), np.nan)
@@ -202,7 +209,7 @@ def _six(
         return values, [
             Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")
         ]
-    bad: list[Wrong] = []
+    bad: list[WrongRow] = []
     for i, row in enumerate(rows):
         if row is None:
             continue
@@ -213,26 +220,26 @@ def _six(
             bad.append(
                 (
                     row.number,
-                    f"{wrong} is {_shown(row.cells[wrong])}, no usable number: this {what} is unknown",
+                    f"{wrong} is {_format_cell(row.cells[wrong])}, no usable number: this {what} is unknown",
                 )
             )
-    return values, _reported(table, bad)
+    return values, _group_problems(table, bad)
 
 
-def _ids(table: Table, rows: Sequence[Row | None]) -> tuple[np.ndarray, list[Problem]]:
-    ids, bad = np.full(len(rows), UNKNOWN_ID, np.int64), list[Wrong]()
+def _ids(table: LabelTable, rows: Sequence[TableRow | None]) -> tuple[np.ndarray, list[Problem]]:
+    ids, bad = np.full(len(rows), UNKNOWN_ID, np.int64), list[WrongRow]()
     for i, row in enumerate(rows):
         if row is None or not (cell := row.cells.get("pose_id")):
             continue
         number = _number(cell, MOST_POSES)
         if number is None or number < 0 or number % 1:
-            bad.append((row.number, f"pose_id is {_shown(cell)}, not an integer"))
+            bad.append((row.number, f"pose_id is {_format_cell(cell)}, not an integer"))
         else:
             ids[i] = int(number)
-    return ids, _reported(table, bad)
+    return ids, _group_problems(table, bad)
 
 
-def _number(cell: str, limit: float = FARTHEST) -> float | None:
+def _number(cell: str, limit: float = MAX_LABEL) -> float | None:
     """A finite number within the limit; else None."""
     try:
         number = float(cell)
@@ -241,7 +248,7 @@ def _number(cell: str, limit: float = FARTHEST) -> float | None:
     return number if abs(number) < limit else None
 
 
-def _shown(cell: str) -> str:
+def _format_cell(cell: str) -> str:
     return ascii(cell[:30]) if cell else "empty"
 
 

@@ -16,7 +16,7 @@ from jaxunshear.settings.targets import Target, of_labels
 
 DIGITS = 4  # mm or deg: labels that agree so far count as one value
 TRAIN, VALIDATION, TEST = range(len(SPLITS))
-RANDOM = "use --paired.split random"
+RANDOM_REMEDY = "use --paired.split random"
 
 
 def cut_block(
@@ -38,7 +38,7 @@ def cut_block(
     if start == first or last == end:
         raise UserError(
             f"paired.split block: {target.name} takes only {_count_values(value)} values, too few "
-            f"to leave a gap between test and training: raise --paired.validation, or {RANDOM}"
+            f"to leave a gap between test and training: raise --paired.validation, or {RANDOM_REMEDY}"
         )
     split = np.full(len(value), TRAIN)
     split[(value >= start) & (value <= end)] = VALIDATION
@@ -55,7 +55,7 @@ def _choose_label(pose: np.ndarray) -> Target:
     """Choose the label of the most values; a full circle only if nothing else varies."""
     varying = of_labels((), pose)
     if not varying:
-        raise UserError(f"paired.split block: no label of the poses varies: {RANDOM}")
+        raise UserError(f"paired.split block: no label of the poses varies: {RANDOM_REMEDY}")
     ranges = [target for target in varying if not target.circle]
     return max(ranges or varying, key=lambda target: _count_values(pose[:, target.column]))
 

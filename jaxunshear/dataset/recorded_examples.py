@@ -1,6 +1,6 @@
 """Chunks of recorded frames -> examples of `tactip_recorded`, and the counts that go with a set.
 
-contacts, frame, paths = read(settings, sensor, folder)
+contacts, frame, paths = prepare_recordings(settings, sensor, folder)
 for key, example in examples(settings, contacts, paths, "train"): ...
 """
 
@@ -9,26 +9,30 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, stored_png, usable_rows
-from jaxunshear.dataset.preparing import Frame, frame_of, prepare
-from jaxunshear.dataset.recorded import Contacts, survey
+from jaxunshear.dataset.chunks import encode_stored_png, iterate_usable_rows, load_chunk
+from jaxunshear.dataset.preprocessing import SensorFrame, find_sensor_frame, prepare_chunks
+from jaxunshear.dataset.recorded_contacts import RecordedContacts, read_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import Json
 
-NAMED = 20  # frames left out that metadata name, at most
+MAX_NAMED = 20  # frames left out that metadata name, at most
 
 
-def read(settings: Recorded, sensor: Sensor, folder: Path) -> tuple[Contacts, Frame, list[Path]]:
+def prepare_recordings(
+    settings: Recorded, sensor: Sensor, folder: Path
+) -> tuple[RecordedContacts, SensorFrame, list[Path]]:
     """Contacts, what their frames have in common, and chunk files in `folder`. Raises UserError."""
-    contacts = survey(settings)
-    frame = frame_of(contacts, settings, sensor)
-    return contacts, frame, prepare(contacts, settings, frame, folder)
+    contacts = read_contacts(settings)
+    frame = find_sensor_frame(contacts, settings, sensor)
+    return contacts, frame, prepare_chunks(contacts, settings, frame, folder)
 
 
-def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, Json]:
+def summarise_recordings(
+    contacts: RecordedContacts, frame: SensorFrame, paths: list[Path]
+) -> tuple[Json, Json]:
     """Counts, and what else a reader must know of the set, both plain JSON. Raises UserError where a split holds nothing readable."""
     chunks = [load_chunk(path) for path in paths]
     usable, sure, problem = (
@@ -37,7 +41,7 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, 
     white = np.concatenate(
         [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
     )
-    counts = counts_of(contacts, usable, sure, problem)
+    counts = count_contacts(contacts, usable, sure, problem)
     for split, count in counts["written"].items():
         if not count:
             raise UserError(
@@ -48,8 +52,8 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, 
         "frame": {
             "box": frame.view.box,
             "whites": frame.view.whites,
-            "place_px": np.round(frame.place, 4).tolist(),
-            "shell": frame.shell.tolist(),
+            "place_px": np.round(frame.rest, 4).tolist(),
+            "shell": frame.ring.tolist(),
             "spacing_px": round(frame.spacing_px, 4),
             "radius_px": round(frame.radius_px, 4),
             "size": frame.size,
@@ -65,11 +69,15 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, 
     return counts, more
 
 
-def counts_of(
-    contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray
+def count_contacts(
+    contacts: RecordedContacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray
 ) -> Json:
     """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
-    kinds = {"written": np.ones(len(usable), bool), "taps": ~contacts.slid, "slides": contacts.slid}
+    kinds = {
+        "written": np.ones(len(usable), bool),
+        "taps": ~contacts.is_slide,
+        "slides": contacts.is_slide,
+    }
     return {
         "contacts": len(usable),
         "dropped": int((~usable).sum()),
@@ -81,27 +89,27 @@ def counts_of(
             }
             for kind, here in kinds.items()
         },
-        "dropped_frames": _left_out(contacts, problem)[:NAMED],
+        "dropped_frames": _left_out(contacts, problem)[:MAX_NAMED],
     }
 
 
-def _left_out(contacts: Contacts, problem: np.ndarray) -> list[str]:
+def _left_out(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
     return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
 
 
-def examples(
-    settings: Recorded, contacts: Contacts, paths: list[Path], split: str
+def iterate_examples(
+    settings: Recorded, contacts: RecordedContacts, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
     """(key, example) of every readable frame of a split."""
     inside = contacts.split == SPLITS.index(split)
-    for chunk, place, row in usable_rows(paths, inside):
+    for chunk, place, row in iterate_usable_rows(paths, inside):
         yield (
             f"{row:08d}",
             {
-                "image": stored_png(chunk, place, settings.preprocess.size),
+                "image": encode_stored_png(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place].astype(np.float32),
                 "sure": int(chunk["sure"][place]),
-                "slid": int(contacts.slid[row]),
+                "slid": int(contacts.is_slide[row]),
                 "pose": contacts.pose[row].astype(np.float32),
                 "move": contacts.move[row].astype(np.float32),
                 "pose_id": int(contacts.pose_id[row]),

@@ -28,9 +28,9 @@ from PIL import Image, ImageOps
 from jaxunshear.dataset.labels import (
     TABLES,
     UNKNOWN_ID,
+    ImageLabels,
     Problem,
-    Targets,
-    no_targets,
+    make_unknown_labels,
     read_table,
     read_targets,
 )
@@ -49,7 +49,7 @@ PHOTOMETRIC, SAMPLE_FORMAT = (
     339,
 )  # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
 PROBES = 20  # frames that a common crop is found from
-DEPTH = 4  # folders below the given one that are searched
+MAX_FOLDER_DEPTH = 4  # folders below the given one that are searched
 
 
 @dataclass(frozen=True)
@@ -174,10 +174,10 @@ def read_image(file: Path | bytes) -> np.ndarray:
         raise
     except Exception as error:  # decoders meet broken files with errors of every kind
         raise UserError(f"no readable image ({first_line(error)})") from None
-    return _unsigned(raw, tags)
+    return _convert_unsigned(raw, tags)
 
 
-def _unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:
+def _convert_unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:
     """What Pillow leaves to do for a TIFF with these tags: 32 bits without a sign, and 16 bits of which 0 is white."""
     if tags and raw.dtype == np.int32 and tags.get(SAMPLE_FORMAT, 1) in (1, (1,)):
         return raw.view(np.uint32)
@@ -201,9 +201,9 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         raise UserError(f"{path} does not exist: give a folder of recordings or an image")
     notes: list[str] = []
     files: list[Path] = []
-    targets: list[Targets] = []
+    targets: list[ImageLabels] = []
     try:
-        for folder, images in _recording_folders(path, DEPTH, notes):
+        for folder, images in _recording_folders(path, MAX_FOLDER_DEPTH, notes):
             files += images
             _check_json(folder, notes)
             targets.append(_targets(folder, images, notes))
@@ -222,8 +222,8 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         path,
         preprocess,
         tuple(files),
-        _known(poses),
-        _known(moves),
+        _drop_if_unknown(poses),
+        _drop_if_unknown(moves),
         notes,
         ids if (ids != UNKNOWN_ID).any() else None,
     )
@@ -251,7 +251,9 @@ def _recording_folders(
 def _below(folder: Path) -> Path | None:
     """A folder in `folder` where images would be found if it had none of its own."""
     found = (
-        place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1, [])
+        place
+        for sub in _folders(folder)
+        for place, _ in _recording_folders(sub, MAX_FOLDER_DEPTH - 1, [])
     )
     with contextlib.suppress(OSError):  # nobody asked for what lies there
         return next(found, None)
@@ -288,7 +290,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
             notes.append(Problem.at(file, text))
 
 
-def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
+def _targets(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:
     """What the folder's table says of its images."""
     for file in (folder / name for name in TABLES):
         if file.is_file():
@@ -299,10 +301,10 @@ def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
                 continue
             notes += problems
             return targets
-    return no_targets(len(images))
+    return make_unknown_labels(len(images))
 
 
-def _known(values: np.ndarray) -> np.ndarray | None:
+def _drop_if_unknown(values: np.ndarray) -> np.ndarray | None:
     return values if np.isfinite(values).any() else None
 
 

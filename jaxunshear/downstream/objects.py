@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.dataset import fresh
-from jaxunshear.dataset.chunks import unpack
+from jaxunshear.dataset.chunks import unpack_bits
 from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts
 from jaxunshear.downstream.contour import Contour, outline
 from jaxunshear.downstream.geometry import known_motions
@@ -77,7 +77,7 @@ def solids(
     """By maker, the object of one walk from every fourth of its images, unsheared or (None) as they are."""
     course, walks = walked
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
-    images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
+    images = unpack_bits(walks.images[walk, there], experiment.paired.preprocess.size)
     motion = measure_motions(lattice, images) if unshear is None else unshear(images)
     full = (
         float(np.abs(line.points).max()) + CELL_MM

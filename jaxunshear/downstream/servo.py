@@ -22,7 +22,7 @@ import numpy as np
 from jaxunshear.angles import rotate_2d
 from jaxunshear.contact.contact_results import Skins
 from jaxunshear.contact.simulate import follow
-from jaxunshear.dataset.chunks import RENDER, pack, render
+from jaxunshear.dataset.chunks import RENDER_BATCH, pack_bits, render_images
 from jaxunshear.downstream.contour import Contour, advance, outline
 from jaxunshear.downstream.controller import Gains, Memory, control
 from jaxunshear.errors import UserError
@@ -196,7 +196,7 @@ def _take_step(
 ) -> None:
     step, rows = int(walks.steps), np.flatnonzero(walks.end == WALKING)
     images, ended = _touch(walks, course, sensor, settings, step, rows)
-    walks.images[:, step] = pack(images)
+    walks.images[:, step] = pack_bits(images)
     here = walks.point[:, step]
     walks.true[:, step] = report(here)
     _perceive(walks, ways, images, step, rows)
@@ -257,10 +257,10 @@ def _touch(
     number = step * count + rows  # every frame has noise of its own
     seen = rows[finite]
     if len(seen):
-        fresh, few = np.zeros(len(seen)), min(RENDER, count)
-        images[seen] = render(settings, sensor, contacts.pins[finite], number[finite], fresh, few)[
-            0
-        ]
+        fresh, few = np.zeros(len(seen)), min(RENDER_BATCH, count)
+        images[seen] = render_images(
+            settings, sensor, contacts.pins[finite], number[finite], fresh, few
+        )[0]
     walks.simulate_s += time.perf_counter() - began
     return images, ended
 

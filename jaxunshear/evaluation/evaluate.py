@@ -14,8 +14,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from jaxunshear.dataset.making import read_metadata
-from jaxunshear.dataset.reading import open_set
+from jaxunshear.dataset.generation import read_metadata
+from jaxunshear.dataset.reader import open_set
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps

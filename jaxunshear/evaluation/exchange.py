@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.factorial import FEEDS, IMAGE, FactorialReader
-from jaxunshear.dataset.reading import Reader
+from jaxunshear.dataset.factorial import IMAGE, SHEARED_PINS, FactorialReader
+from jaxunshear.dataset.reader import Reader
 from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
@@ -67,7 +67,7 @@ class _Road(NamedTuple):
 def _road(net: Net) -> _Road:
     if isinstance(net, PinUnshear):
         return _Road(
-            FEEDS,
+            SHEARED_PINS,
             "px",
             jax.jit(partial(pinnets.encode, net)),
             jax.jit(partial(pinnets.decode_sheared, net)),
@@ -139,7 +139,7 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     found = _errors(squares, poses, changed, road.unit)
     if road.unit == GREY:
         some = np.resize(np.flatnonzero(changed)[:: max(1, int(changed.sum()) // AT_ONCE)], AT_ONCE)
-        true = reader.take("test", swapped[some], (FEEDS,))[FEEDS]
+        true = reader.take("test", swapped[some], (SHEARED_PINS,))[SHEARED_PINS]
         for name, images in compared(some)[0].items():
             found["drawn"][name] |= _pins_of(images, true)
     return found | {"by slip": by_slip}

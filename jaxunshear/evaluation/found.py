@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.evaluation.gather import IMAGES, PINS
 from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.readers import places
 from jaxunshear.evaluation.spread import numbered_poses

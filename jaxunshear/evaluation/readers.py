@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.dataset.reading import Reader
+from jaxunshear.dataset.reader import Reader
 from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
 from jaxunshear.evenly import evenly

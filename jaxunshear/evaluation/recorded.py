@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader
-from jaxunshear.dataset.recorded_reading import RecordedSet
+from jaxunshear.dataset.reader import Batch, Reader
+from jaxunshear.dataset.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.gather import BATCH, IMAGES, PINS, Gathered, gather
 from jaxunshear.evaluation.networks import Run, load

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Reader
-from jaxunshear.dataset.recorded_reading import RecordedSet
+from jaxunshear.dataset.reader import Reader
+from jaxunshear.dataset.recorded_set import RecordedSet
 from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
 from jaxunshear.settings.data import KEPT_OUT

@@ -20,9 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.digests import digest_of
-from jaxunshear.dataset.preparing import LEAST_FRAMES, frame_of
-from jaxunshear.dataset.recorded import Contacts, common_view, everything
+from jaxunshear.dataset.digests import compute_digest
+from jaxunshear.dataset.preprocessing import MIN_FRAMES, find_sensor_frame
+from jaxunshear.dataset.recorded_contacts import (
+    RecordedContacts,
+    find_common_view,
+    read_test_contacts,
+)
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import rounded
@@ -74,16 +78,16 @@ def score_transfer(
     settings = Recorded(
         str(recordings),
         str(recordings),
-        digest_of((str(recordings),)),
+        compute_digest((str(recordings),)),
         preprocess=paired.preprocess,
     )
-    contacts = everything(settings)
+    contacts = read_test_contacts(settings)
     contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
     taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
     for kind, found in (("taps", taps), ("slides", slides)):
-        if len(found.files) < LEAST_FRAMES:
+        if len(found.files) < MIN_FRAMES:
             raise UserError(
-                f"{recordings} holds {len(found.files)} labelled {kind}: at least {LEAST_FRAMES} are needed to score by"
+                f"{recordings} holds {len(found.files)} labelled {kind}: at least {MIN_FRAMES} are needed to score by"
             )
     known_half = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
     (of_taps, tap_pins), (of_slides, slide_pins) = (
@@ -219,7 +223,7 @@ def _read(
     model: Path,
     network: Perceiver | None,
     settings: Recorded,
-    contacts: Contacts,
+    contacts: RecordedContacts,
     kind: str,
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray]]:
     """Poses by way and quantity, (N,) each, and pins by way, (N, P, 2) px, of networks over pins; NaN where a contact could not be
@@ -228,9 +232,13 @@ def _read(
         split=np.zeros(len(contacts.files), int)
     )  # all alike: whoever seeks training frames finds them
     if network is None:
-        frame = frame_of(contacts, settings, experiment.sensor) if over_pins(experiment) else None
+        frame = (
+            find_sensor_frame(contacts, settings, experiment.sensor)
+            if over_pins(experiment)
+            else None
+        )
         network = perceiver(model, experiment, True, frame)
-    view = network.view or common_view(contacts, network.preprocess)
+    view = network.view or find_common_view(contacts, network.preprocess)
     found: dict[str, dict[str, np.ndarray]] = {}
     pins: dict[str, np.ndarray] = {}
     size = network.preprocess.size

@@ -11,10 +11,10 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.dataset.digests import digest_of
-from jaxunshear.dataset.preparing import prepare
-from jaxunshear.dataset.recorded import Contacts, everything
-from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_from
+from jaxunshear.dataset.digests import compute_digest
+from jaxunshear.dataset.preprocessing import prepare_chunks
+from jaxunshear.dataset.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
@@ -44,7 +44,7 @@ def score_recordings(
     started = time.perf_counter()
     for network in experiment.networks:
         check_finished(run_dir / network)
-    digest = digest_of((str(recordings),))
+    digest = compute_digest((str(recordings),))
     if digest == settings.digest:
         raise UserError(
             f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
@@ -58,7 +58,7 @@ def score_recordings(
     )
     for network in experiment.networks:
         check_unseen(run_dir / network, [digest])
-    contacts = everything(settings)
+    contacts = read_test_contacts(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
     targets = read_targets(run_dir / experiment.networks[-1])
@@ -92,12 +92,16 @@ def _learnt(recordings: Path, folders: tuple[str, ...]) -> bool:
 
 
 def _prepared(
-    experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Recorded, folder: Path
+    experiment: Experiment,
+    run_dir: Path,
+    contacts: RecordedContacts,
+    settings: Recorded,
+    folder: Path,
 ) -> RecordedSet:
     """The recordings as a set, seen as the run's sensor sees."""
     known = read_object(run_dir / FRAME)
-    frame = frame_from(known)
-    paths = prepare(contacts, settings, frame, folder, f"read {settings.slide_folder}")
+    frame = parse_frame(known)
+    paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))
 
 

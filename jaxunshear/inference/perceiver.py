@@ -18,8 +18,14 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
-from jaxunshear.dataset.recorded_reading import frame_from
+from jaxunshear.dataset.preprocessing import (
+    LIKE_REMEDY,
+    SensorFrame,
+    find_recordings_frame,
+    to_detection_px,
+    to_image_px,
+)
+from jaxunshear.dataset.recorded_set import parse_frame
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import make_lattice
@@ -123,7 +129,7 @@ class Perceiver(NamedTuple):
 
 
 def perceiver(
-    model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None
+    model: Path, experiment: Experiment, recorded_too: bool, frame: SensorFrame | None = None
 ) -> Perceiver:
     """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
     in the images that are to be read; networks over simulated pins need it. Raises UserError."""
@@ -146,7 +152,7 @@ def perceiver(
         frame = learnt or frame
         if frame is None:
             raise UserError(
-                f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}"
+                f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE_REMEDY}"
             )
         return _of_pins(experiment, run, names, frame, rest, expected)
 
@@ -167,25 +173,25 @@ def perceiver(
     )
 
 
-def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
+def frame_learnt(model: Path, experiment: Experiment) -> SensorFrame | None:
     """What the recordings that a model learnt from have in common; None where it learnt from simulated touches. Raises UserError."""
     return (
-        frame_from(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
+        parse_frame(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
     )
 
 
-def frame_for(path: Path, experiment: Experiment) -> Frame | None:
+def frame_for(path: Path, experiment: Experiment) -> SensorFrame | None:
     """Where pins stand in recordings at `path`, for networks over simulated pins; None for others, which know. Raises UserError."""
     if isinstance(experiment.paired, Recorded) or not over_pins(experiment):
         return None
     preprocess = experiment.paired.preprocess
-    return frame_of_recordings(read_recordings(path, preprocess), preprocess, experiment.sensor)
+    return find_recordings_frame(read_recordings(path, preprocess), preprocess, experiment.sensor)
 
 
 def expected_by(model: Path, experiment: Experiment) -> SensorAppearance:
     """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
     if frame := frame_learnt(model, experiment):
-        return measure_sensor_appearance(frame.place, frame.size)
+        return measure_sensor_appearance(frame.rest, frame.size)
     return measure_sensor_appearance(lattice_of(experiment).rest, experiment.paired.preprocess.size)
 
 
@@ -224,18 +230,18 @@ def _of_pins(
     experiment: Experiment,
     run: Callable[..., Tree],
     names: tuple[str, ...],
-    frame: Frame,
+    frame: SensorFrame,
     rest: np.ndarray | None,
     expected: SensorAppearance,
 ) -> Perceiver:
     """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
     where these are not the frame's."""
-    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
-    there, back, degrees = between(frame.place, frame.place if rest is None else rest)
+    lattice = make_lattice(to_detection_px(frame, frame.rest), frame.ring)
+    there, back, degrees = between(frame.rest, frame.rest if rest is None else rest)
 
     def read(images: np.ndarray) -> Seen:
         motion, sure = track_images(lattice, images, independent=True)
-        pins = to_image(frame, lattice.rest + motion)
+        pins = to_image_px(frame, lattice.rest + motion)
         return Seen(there(pins).astype(np.float32), sure, pins)
 
     def run_networks(seen: Seen) -> Values:

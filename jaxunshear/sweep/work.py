@@ -110,7 +110,7 @@ def _to_retry(reason: str) -> str:
 
 
 def _data(order: Order, folder: Path) -> Outcome:
-    from jaxunshear.dataset.making import make_sets
+    from jaxunshear.dataset.generation import make_sets
 
     for wanted in order.experiments:
         make_sets(from_json(wanted, str(folder / TASK)), Path(order.data))

@@ -20,8 +20,8 @@ from jaxunshear.calibration.calibrated import SHIPPED
 from jaxunshear.calibration.labels import depth_axis
 from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.reading import Batch
-from jaxunshear.dataset.recorded_reading import Drag, RecordedSet
+from jaxunshear.dataset.reader import Batch
+from jaxunshear.dataset.recorded_set import RecordedSet, SlideSimulator
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import config_name
@@ -49,7 +49,7 @@ def drag_of(
     data_dir: Path,
     simulate: Simulate | None = None,
     chunk: int = CHUNK,
-) -> Drag:
+) -> SlideSimulator:
     """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
     on where it stopped. Where `simulate` is not given it is `shear` of the training taps; files have `chunk` contacts. Raises UserError."""
     place = (

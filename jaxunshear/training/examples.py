@@ -14,8 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import FactorialReader
-from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
-from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
+from jaxunshear.dataset.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.dataset.recorded_set import (
+    PoseEstimator,
+    RecordedSet,
+    SlideSimulator,
+    TapRenderer,
+    open_recorded,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.parts import Net, Variables
@@ -29,7 +35,7 @@ from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_ta
 
 POSES_AT_ONCE = 1024
 READ_AT_ONCE = 128
-FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preparing.Frame`
+FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preprocessing.Frame`
 
 
 class Pins(NamedTuple):
@@ -94,7 +100,7 @@ def pairs_of(
     return stored.pairs(targets, render, not over_pins(experiment), read, drag)
 
 
-def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> Drag | None:
+def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> SlideSimulator | None:
     if stored.settings.pairing != "simulated":
         return None
     from jaxunshear.training.dragged import drag_of
@@ -146,7 +152,7 @@ def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Pa
     return open_set(settings, data_dir, sensor, FactorialReader if shared else SetReader)
 
 
-def _render(folder: Path) -> Render:
+def _render(folder: Path) -> TapRenderer:
     """The trained renderer in `folder` as a function of poses (N, 6). Raises UserError."""
     net, variables, targets = _trained(folder, "pairs that are rendered")
     run = jax.jit(partial(pinnets.render, net, variables))
@@ -159,7 +165,7 @@ def _render(folder: Path) -> Render:
     return render
 
 
-def _read(folder: Path, pins: bool) -> Read:
+def _read(folder: Path, pins: bool) -> PoseEstimator:
     """The trained PoseNet in `folder`, over pins or images, as a function of both: poses (N, 6), 0 in columns that it does not know.
     Raises UserError."""
     net, variables, targets = _trained(folder, "slides without labels that are read")

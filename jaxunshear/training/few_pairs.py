@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader, SetReader
-from jaxunshear.dataset.siblings import siblings_of
+from jaxunshear.dataset.pose_groups import group_by_pose
+from jaxunshear.dataset.reader import Batch, Reader, SetReader
 from jaxunshear.settings.data import PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.splits import hashed
@@ -69,7 +69,7 @@ def with_alike(batches: Batches, examples: Examples, count: int, seed: int) -> B
 
     def from_step(start: int = 0) -> Iterator[Batch]:
         rows = _stored(examples).rows("train")
-        pins, siblings = rows["sheared_pins"], siblings_of(rows["stimulus"], rows["pose_id"])
+        pins, siblings = rows["sheared_pins"], group_by_pose(rows["stimulus"], rows["pose_id"])
         for step, pairs in zip(itertools.count(start), batches(start)):
             generator = np.random.default_rng((seed, step))
             drawn = generator.integers(len(pins), size=count)

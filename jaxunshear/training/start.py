@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.dataset.digests import folders_in
+from jaxunshear.dataset.digests import parse_folder_digests
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.settings.configs import fingerprint
@@ -38,7 +38,9 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
     tests = {fingerprint(test, experiment.sensor) for test in further_tests(experiment).values()}
     check_unseen(
         folder,
-        folders_in(paired.digest) if isinstance(paired := experiment.paired, Recorded) else tests,
+        parse_folder_digests(paired.digest)
+        if isinstance(paired := experiment.paired, Recorded)
+        else tests,
     )
     return folder
 
@@ -46,7 +48,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
 def data_of(experiment: Experiment, network: str, start: Path | None) -> list[str]:
     """Return the digests of the data that `network` learns from, also through others and the weights in `start`."""
     if isinstance(experiment.paired, Recorded):
-        own = folders_in(experiment.paired.digest)
+        own = parse_folder_digests(experiment.paired.digest)
     else:
         sets = [learnt_from(experiment, each) for each in needed(experiment, network)]
         if training_of(experiment, network).tap_weight:

@@ -103,7 +103,7 @@ def sense_of(
         for k in (ANGLES // 6, ANGLES // 4):
             wanted = poses[rows].copy()
             wanted[:, 5] += sense * 360 * k / ANGLES
-            near, _ = pairing.nearest(targets, wanted, poses)
+            near, _ = pairing.find_nearest(targets, wanted, poses)
             difference = np.asarray(turned(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
             scores.append(
                 np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2))

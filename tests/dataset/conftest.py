@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.chunks import Engine
+from jaxunshear.dataset.chunks import SimulationEngine
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import Sensor
@@ -62,11 +62,11 @@ def render(settings, sensor, tips, number, age):
     return np.stack(images).astype(np.uint8) * np.uint8(255), pins.astype(np.float32)
 
 
-ENGINE = Engine(plan, simulate, render)
+ENGINE = SimulationEngine(plan, simulate, render)
 
 
 @pytest.fixture
-def engine() -> Engine:
+def engine() -> SimulationEngine:
     return ENGINE
 
 

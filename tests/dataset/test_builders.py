@@ -16,10 +16,10 @@ import tensorflow_datasets as tfds
 
 import data_specs.tactip_paired
 import data_specs.tactip_pose
-from jaxunshear.dataset.builders.stored import SetConfig, sha256
+from jaxunshear.dataset.builders.stored import SetConfig, compute_sha256
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.making import make_set, make_sets
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.generation import make_set, make_sets
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.settings.experiment import Experiment
@@ -33,7 +33,7 @@ BUILDERS = {
 
 
 def checksums(folder: Path) -> dict[str, str]:
-    return {path.name: sha256(path) for path in sorted(folder.iterdir())}
+    return {path.name: compute_sha256(path) for path in sorted(folder.iterdir())}
 
 
 def test_a_library_that_came_in_parts_is_one_line():
@@ -194,7 +194,7 @@ def test_nothing_that_converges_is_refused(pose, sensor, engine, tmp_path):
 SCRIPT = """
 import runpy, sys
 from pathlib import Path
-from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.generation import make_set
 fake = runpy.run_path(sys.argv[1])
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"])
 """
@@ -234,7 +234,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
         process.kill()
         process.communicate()
     kept = {path.name: path.stat().st_mtime_ns for path in chunks.glob("*.npz")}
-    assert 3 <= len(kept) < len(engine.plan(sensor, paired.stimuli, draw(paired).scenes))
+    assert 3 <= len(kept) < len(engine.plan(sensor, paired.stimuli, sample_contacts(paired).scenes))
     assert not set_folder(paired, sensor, tmp_path / "killed").exists()
     half = chunks.with_name("seen")
     half.mkdir()

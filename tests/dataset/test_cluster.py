@@ -11,8 +11,8 @@ import pytest
 
 from jaxunshear import cluster
 from jaxunshear.cluster import Call, here
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import open_set
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import open_set
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import set_folder, unfinished_folder
 from jaxunshear.settings.splits import SPLITS
@@ -24,7 +24,7 @@ SCRIPT = """
 import runpy, sys
 from pathlib import Path
 from jaxunshear.cluster import over_ray
-from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.generation import make_set
 fake = runpy.run_path(sys.argv[1])
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(spread=over_ray(sys.argv[3], 1)))
 """

@@ -6,11 +6,15 @@ import pytest
 from PIL import Image
 
 from jaxunshear.dataset import chunks
-from jaxunshear.dataset.chunks import load_chunk, pack, simulate_chunks, unpack
-from jaxunshear.dataset.examples import paired_examples, pose_examples, summary
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import open_set
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.chunks import load_chunk, pack_bits, simulate_chunks, unpack_bits
+from jaxunshear.dataset.examples import (
+    iterate_paired_examples,
+    iterate_pose_examples,
+    summarise_set,
+)
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import open_set
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.data import PoseData
@@ -20,7 +24,7 @@ from jaxunshear.settings.splits import SPLITS
 
 
 def make(settings, sensor, folder, engine):
-    shots = draw(settings)
+    shots = sample_contacts(settings)
     return shots, simulate_chunks(settings, sensor, shots, folder, engine)
 
 
@@ -42,14 +46,14 @@ def breaking(engine, helped: bool):
 
 def test_images_survive_packing():
     images = np.random.default_rng(0).integers(0, 2, (3, 13, 13), np.uint8) * np.uint8(255)
-    np.testing.assert_array_equal(unpack(pack(images), 13), images)
+    np.testing.assert_array_equal(unpack_bits(pack_bits(images), 13), images)
 
 
 def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, engine, tmp_path):
     shots, paths = make(paired, sensor, tmp_path, engine)
     seen = set()
     for split in SPLITS:
-        for key, example in paired_examples(paired, shots, paths, split):
+        for key, example in iterate_paired_examples(paired, shots, paths, split):
             here = shots.scenes.stimulus == paired.stimuli.index(example["stimulus"])
             here &= (shots.pose_id == example["pose_id"]) & (shots.split == SPLITS.index(split))
             slide = int(
@@ -74,7 +78,7 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
 def test_chunks_do_not_change_an_example(paired, sensor, engine, tmp_path):
     def all_of(name, batches):
         shots, paths = make(paired, sensor, tmp_path / name, engine._replace(plan=batches))
-        return dict(sorted(paired_examples(paired, shots, paths, "train")))
+        return dict(sorted(iterate_paired_examples(paired, shots, paths, "train")))
 
     large, small = (
         all_of("large", engine.plan),
@@ -123,10 +127,10 @@ def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
 
 def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, engine, tmp_path):
     engine, marked = breaking(engine, helped=True)
-    scenes = draw(paired).scenes
+    scenes = sample_contacts(paired).scenes
     marked += scenes.pose[[0, 60], 0].tolist()  # two complete poses
     shots, paths = make(paired, sensor, tmp_path, engine)
-    counts = summary(paired, shots, paths)
+    counts = summarise_set(paired, shots, paths)
     assert (counts["retried"], counts["dropped"]) == (10, 0)
     spent = np.concatenate([load_chunk(path)["iterations"] for path in paths])
     slowest = np.concatenate([load_chunk(path)["number"] for path in paths])[spent == spent.max()]
@@ -139,14 +143,14 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
 
 def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engine, tmp_path):
     engine, marked = breaking(engine, helped=False)
-    marked += draw(paired).scenes.pose[[0], 0].tolist()
+    marked += sample_contacts(paired).scenes.pose[[0], 0].tolist()
     shots, paths = make(paired, sensor, tmp_path, engine)
-    counts = summary(paired, shots, paths)
+    counts = summarise_set(paired, shots, paths)
     assert (counts["retried"], counts["dropped"], counts["slides_without_tap"]) == (5, 5, 0)
     assert [scene["number"] for scene in counts["dropped_scenes"]] == [0, 1, 2, 3, 4]
     assert counts["dropped_scenes"][2]["move"] == shots.scenes.move[2].tolist()
     for index, split in enumerate(SPLITS):
-        written = [key for key, _ in paired_examples(paired, shots, paths, split)]
+        written = [key for key, _ in iterate_paired_examples(paired, shots, paths, split)]
         assert len(written) == counts["written"][split]
         assert not any(key.startswith("disk_0_") for key in written)
         assert index in shots.split
@@ -155,7 +159,7 @@ def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engin
 def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(
     paired, sensor, engine, tmp_path
 ):
-    shots = draw(paired)
+    shots = sample_contacts(paired)
 
     def blind(settings, sensor, tips, number, age):
         images, pins = engine.render(settings, sensor, tips, number, age)
@@ -163,19 +167,19 @@ def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(
         return images, pins
 
     paths = simulate_chunks(paired, sensor, shots, tmp_path, engine._replace(render=blind))
-    counts = summary(paired, shots, paths)
+    counts = summarise_set(paired, shots, paths)
     assert (counts["dropped"], counts["slides_without_tap"]) == (3, 3)
     examples = dict(
-        pair for split in SPLITS for pair in paired_examples(paired, shots, paths, split)
+        pair for split in SPLITS for pair in iterate_paired_examples(paired, shots, paths, split)
     )
-    assert len(examples) == sum(counts["written"].values()) == shots.slid.sum() - 3
+    assert len(examples) == sum(counts["written"].values()) == shots.is_slide.sum() - 3
     assert {examples[f"disk_0_{slide}"]["tap_id"] for slide in range(3)} == {1}
     assert "disk_1_0" not in examples
 
 
 def test_pose_examples_cover_all_taps_once(pose, sensor, engine, tmp_path):
     shots, paths = make(pose, sensor, tmp_path, engine)
-    keys = [key for split in SPLITS for key, _ in pose_examples(pose, shots, paths, split)]
+    keys = [key for split in SPLITS for key, _ in iterate_pose_examples(pose, shots, paths, split)]
     assert len(set(keys)) == len(keys) == len(shots.scenes)
 
 
@@ -187,11 +191,12 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
     tips = np.repeat(compute_pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)
-    images, pins = chunks.render(settings, TACTIP_331, tips, number, age)
-    again, _ = chunks.render(settings, TACTIP_331, tips[17:], number[17:], age[17:])
+    images, pins = chunks.render_images(settings, TACTIP_331, tips, number, age)
+    again, _ = chunks.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
     assert np.any(
-        chunks.render(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0] != images[0]
+        chunks.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0]
+        != images[0]
     )
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
@@ -203,10 +208,10 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     settings = dataclasses.replace(PAIRED["tiny"], stimuli=("disk",), poses=5, slides=1)
-    shots, paths = make(settings, TACTIP_331, tmp_path, chunks.simulator())
-    counts = summary(settings, shots, paths)
+    shots, paths = make(settings, TACTIP_331, tmp_path, chunks.make_engine())
+    counts = summarise_set(settings, shots, paths)
     assert counts["dropped"] == 0
-    (_, example), *_ = paired_examples(settings, shots, paths, "train")
+    (_, example), *_ = iterate_paired_examples(settings, shots, paths, "train")
     canonical, sheared = (
         np.asarray(Image.open(io.BytesIO(example[name]))) for name in ("canonical", "sheared")
     )
@@ -226,7 +231,9 @@ def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engin
         make_set(settings, sensor, tmp_path, engine)
         rows = open_set(settings, tmp_path, sensor).rows("test")
         assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths
-    shots = draw(settings)
-    slides = shots.scenes.take(np.flatnonzero(shots.slid & (shots.split == SPLITS.index("test"))))
+    shots = sample_contacts(settings)
+    slides = shots.scenes.take(
+        np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("test")))
+    )
     for name, drawn in (("pose", slides.pose), ("move", slides.move)):
         np.testing.assert_allclose(np.sort(rows[name][:, -1]), np.sort(drawn[:, -1]), rtol=1e-6)

@@ -35,7 +35,9 @@ def centroids(grey, near):
 
 def test_pins_of_a_warped_image_stand_where_they_were_moved():
     motion = np.stack([1.2 * np.sin(PINS[:, 1] / 20), 0.8 * np.cos(PINS[:, 0] / 25)], axis=-1)
-    moved = pairing.warped(image(PINS), motion[None], pairing.spread_over(PINS, SPACING, SIZE))[0]
+    moved = pairing.warp_images(
+        image(PINS), motion[None], pairing.interpolate_over_pixels(PINS, SPACING, SIZE)
+    )[0]
     assert len(find_pins(moved)) == 127
     apart = np.linalg.norm(centroids(moved, PINS + motion) - (PINS + motion), axis=-1)
     asis = np.linalg.norm(
@@ -46,18 +48,18 @@ def test_pins_of_a_warped_image_stand_where_they_were_moved():
 
 
 def test_no_motion_changes_nothing_and_far_from_the_pins_nothing_moves():
-    spread = pairing.spread_over(PINS, SPACING, SIZE)
+    spread = pairing.interpolate_over_pixels(PINS, SPACING, SIZE)
     ring = image(PINS)
     ring[:, :6] = 255
-    np.testing.assert_array_equal(pairing.warped(ring, np.zeros((1, 127, 2)), spread), ring)
-    moved = pairing.warped(ring, np.full((1, 127, 2), 1.0), spread)
+    np.testing.assert_array_equal(pairing.warp_images(ring, np.zeros((1, 127, 2)), spread), ring)
+    moved = pairing.warp_images(ring, np.full((1, 127, 2), 1.0), spread)
     np.testing.assert_array_equal(moved[:, :6], ring[:, :6])
 
 
 def test_gaps_go_the_short_way_round():
     one, other = np.zeros((1, 6)), np.zeros((1, 6))
     one[0, 5], other[0, 5], other[0, 1] = 179, -178, 2.5
-    np.testing.assert_allclose(pairing.gaps(one, other), [[0, 2.5, 0, 0, 0, 3]])
+    np.testing.assert_allclose(pairing.compute_pose_gaps(one, other), [[0, 2.5, 0, 0, 0, 3]])
 
 
 def test_the_nearest_goes_by_all_targets_and_round_the_circle():
@@ -66,12 +68,12 @@ def test_the_nearest_goes_by_all_targets_and_round_the_circle():
     targets = of_labels((), poses)
     asked = poses[[0, 20]].copy()
     asked[0, 5] = 179.5
-    rows, distance = pairing.nearest(targets, asked, poses)
+    rows, distance = pairing.find_nearest(targets, asked, poses)
     assert rows.tolist() == [0, 20] and distance[1] == pytest.approx(0, abs=1e-6)
 
 
 def test_weights_halve_at_the_median_gap():
-    weights = pairing.weights_of(np.array([0.0, 1.0, 2.0]))
+    weights = pairing.compute_pair_weights(np.array([0.0, 1.0, 2.0]))
     np.testing.assert_allclose(weights / weights[0], [1, 0.5, 1 / 16], rtol=1e-6)
     assert weights.mean() == pytest.approx(1)
-    assert np.all(np.isfinite(pairing.weights_of(np.zeros(3))))
+    assert np.all(np.isfinite(pairing.compute_pair_weights(np.zeros(3))))

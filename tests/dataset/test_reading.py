@@ -7,10 +7,10 @@ import shutil
 import numpy as np
 import pytest
 
-from jaxunshear.dataset import reading
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import Reader, open_set, shifted
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset import reader
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import Reader, open_set, shift_examples
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import VERSION, set_folder
 from jaxunshear.settings.splits import SPLITS
@@ -31,7 +31,7 @@ def image_of(engine, settings, row):
 
 
 def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine):
-    shots = draw(paired)
+    shots = sample_contacts(paired)
     seen = set()
     for split in SPLITS:
         batches = list(made.split(split, 8))
@@ -50,10 +50,10 @@ def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine)
                     shots.pose_id == batch["pose_id"][place]
                 )
                 slide = np.flatnonzero(
-                    here & shots.slid & (shots.instance == batch["slide_id"][place])
+                    here & shots.is_slide & (shots.instance == batch["slide_id"][place])
                 )[0]
                 tap = np.flatnonzero(
-                    here & ~shots.slid & (shots.instance == batch["tap_id"][place])
+                    here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
                 )[0]
                 np.testing.assert_array_equal(
                     batch["sheared"][place, :, :, 0], image_of(engine, paired, slide)
@@ -64,7 +64,7 @@ def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine)
                 np.testing.assert_allclose(batch["edge"][place], shots.edge[slide], rtol=1e-6)
                 assert shots.split[slide] == SPLITS.index(split)
                 seen.add(slide)
-    assert len(seen) == shots.slid.sum()
+    assert len(seen) == shots.is_slide.sum()
 
 
 def test_no_pose_is_in_two_splits(made):
@@ -103,7 +103,7 @@ def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
 
 
 def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
-    shots = draw(paired)
+    shots = sample_contacts(paired)
     met: dict[tuple, set] = {}
     for batch in take(made.train_batches(12, 0, 0.0)(0), 90):
         for place, key in enumerate(
@@ -111,7 +111,7 @@ def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
         ):
             tap = int(batch["tap_id"][place])
             met.setdefault(key, set()).add(tap)
-            here = (shots.scenes.stimulus == key[0]) & (shots.pose_id == key[1]) & ~shots.slid
+            here = (shots.scenes.stimulus == key[0]) & (shots.pose_id == key[1]) & ~shots.is_slide
             row = np.flatnonzero(here & (shots.instance == tap))[0]
             np.testing.assert_array_equal(
                 batch["canonical"][place, :, :, 0], image_of(engine, paired, row)
@@ -120,7 +120,7 @@ def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
 
 
 def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine):
-    shots, offsets = draw(paired), set()
+    shots, offsets = sample_contacts(paired), set()
     for batch in take(made.train_batches(12, 0, 0.1)(0), 10):
         for place in range(12):
             here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
@@ -152,7 +152,7 @@ def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
     images = np.zeros((2, 8, 8, 1), np.uint8)
     images[:, 2, 3] = 255
     pins = np.full((2, 1, 2), (3.0, 2.0), np.float32)
-    moved = shifted(
+    moved = shift_examples(
         {"image": images, "pins": pins, "pose": np.array([7, 8])}, np.array([[2, 1], [0, -2]])
     )
     assert np.argwhere(moved["image"][..., 0]).tolist() == [[0, 3, 5], [1, 0, 3]]
@@ -180,7 +180,7 @@ def test_the_pose_set(pose, sensor, engine, tmp_path):
 
 def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sensor, tmp_path):
     inside = next(made.split("train", 36))
-    monkeypatch.setattr(reading, "MEMORY_BYTES", 1000)
+    monkeypatch.setattr(reader, "MAX_MEMORY_BYTES", 1000)
     outside = next(open_set(paired, tmp_path, sensor).split("train", 36))
     assert all(np.array_equal(inside[name], outside[name]) for name in inside)
     assert [path.name for path in made.folder.parent.iterdir()] == [VERSION]
@@ -247,7 +247,7 @@ def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(reading, "_read_rows", refuse)
+    monkeypatch.setattr(reader, "_read_rows", refuse)
     with pytest.raises(UserError, match=r"cannot read .*Permission denied") as refusal:
         next(made.split("test", 4))
     assert "again" not in str(refusal.value)

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.shots import LEAST_DEPTH_MM, draw_paired, draw_pose
+from jaxunshear.dataset.sampling import MIN_DEPTH_MM, sample_paired, sample_taps
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import PAIRED, POSE, config_name, fingerprint, sensor_of
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
@@ -13,12 +13,12 @@ from jaxunshear.settings.splits import SPLITS, split_of
 
 
 def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
-    shots = draw_paired(paired)
+    shots = sample_paired(paired)
     assert len(shots.scenes) == 2 * 10 * 5
     for stimulus in range(2):
         for pose_id in range(10):
             here = (shots.scenes.stimulus == stimulus) & (shots.pose_id == pose_id)
-            assert sorted(zip(shots.slid[here], shots.instance[here], strict=True)) == [
+            assert sorted(zip(shots.is_slide[here], shots.instance[here], strict=True)) == [
                 (0, 0),
                 (0, 1),
                 (1, 0),
@@ -28,28 +28,28 @@ def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
             assert len(set(shots.split[here])) == 1
             assert np.ptp(shots.age[here]) == 0  # a tap and its slides drift alike
             assert np.ptp(shots.scenes.pose[here], axis=0).max() == 0  # no depth jitter asked for
-    assert not shots.scenes.move[~shots.slid].any()
-    assert np.all(np.any(shots.scenes.move[shots.slid] != 0, axis=-1))
+    assert not shots.scenes.move[~shots.is_slide].any()
+    assert np.all(np.any(shots.scenes.move[shots.is_slide] != 0, axis=-1))
 
 
 @pytest.mark.parametrize(
     ("poses", "parts"), [(5, (3, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))]
 )
 def test_splits_are_60_20_20_of_the_poses(poses, parts):
-    shots = draw_pose(PoseData(stimuli=("disk", "clover"), poses=poses))
+    shots = sample_taps(PoseData(stimuli=("disk", "clover"), poses=poses))
     for stimulus in range(2):
         split = shots.split[shots.scenes.stimulus == stimulus]
         assert tuple(np.bincount(split, minlength=len(SPLITS))) == parts
 
 
-@pytest.mark.parametrize("draw", [draw_paired, draw_pose])
+@pytest.mark.parametrize("draw", [sample_paired, sample_taps])
 def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
     for kind in (
         {"poses": 13, "stimuli": ("clover", "disk")},
         {"poses": 5, "seed": 7, "stimuli": ("leaf",)},
     ):
         settings = dataclasses.replace(
-            PairedData(slides=3) if draw is draw_paired else PoseData(), **kind
+            PairedData(slides=3) if draw is sample_paired else PoseData(), **kind
         )
         shots = draw(settings)
         for stimulus, pose, split in zip(
@@ -59,7 +59,7 @@ def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
 
 
 def test_ranges_are_those_of_the_paper_and_filled():
-    shots = draw_paired(PairedData(stimuli=("disk",), poses=400, slides=2))
+    shots = sample_paired(PairedData(stimuli=("disk",), poses=400, slides=2))
     most = np.abs(shots.scenes.pose[:, :3]).max(0)
     assert np.all(most <= [5, 5, 45])
     assert np.all(most > [4.9, 4.9, 44])
@@ -68,7 +68,7 @@ def test_ranges_are_those_of_the_paper_and_filled():
 
 
 def test_slides_are_along_x_along_y_or_along_both_a_third_each():
-    move = draw_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
+    move = sample_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
         1000, 4, 2
     )[:, 1:]
     along = move.reshape(-1, 2) != 0
@@ -95,33 +95,33 @@ def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
 def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
     settings = PairedData(stimuli=("disk",), poses=100, taps=4, slides=4, tap_depth_jitter_mm=1.0)
     shots, still = (
-        draw_paired(settings),
-        draw_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
+        sample_paired(settings),
+        sample_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
     )
     moved = shots.scenes.pose - still.scenes.pose
     assert not moved[shots.slid].any()
     assert not moved[:, :3].any()
     assert 0.9 < np.abs(moved[~shots.slid, 3]).max() <= 1
-    shallow = draw_paired(
+    shallow = sample_paired(
         dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01))
     )
-    assert shallow.scenes.pose[:, 3].min() == LEAST_DEPTH_MM
+    assert shallow.scenes.pose[:, 3].min() == MIN_DEPTH_MM
 
 
 def test_a_stimulus_keeps_its_poses_beside_others_and_a_seed_changes_them():
     alone, beside = (
-        draw_pose(PoseData(stimuli=("clover",), poses=9)),
-        draw_pose(PoseData(stimuli=("disk", "clover"), poses=9)),
+        sample_taps(PoseData(stimuli=("clover",), poses=9)),
+        sample_taps(PoseData(stimuli=("disk", "clover"), poses=9)),
     )
     there = beside.scenes.stimulus == 1
     np.testing.assert_array_equal(alone.scenes.pose, beside.scenes.pose[there])
     np.testing.assert_array_equal(alone.split, beside.split[there])
-    other = draw_pose(PoseData(stimuli=("clover",), poses=9, seed=5))
+    other = sample_taps(PoseData(stimuli=("clover",), poses=9, seed=5))
     assert not np.any(alone.scenes.pose == other.scenes.pose)
 
 
 def test_the_two_sets_share_no_pose():
-    paired, pose = draw_paired(PairedData(poses=20)), draw_pose(PoseData(poses=20))
+    paired, pose = sample_paired(PairedData(poses=20)), sample_taps(PoseData(poses=20))
     assert not set(paired.scenes.pose[:, 0]) & set(pose.scenes.pose[:, 0])
 
 
@@ -131,20 +131,20 @@ def test_both_sets_drift():
 
 
 def test_age_runs_from_first_to_last_and_gives_nothing_of_the_shape():
-    shots = draw_pose(PoseData(poses=50))
+    shots = sample_taps(PoseData(poses=50))
     assert (shots.age.min(), shots.age.max()) == (0, 1)
     means = [shots.age[shots.scenes.stimulus == index].mean() for index in range(3)]
     assert np.ptp(means) < 0.02
 
 
 def test_friction_is_the_materials(paired):
-    shots = draw_paired(paired)
+    shots = sample_paired(paired)
     disk, spiral = (
         set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2)
     )
     assert len(disk) == len(spiral) == 1
     assert disk != spiral
-    assert set(draw_paired(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
+    assert set(sample_paired(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_friction_is_the_materials(paired):
 )
 def test_impossible_settings_are_refused_by_name(change, line):
     with pytest.raises(UserError, match=line):
-        draw_paired(dataclasses.replace(PairedData(), **change))
+        sample_paired(dataclasses.replace(PairedData(), **change))
 
 
 def test_changed_settings_have_a_name_of_their_own():
@@ -225,7 +225,7 @@ def ranged(settings, **ranges):
 
 def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
     plain, twisted, more = (
-        draw_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0)
+        sample_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0)
     )
     assert plain.move.shape[1] == 2 and twisted.move.shape[1] == 3
     np.testing.assert_array_equal(twisted.pose, plain.pose)
@@ -242,7 +242,10 @@ def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
 
 def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
     settings = ranged(dataclasses.replace(TURNING, poses=600), tilt_deg=25.0)
-    plain, tilted = draw_paired(ranged(settings, tilt_deg=0.0)).scenes, draw_paired(settings).scenes
+    plain, tilted = (
+        sample_paired(ranged(settings, tilt_deg=0.0)).scenes,
+        sample_paired(settings).scenes,
+    )
     assert plain.pose.shape[1] == 4
     np.testing.assert_array_equal(tilted.pose[:, :4], plain.pose)
     np.testing.assert_array_equal(tilted.move, plain.move)
@@ -251,7 +254,7 @@ def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
     size = np.linalg.norm(tilt[:, :, 0], axis=-1)
     assert 24.5 < size.max() <= 25 and abs(np.mean(size < 25 / np.sqrt(2)) - 0.5) < 0.05
     assert np.all(np.abs(tilt[:, :, 0].mean(axis=1)) < 1.5)
-    taps = draw_pose(ranged(PoseData(poses=9), tilt_deg=25.0)).scenes
+    taps = sample_taps(ranged(PoseData(poses=9), tilt_deg=25.0)).scenes
     assert taps.pose.shape[1] == 6 and np.all(taps.pose[:, 4:] != 0)
 
 

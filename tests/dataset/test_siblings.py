@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxunshear.dataset.siblings import siblings_of
+from jaxunshear.dataset.pose_groups import group_by_pose
 
 STIMULUS = np.array([0, 1, 0, 0, 1, 0, 0])
 POSE = np.array([5, 5, 2, 5, 5, 5, 9])
@@ -17,21 +17,21 @@ def met(draw, times=60):
 
 
 def test_groups_are_of_one_pose_of_one_stimulus():
-    siblings = siblings_of(STIMULUS, POSE)
+    siblings = group_by_pose(STIMULUS, POSE)
     assert [set(siblings.of(row).tolist()) for row in range(7)] == ALIKE
 
 
 def test_any_of_a_group_is_drawn():
-    assert met(siblings_of(STIMULUS, POSE).drawn) == ALIKE
+    assert met(group_by_pose(STIMULUS, POSE).drawn) == ALIKE
 
 
 def test_others_are_not_the_row_itself_unless_it_is_alone():
-    found = met(siblings_of(STIMULUS, POSE).others)
+    found = met(group_by_pose(STIMULUS, POSE).others)
     assert found == [rows - {row} or {row} for row, rows in enumerate(ALIKE)]
 
 
 def test_all_are_as_likely():
-    siblings, generator = siblings_of(STIMULUS, POSE), np.random.default_rng(1)
+    siblings, generator = group_by_pose(STIMULUS, POSE), np.random.default_rng(1)
     counts = np.bincount(siblings.drawn(np.zeros(9000, int), generator), minlength=7)
     assert np.all(np.abs(counts[[0, 3, 5]] - 3000) < 200)
     counts = np.bincount(siblings.others(np.zeros(9000, int), generator), minlength=7)

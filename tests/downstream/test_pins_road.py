@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.chunks import render
+from jaxunshear.dataset.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import outline
 from jaxunshear.downstream.walk_scores import walk_scores
@@ -151,7 +151,7 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
 def test_frames_are_the_same_however_many_are_rendered_at_once():
     tips = np.repeat(compute_pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
     given = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
-    (few, pins), (many, same) = render(*given, 1), render(*given)
+    (few, pins), (many, same) = render_images(*given, 1), render_images(*given)
     np.testing.assert_array_equal(few, many)
     np.testing.assert_array_equal(pins, same)
     assert (few[0] != few[1]).any()  # each with noise of its own

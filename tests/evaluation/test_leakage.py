@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.dataset.chunks import Engine
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import felt
+from jaxunshear.dataset.chunks import SimulationEngine
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import to_sensor_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import (
     exchange,
@@ -88,7 +88,7 @@ def render(settings, sensor, tips, number, age):
     return images.astype(np.uint8) * np.uint8(255), (rest + tips[..., :2]).astype(np.float32)
 
 
-ENGINE = Engine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, render)
+ENGINE = SimulationEngine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, render)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -304,8 +304,10 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
 
 def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
     pose, move = np.array([[0, 0, 90.0, 2]]), np.array([[1.0, 0.0, -4.0]])
-    np.testing.assert_allclose(felt(move, pose), [[0, -1, -4]], atol=1e-6)
-    np.testing.assert_array_equal(felt(move[:, :2], pose), felt(move, pose)[:, :2])
+    np.testing.assert_allclose(to_sensor_frame(move, pose), [[0, -1, -4]], atol=1e-6)
+    np.testing.assert_array_equal(
+        to_sensor_frame(move[:, :2], pose), to_sensor_frame(move, pose)[:, :2]
+    )
 
 
 def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):

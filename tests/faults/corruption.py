@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxunshear.api import load_model
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import open_set
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.reader import open_set
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.plain import plain

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxunshear.dataset.reading import open_set
+from jaxunshear.dataset.reader import open_set
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import read

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
 
-from jaxunshear.dataset.chunks import render
+from jaxunshear.dataset.chunks import render_images
 from jaxunshear.image.lattice import measure_spacing
 from jaxunshear.image.pin_detection import detect_pins_fast
 from jaxunshear.image.preprocess import View, prepare_frame
@@ -36,7 +36,7 @@ def touched(sensor: Sensor, camera: Camera, count: int, seed: int, size: int = 1
     )
     rng = np.random.default_rng(seed)
     tips = np.array([_moved(sensor, rng) for _ in range(count)])
-    return render(settings, sensor, tips, np.arange(count), rng.random(count))[0]
+    return render_images(settings, sensor, tips, np.arange(count), rng.random(count))[0]
 
 
 def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:

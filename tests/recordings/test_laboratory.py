@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.dataset.digests import digest_of
+from jaxunshear.dataset.digests import compute_digest
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
@@ -290,7 +290,7 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(
     model = json.loads((run / "disentangled" / "model.json").read_text())
     write_json(
         run / "disentangled" / "model.json",
-        model | {"data": [digest_of((str(other),)), "0123456789abcdef"]},
+        model | {"data": [compute_digest((str(other),)), "0123456789abcdef"]},
     )
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
     assert answer.code == 2 and "disentangled learnt from data that are tested" in answer.err

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.dataset import preparing
-from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.pairing import gaps, nearest
-from jaxunshear.dataset.recorded import sensor_of, survey
-from jaxunshear.dataset.recorded_reading import open_recorded
+from jaxunshear.dataset import preprocessing
+from jaxunshear.dataset.generation import make_set
+from jaxunshear.dataset.pairing import compute_pose_gaps, find_nearest
+from jaxunshear.dataset.recorded_contacts import identify_sensor, read_contacts
+from jaxunshear.dataset.recorded_set import open_recorded
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
@@ -45,7 +45,7 @@ def opened(recording, stored):
 
 
 def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
-    assert sensor_of(survey(settings_of(recording)), SEEN).pins == 127
+    assert identify_sensor(read_contacts(settings_of(recording)), SEEN).pins == 127
     pose, move = made.contacts(20, False, 0)
     made.write(tmp_path, pose, move)
     for file in (tmp_path / "images").iterdir():
@@ -54,7 +54,7 @@ def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
     with pytest.raises(
         UserError, match="pins are found in an image; known are sensors of 331, 127"
     ):
-        sensor_of(survey(Recorded(tap_folder=str(tmp_path), preprocess=SEEN)), SEEN)
+        identify_sensor(read_contacts(Recorded(tap_folder=str(tmp_path), preprocess=SEEN)), SEEN)
 
 
 def test_every_pin_is_where_it_was_drawn(recording, opened):
@@ -72,13 +72,13 @@ def test_every_pin_is_where_it_was_drawn(recording, opened):
 
 def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
     settings = settings_of(recording)
-    contacts = survey(settings)
-    frame = preparing.frame_of(contacts, settings, TACTIP_127)
-    full = preparing.prepare(contacts, settings, frame, tmp_path / "full")
+    contacts = read_contacts(settings)
+    frame = preprocessing.find_sensor_frame(contacts, settings, TACTIP_127)
+    full = preprocessing.prepare_chunks(contacts, settings, frame, tmp_path / "full")
     assert len(full) == 2
     (tmp_path / "killed").mkdir()
     shutil.copy(full[0], tmp_path / "killed")
-    again = preparing.prepare(contacts, settings, frame, tmp_path / "killed")
+    again = preprocessing.prepare_chunks(contacts, settings, frame, tmp_path / "killed")
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in full]
 
 
@@ -87,11 +87,12 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
     other = tmp_path / "edge"
     shutil.copytree(recording, other)
     settings = settings_of(other)
-    contacts = survey(settings)
+    contacts = read_contacts(settings)
     for file in contacts.take(np.flatnonzero(contacts.split != SPLITS.index("train"))).files:
         Image.fromarray(np.asarray(Image.open(file))[::-1, ::-1].T.copy()).save(file)
     frames = [
-        preparing.frame_of(survey(s), s, TACTIP_127) for s in (settings, settings_of(recording))
+        preprocessing.find_sensor_frame(read_contacts(s), s, TACTIP_127)
+        for s in (settings, settings_of(recording))
     ]
     np.testing.assert_array_equal(frames[0].place, frames[1].place)
     assert frames[0].view == frames[1].view
@@ -144,8 +145,10 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     # and the nearest of these
     allowed = np.concatenate([taps[each]["pose"] for each in dict.fromkeys(("train", split))])
     targets = stored.targets(())
-    row, _ = nearest(targets, partners["pose"], allowed)
-    np.testing.assert_allclose(partners["gap"], gaps(partners["pose"], allowed[row]), atol=1e-4)
+    row, _ = find_nearest(targets, partners["pose"], allowed)
+    np.testing.assert_allclose(
+        partners["gap"], compute_pose_gaps(partners["pose"], allowed[row]), atol=1e-4
+    )
 
 
 def test_rendered_partners_stand_where_the_renderer_says(opened):

@@ -6,8 +6,8 @@ import made
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.digests import digest_of, folders_in
-from jaxunshear.dataset.recorded import survey
+from jaxunshear.dataset.digests import compute_digest, parse_folder_digests
+from jaxunshear.dataset.recorded_contacts import read_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.data import Recorded
@@ -23,10 +23,11 @@ def by_name(contacts):
 
 
 def test_taps_and_slides_of_one_folder_are_known_by_their_moves(recording):
-    contacts = survey(both(recording))
-    assert len(contacts.names) == 320 and contacts.slid.sum() == 160
+    contacts = read_contacts(both(recording))
+    assert len(contacts.names) == 320 and contacts.is_slide.sum() == 160
     assert all(
-        ("shear/" in name) == slid for name, slid in zip(contacts.names, contacts.slid, strict=True)
+        ("shear/" in name) == slid
+        for name, slid in zip(contacts.names, contacts.is_slide, strict=True)
     )
     shares = np.bincount(contacts.split, minlength=3) / 320
     assert 0.7 < shares[0] < 0.9 and 0.04 < shares[1] < 0.17 and 0.04 < shares[2] < 0.17
@@ -40,7 +41,7 @@ def test_a_split_does_not_depend_on_the_order_of_rows(tmp_path):
         for i, rows in enumerate((np.arange(40), order))
     )
     shown = [
-        survey(Recorded(slide_folder=str(folder), test=0.2, validation=0.2))
+        read_contacts(Recorded(slide_folder=str(folder), test=0.2, validation=0.2))
         for folder in (one, other)
     ]
     splits = [
@@ -53,7 +54,7 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     pose, move = made.contacts(60, True, 3)
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
-    contacts = survey(
+    contacts = read_contacts(
         Recorded(
             tap_folder=str(tmp_path / "tap"),
             slide_folder=str(tmp_path / "slide"),
@@ -70,8 +71,8 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
 @pytest.mark.parametrize("seed", [0, 1, 7])
 @pytest.mark.parametrize("shares", [(0.1, 0.1), (0.3, 0.2)])
 def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, seed, shares):
-    contacts = survey(both(recording, seed=seed, test=shares[0], validation=shares[1]))
-    smaller = survey(both(recording, seed=seed, test=0.08, validation=0.1))
+    contacts = read_contacts(both(recording, seed=seed, test=shares[0], validation=shares[1]))
+    smaller = read_contacts(both(recording, seed=seed, test=0.08, validation=0.1))
     test = SPLITS.index("test")
     assert set(np.flatnonzero(smaller.split == test)) <= set(np.flatnonzero(contacts.split == test))
 
@@ -79,7 +80,7 @@ def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, 
 def test_folders_name_splits(tmp_path):
     for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
-    contacts = survey(Recorded(tap_folder=str(tmp_path)))
+    contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
         assert (
             SPLITS[split]
@@ -92,7 +93,7 @@ def test_folders_name_splits(tmp_path):
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
     for i, name in enumerate(("train", "test")):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
-    splits = by_name(survey(Recorded(slide_folder=str(tmp_path), validation=0.2)))
+    splits = by_name(read_contacts(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {
         "train",
@@ -108,7 +109,7 @@ BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
 
 def test_a_random_split_keeps_its_bits_and_its_name(tmp_path):
     made.edge(tmp_path / "edge", 60, 60)
-    assert "".join(map(str, survey(both(tmp_path / "edge")).split.tolist())) == BEFORE_SPLIT
+    assert "".join(map(str, read_contacts(both(tmp_path / "edge")).split.tolist())) == BEFORE_SPLIT
     names = {
         split: config_name(Recorded(digest="aa", split=split))
         for split in ("random", "block", "folder")
@@ -118,12 +119,12 @@ def test_a_random_split_keeps_its_bits_and_its_name(tmp_path):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_taps_and_slides_share_one_block_of_poses(recording, seed):
-    contacts = survey(both(recording, split="block", seed=seed))
+    contacts = read_contacts(both(recording, split="block", seed=seed))
     train, _, test = (np.flatnonzero(contacts.split == index) for index in range(3))
-    assert len(set(contacts.slid[test])) == 2
+    assert len(set(contacts.is_slide[test])) == 2
     y = contacts.pose[:, 1]
     gap = np.abs(y[test][:, None] - y[train]).min()
-    random = survey(both(recording, seed=seed)).split
+    random = read_contacts(both(recording, seed=seed)).split
     neighbours = np.abs(y[random == 2][:, None] - y[random == 0]).min()
     assert gap > 0.15 > 10 * neighbours  # of 6 mm, with 5 % on either side
     assert any(note.startswith("split block: test poses have y from") for note in contacts.notes)
@@ -136,7 +137,7 @@ def test_a_block_has_no_contact_without_a_pose(tmp_path):
     text = (folder / "targets.csv").read_text().splitlines()
     text[1::8] = [f"{line.split(',')[0]},1,1{',' * 12}" for line in text[1::8]]
     (folder / "targets.csv").write_text("\n".join(text))
-    contacts = survey(Recorded(slide_folder=str(folder), split="block"))
+    contacts = read_contacts(Recorded(slide_folder=str(folder), split="block"))
     assert len(contacts.names) == 70 and np.isfinite(contacts.pose).all()
     assert any("10 contacts without a pose are left out" in note for note in contacts.notes)
 
@@ -145,7 +146,7 @@ def test_folders_alone_split_where_they_are_asked_to(tmp_path):
     for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
         made.write(tmp_path / name, *made.contacts(12, False, i))
     named = [
-        survey(Recorded(tap_folder=str(tmp_path), split=split)).split.tolist()
+        read_contacts(Recorded(tap_folder=str(tmp_path), split=split)).split.tolist()
         for split in ("folder", "random")
     ]
     assert named[0] == named[1]
@@ -171,14 +172,14 @@ def test_folders_that_do_not_go_with_the_split_are_refused(tmp_path, folders, sp
     for i, name in enumerate(folders):
         made.write(tmp_path / name, *made.contacts(30, False, i))
     with pytest.raises(UserError, match=complaint):
-        survey(Recorded(tap_folder=str(tmp_path), split=split))
+        read_contacts(Recorded(tap_folder=str(tmp_path), split=split))
 
 
 def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
     pose, move = made.contacts(40, True, 3)
     move[10:] = 0
     made.write(tmp_path, pose, move)
-    contacts = survey(Recorded(tap_folder=str(tmp_path)))
+    contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
     assert len(contacts.names) == 30 and any(
         "10 contacts have a move" in note for note in contacts.notes
     )
@@ -188,7 +189,7 @@ def test_labels_that_do_not_part_taps_from_slides_are_refused(tmp_path):
     made.write(tmp_path / "a", *made.contacts(30, True, 3))
     (tmp_path / "a" / "targets.csv").unlink()
     with pytest.raises(UserError, match="no labels that say which contacts are taps"):
-        survey(both(tmp_path))
+        read_contacts(both(tmp_path))
 
 
 def test_pairs_by_a_table(tmp_path):
@@ -207,8 +208,10 @@ def test_pairs_by_a_table(tmp_path):
         test=0.2,
         validation=0.2,
     )
-    contacts = survey(settings)
-    taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
+    contacts = read_contacts(settings)
+    taps, slides = (
+        contacts.take(np.flatnonzero(contacts.is_slide == slid)) for slid in (False, True)
+    )
     of_id = dict(zip(taps.pose_id.tolist(), range(40), strict=True))
     partners = [of_id[own] for own in slides.pose_id.tolist()]
     np.testing.assert_array_equal(taps.pose[partners], slides.pose)
@@ -216,16 +219,16 @@ def test_pairs_by_a_table(tmp_path):
     with open(table, "a") as file:
         file.write("image_1.png,image_99.png\n")
     with pytest.raises(UserError, match=r"pairs\.csv.*row 42"):
-        survey(settings)
+        read_contacts(settings)
 
 
 def test_the_digest_gives_changed_labels_and_images(tmp_path):
     folder = made.write(tmp_path / "a", *made.contacts(12, False, 0))
-    before = digest_of((str(folder),))
-    assert digest_of((str(folder),)) == before
+    before = compute_digest((str(folder),))
+    assert compute_digest((str(folder),)) == before
     text = (folder / "targets.csv").read_text()
     (folder / "targets.csv").write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
-    assert digest_of((str(folder),)) != before
+    assert compute_digest((str(folder),)) != before
 
 
 def test_a_folder_is_known_beside_others(tmp_path):
@@ -234,8 +237,8 @@ def test_a_folder_is_known_beside_others(tmp_path):
     )
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
-    both = digest_of((taps, slides), str(table))
+    both = compute_digest((taps, slides), str(table))
     assert (
-        folders_in(both) == {digest_of((taps,)), digest_of((slides,))}
-        and len(folders_in(both)) == 2
+        parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
+        and len(parse_folder_digests(both)) == 2
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.dataset.recorded import everything
+from jaxunshear.dataset.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import transfer
 from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
@@ -91,12 +91,12 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared, which moves all edges."""
     folder = made.edge(tmp_path / "edge", 60, 40)
     preprocess = Preprocess(size=made.SIZE)
-    contacts = everything(Recorded(str(folder), str(folder), preprocess=preprocess))
+    contacts = read_test_contacts(Recorded(str(folder), str(folder), preprocess=preprocess))
 
     def batches(size):
         """Taps, then slides: their poses (B, 6), the last of them again where they are too few, and how far off their poses are read."""
         for slid in (False, True):
-            here = contacts.pose[contacts.slid == slid]
+            here = contacts.pose[contacts.is_slide == slid]
             for start in range(0, len(here), size):
                 yield here[np.minimum(np.arange(start, start + size), len(here) - 1)], float(slid)
 

@@ -163,13 +163,13 @@ def test_depths_beyond_the_contact_model_are_refused():
 
 
 def test_train_share_of_the_rules_is_that_of_the_split():
-    from jaxunshear.dataset.shots import draw_pose
+    from jaxunshear.dataset.sampling import sample_taps
     from jaxunshear.settings.data import PoseData
     from jaxunshear.settings.rules_simulated import training_poses
 
     every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
     for settings in (*every, PoseData(poses=13)):
-        assert (draw_pose(settings).split == 0).sum() == training_poses(settings)
+        assert (sample_taps(settings).split == 0).sum() == training_poses(settings)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import BLOCK, SPLITS, split_of, splits_of, train_poses
 
@@ -27,7 +27,7 @@ def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
             ),
             PoseData(poses=size, seed=seed),
         ):
-            shots = draw(settings)
+            shots = sample_contacts(settings)
             for stimulus, pose, split in zip(
                 shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True
             ):

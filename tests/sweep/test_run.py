@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.making import sets_of
+from jaxunshear.dataset.generation import list_sets
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
 from jaxunshear.plain import plain
@@ -222,7 +222,7 @@ def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     )
     task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)
     (made,) = read_json(task.folder / TASK)["experiments"]
-    assert set(sets_of(from_json(made))) == {"tactip_paired", "tactip_pose"}
+    assert set(list_sets(from_json(made))) == {"tactip_paired", "tactip_pose"}
 
 
 def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet
+from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_331

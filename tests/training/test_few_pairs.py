@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.making import sets_of
-from jaxunshear.dataset.reading import Reader, SetReader
+from jaxunshear.dataset.generation import list_sets
+from jaxunshear.dataset.reader import Reader, SetReader
 from jaxunshear.settings.experiment import PINS, Experiment, training_of
 from jaxunshear.settings.fields import override
 from jaxunshear.settings.networks import UnshearNet
@@ -142,8 +142,8 @@ def test_the_only_slide_of_a_pose_is_its_own_other():
 def test_a_network_that_learns_taps_needs_their_set():
     """Their set is made without a PoseNet, too."""
     taught = override(OVER_PINS, ["--train_pins.tap_weight", "0.5"])
-    assert set(sets_of(OVER_PINS)) == {"tactip_paired"}
-    assert set(sets_of(taught)) == {"tactip_paired", "tactip_pose"}
+    assert set(list_sets(OVER_PINS)) == {"tactip_paired"}
+    assert set(list_sets(taught)) == {"tactip_paired", "tactip_pose"}
 
 
 def test_no_posenet_is_another_for_fewer_pairs():

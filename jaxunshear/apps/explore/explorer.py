@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.apps.explore.touch import BATCH, Touch, feel, warming_touches
-from jaxunshear.dataset.chunks import render
-from jaxunshear.dataset.preparing import Frame
+from jaxunshear.dataset.chunks import render_images
+from jaxunshear.dataset.preprocessing import SensorFrame
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.image.pin_detection import detect_pins
@@ -90,7 +90,7 @@ class Explorer:
         """Raises UserError where the contact cannot be simulated."""
         felt = feel(touch)
         number, age = np.arange(BATCH), np.zeros(BATCH)
-        seen, pins = render(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
+        seen, pins = render_images(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
         rest = _untouched_px(touch.sensor, self.paired)
         images, note = {SHEARED: seen[0], TAP: seen[1]}, ""
         poses = {TRUE: _true_pose(touch, self.perceive.names)}
@@ -178,13 +178,13 @@ def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
     return compute_rest_lattice(sensor, paired.camera, paired.preprocess).rest
 
 
-def _simulated_frame(sensor: Sensor, paired: PairedData) -> Frame:
+def _simulated_frame(sensor: Sensor, paired: PairedData) -> SensorFrame:
     """What the simulator's frames have in common."""
     lattice = compute_rest_lattice(sensor, paired.camera, paired.preprocess)
-    image = render(
+    image = render_images(
         paired, sensor, compute_pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1
     )[0][0]
     size = paired.preprocess.size
-    return Frame(
+    return SensorFrame(
         View(), lattice.rest, lattice.ring, lattice.spacing, detect_pins(image).radius, size, size
     )

@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.apps.robot.sources import Frame
-from jaxunshear.dataset.preparing import Frame as PinFrame
+from jaxunshear.dataset.preprocessing import SensorFrame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import encode_png, to_uint8

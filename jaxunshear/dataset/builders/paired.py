@@ -7,13 +7,13 @@ import numpy as np
 import tensorflow_datasets as tfds
 
 from jaxunshear.dataset import examples
-from jaxunshear.dataset.builders.stored import SimulatedSet, standard_configs
-from jaxunshear.dataset.shots import Shots
+from jaxunshear.dataset.builders.stored import SimulatedSet, make_standard_configs
+from jaxunshear.dataset.sampling import ContactSamples
 from jaxunshear.settings.configs import PAIRED_SET
 
 
 class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-arg]
-    BUILDER_CONFIGS = standard_configs(PAIRED_SET)
+    BUILDER_CONFIGS = make_standard_configs(PAIRED_SET)
     DEFAULT_BUILDER_CONFIG_NAME = "demo"
 
     def _info(self) -> tfds.core.DatasetInfo:
@@ -51,6 +51,8 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
         return self._set_info(features, ("sheared", "canonical"))
 
     def _generate_examples(
-        self, shots: Shots, paths: list[Path], split: str
+        self, samples: ContactSamples, paths: list[Path], split: str
     ) -> Iterator[tuple[str, dict]]:
-        yield from examples.paired_examples(self.builder_config.settings, shots, paths, split)
+        yield from examples.iterate_paired_examples(
+            self.builder_config.settings, samples, paths, split
+        )

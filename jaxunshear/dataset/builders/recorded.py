@@ -9,7 +9,7 @@ import tensorflow_datasets as tfds
 
 from jaxunshear.dataset import recorded_examples
 from jaxunshear.dataset.builders.stored import StoredSet
-from jaxunshear.dataset.recorded import Contacts
+from jaxunshear.dataset.recorded_contacts import RecordedContacts
 from jaxunshear.settings import configs
 from jaxunshear.settings.splits import SPLITS
 
@@ -40,12 +40,16 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        contacts, frame, paths = recorded_examples.read(settings, sensor, self._unfinished)
-        counts, more = recorded_examples.summary(contacts, frame, paths)
+        contacts, frame, paths = recorded_examples.prepare_recordings(
+            settings, sensor, self._unfinished
+        )
+        counts, more = recorded_examples.summarise_recordings(contacts, frame, paths)
         self._keep_metadata(counts, **more)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
 
     def _generate_examples(
-        self, contacts: Contacts, paths: list[Path], split: str
+        self, contacts: RecordedContacts, paths: list[Path], split: str
     ) -> Iterator[tuple[str, dict]]:
-        yield from recorded_examples.examples(self.builder_config.settings, contacts, paths, split)
+        yield from recorded_examples.iterate_examples(
+            self.builder_config.settings, contacts, paths, split
+        )

@@ -19,9 +19,9 @@ from typing import ClassVar
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
-from jaxunshear.dataset.examples import summary
-from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.chunks import SimulationEngine, make_engine, simulate_chunks
+from jaxunshear.dataset.examples import summarise_set
+from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.settings import configs
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
@@ -42,7 +42,7 @@ class SetConfig(tfds.core.BuilderConfig):
     sensor: Sensor = TACTIP_331
 
 
-def standard_configs(name: str) -> list[SetConfig]:
+def make_standard_configs(name: str) -> list[SetConfig]:
     return [
         SetConfig(
             name=config,
@@ -92,7 +92,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
-        sums = {path.name: sha256(path) for path in shards} | {
+        sums = {path.name: compute_sha256(path) for path in shards} | {
             configs.METADATA: checksum(dict(self.info.metadata))
         }
         write_json(folder / configs.MANIFEST, sums)
@@ -119,17 +119,17 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         "split is its own: by seed, stimulus and number, whatever the set's size.",
         "1.0.0": "First release.",
     }
-    engine: Engine | None = None  # tests put a fast stand-in for the simulator here
+    engine: SimulationEngine | None = None  # tests put a fast stand-in for the simulator here
 
     def _split_generators(
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        shots = draw(settings)
+        shots = sample_contacts(settings)
         paths = simulate_chunks(
-            settings, sensor, shots, self._unfinished, self.engine or simulator()
+            settings, sensor, shots, self._unfinished, self.engine or make_engine()
         )
-        counts = summary(settings, shots, paths)
+        counts = summarise_set(settings, shots, paths)
         for split, count in counts["written"].items():
             if not count:
                 raise UserError(
@@ -139,7 +139,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         return {split: self._generate_examples(shots, paths, split) for split in SPLITS}
 
 
-def sha256(path: Path) -> str:
+def compute_sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -14,8 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, pack, unpack
-from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
+from jaxunshear.dataset.chunks import load_chunk, pack_bits, unpack_bits
+from jaxunshear.dataset.recorded_contacts import (
+    LARGEST_PX,
+    RecordedContacts,
+    find_common_view,
+    select_probes,
+)
 from jaxunshear.dataset.recordings import Recordings, read_image
 from jaxunshear.environment import cores
 from jaxunshear.errors import UserError
@@ -33,42 +38,48 @@ if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
 
 CHUNK = 250  # frames in a file
-NOTHING = np.zeros((0, 1), np.uint8)
-LEAST_FRAMES = 20  # contacts whose mean shows where pins stand
-LIKE = "name a folder of contacts of the same sensor and camera by --like (`like=` in Python)"
+NO_IMAGE = np.zeros((0, 1), np.uint8)
+MIN_FRAMES = 20  # contacts whose mean shows where pins stand
+LIKE_REMEDY = (
+    "name a folder of contacts of the same sensor and camera by --like (`like=` in Python)"
+)
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 
 
-class Frame(NamedTuple):
+class SensorFrame(NamedTuple):
     """What the frames of a sensor have in common: how they are cropped, and where its pins stand untouched."""
 
     view: "View"
-    place: (
+    rest: (
         np.ndarray
     )  # (P, 2) px of the prepared image, as (column, row): the mean place over training taps
-    shell: np.ndarray  # (P,) 0 in the middle
+    ring: np.ndarray  # (P,) 0 in the middle
     spacing_px: float
     radius_px: float  # of a pin
     size: int  # side of the prepared images, px
     pins_px: int  # side of the images that pins are found in
 
 
-def frame_of(contacts: Contacts, settings: Recorded, sensor: Sensor) -> Frame:
+def find_sensor_frame(
+    contacts: RecordedContacts, settings: Recorded, sensor: Sensor
+) -> SensorFrame:
     """From training frames, taps if there are any. Raises UserError where they do not show pins of this sensor."""
-    view = common_view(contacts, settings.preprocess)
-    size = min(LARGEST_PX, *read_image(contacts.files[probes_of(contacts)[0]]).shape[:2])
+    view = find_common_view(contacts, settings.preprocess)
+    size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
-    taps = train[~contacts.slid[train]]
+    taps = train[~contacts.is_slide[train]]
     files = [contacts.files[row] for row in (taps if len(taps) else train)]
-    return frame_of_files(files, view, size, settings.preprocess, sensor)
+    return find_files_frame(files, view, size, settings.preprocess, sensor)
 
 
-def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: Sensor) -> Frame:
+def find_recordings_frame(
+    recordings: Recordings, preprocess: Preprocess, sensor: Sensor
+) -> SensorFrame:
     """Of a folder whose contacts nothing is known of. Raises UserError where it holds too few images, or not of this sensor."""
     files = recordings.files
-    if len(files) < LEAST_FRAMES:
+    if len(files) < MIN_FRAMES:
         raise UserError(
-            f"{recordings.path} holds {len(files)} images; the mean over {LEAST_FRAMES} contacts or more shows where pins stand: {LIKE}"
+            f"{recordings.path} holds {len(files)} images; the mean over {MIN_FRAMES} contacts or more shows where pins stand: {LIKE_REMEDY}"
         )
     view = recordings.common_view()
     if view.box is None:
@@ -77,10 +88,10 @@ def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: 
         )
     size = min(LARGEST_PX, *_first(files).shape[:2])
     try:
-        return frame_of_files(files, view, size, preprocess, sensor)
+        return find_files_frame(files, view, size, preprocess, sensor)
     except UserError:
         with suppress(UserError):  # dark pins in white
-            return frame_of_files(files, view, size, preprocess, sensor, turned=True)
+            return find_files_frame(files, view, size, preprocess, sensor, turned=True)
         raise
 
 
@@ -92,14 +103,14 @@ def _first(files: Sequence[Path]) -> np.ndarray:
     raise UserError(f"none of {len(files)} images, such as {files[0]}, can be read")
 
 
-def frame_of_files(
+def find_files_frame(
     files: Sequence[Path],
     view: "View",
     size: int,
     preprocess: Preprocess,
     sensor: Sensor,
     turned: bool = False,
-) -> Frame:
+) -> SensorFrame:
     """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
     from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
     from jaxunshear.image.pin_detection import detect_pins
@@ -118,13 +129,15 @@ def frame_of_files(
     scale = preprocess.size / size
     place = (lattice.rest + 0.5) * scale - 0.5
     radius = scale * float(np.median([each.radius for each in found]))
-    return Frame(view, place, lattice.ring, scale * lattice.spacing, radius, preprocess.size, size)
+    return SensorFrame(
+        view, place, lattice.ring, scale * lattice.spacing, radius, preprocess.size, size
+    )
 
 
-def prepare(
-    contacts: Contacts,
+def prepare_chunks(
+    contacts: RecordedContacts,
     settings: Recorded,
-    frame: Frame,
+    frame: SensorFrame,
     folder: Path,
     label: str = "read recordings",
 ) -> list[Path]:
@@ -143,7 +156,7 @@ def prepare(
         for i, chunk in zip(left, _each(_first_pass, jobs), strict=True):
             write_npz(paths[i], chunk)
             progress.advance(len(numbers[i]))
-    usual = _usual(contacts, paths, frame)
+    usual = _fit_motion_prior(contacts, paths, frame)
     hard = [path for path in paths if usual is not None and _hard(path)]
     for path, chunk in zip(
         hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True
@@ -166,17 +179,17 @@ def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
 
 
 def _first_pass(
-    files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame
+    files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: SensorFrame
 ) -> dict:
     from jaxunshear.image.pin_detection import detect_pins
     from jaxunshear.image.pin_tracking import track_pins
     from jaxunshear.image.preprocess import prepare_frame
 
-    lattice = found_lattice(frame)
+    lattice = make_found_lattice(frame)
     size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
     seen = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
-    pins = np.full((len(files), len(frame.place), 2), np.nan, np.float32)
+    pins = np.full((len(files), len(frame.rest), 2), np.nan, np.float32)
     sure, usable = np.zeros(len(files), bool), np.zeros(len(files), bool)
     problem = [""] * len(files)
     for i, file in enumerate(files):
@@ -191,13 +204,13 @@ def _first_pass(
             continue
         track = track_pins(lattice, detect_pins(seen[i]))
         usable[i], sure[i] = True, track.identified
-        pins[i] = to_image(frame, lattice.rest + track.motion)
+        pins[i] = to_image_px(frame, lattice.rest + track.motion)
     return {
         "number": number,
-        "images": pack(images),
-        "seen": pack(seen[usable & ~sure])
+        "images": pack_bits(images),
+        "seen": pack_bits(seen[usable & ~sure])
         if (usable & ~sure).any()
-        else NOTHING,  # to be tried once more
+        else NO_IMAGE,  # to be tried once more
         "pins": np.where(sure[:, None, None], pins, np.nan),
         "sure": sure,
         "usable": usable,
@@ -206,23 +219,25 @@ def _first_pass(
     }
 
 
-def _second_pass(path: Path, frame: Frame, usual: "MotionPrior") -> dict:
+def _second_pass(path: Path, frame: SensorFrame, usual: "MotionPrior") -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
     from jaxunshear.image.pin_detection import detect_pins
     from jaxunshear.image.pin_tracking import track_pins
 
     chunk = load_chunk(path)
-    lattice = found_lattice(frame)
+    lattice = make_found_lattice(frame)
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
-    for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
+    for row, image in zip(rows, unpack_bits(chunk["seen"], frame.pins_px), strict=True):
         track = track_pins(lattice, detect_pins(image), usual)
         if track.identified:
             chunk["sure"][row] = True
-            chunk["pins"][row] = to_image(frame, lattice.rest + track.motion)
-    return chunk | {"tried": np.array(True), "seen": NOTHING}
+            chunk["pins"][row] = to_image_px(frame, lattice.rest + track.motion)
+    return chunk | {"tried": np.array(True), "seen": NO_IMAGE}
 
 
-def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "MotionPrior | None":
+def _fit_motion_prior(
+    contacts: RecordedContacts, paths: list[Path], frame: SensorFrame
+) -> "MotionPrior | None":
     """How pins usually move, in training frames; None where no frame needs it."""
     from jaxunshear.image.pin_track import PinTrack
     from jaxunshear.image.pin_tracking import fit_motion_prior
@@ -230,10 +245,10 @@ def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "MotionPrior 
     if not any(map(_hard, paths)):
         return None
     chunks = [load_chunk(path) for path in paths]
-    lattice = found_lattice(frame)
+    lattice = make_found_lattice(frame)
     train = contacts.split == SPLITS.index("train")
     tracks = [
-        PinTrack(to_found(frame, pins) - lattice.rest, np.zeros(0, int), 0.0, 0, 0, True)
+        PinTrack(to_detection_px(frame, pins) - lattice.rest, np.zeros(0, int), 0.0, 0, 0, True)
         for chunk in chunks
         for pins in chunk["pins"][chunk["sure"] & train[chunk["number"]]]
     ]
@@ -246,17 +261,17 @@ def _hard(path: Path) -> bool:
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
-def found_lattice(frame: Frame) -> "Lattice":
+def make_found_lattice(frame: SensorFrame) -> "Lattice":
     """The untouched pins, px of the image that pins are found in."""
     from jaxunshear.image.lattice import make_lattice
 
-    return make_lattice(to_found(frame, frame.place), frame.shell)
+    return make_lattice(to_detection_px(frame, frame.rest), frame.ring)
 
 
-def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
+def to_detection_px(frame: SensorFrame, pins: np.ndarray) -> np.ndarray:
     """From px of the prepared image to px of the one that pins are found in."""
     return (pins + 0.5) * (frame.pins_px / frame.size) - 0.5
 
 
-def to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
+def to_image_px(frame: SensorFrame, pins: np.ndarray) -> np.ndarray:
     return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.dataset import pairing
-from jaxunshear.dataset.chunks import load_chunk, unpack
-from jaxunshear.dataset.preparing import Frame
-from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
-from jaxunshear.dataset.recorded import Contacts
-from jaxunshear.dataset.recorded_examples import counts_of
+from jaxunshear.dataset.chunks import load_chunk, unpack_bits
+from jaxunshear.dataset.preprocessing import SensorFrame
+from jaxunshear.dataset.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.dataset.recorded_contacts import RecordedContacts
+from jaxunshear.dataset.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
@@ -25,11 +25,11 @@ from jaxunshear.settings.splits import SPLITS, hashed
 from jaxunshear.settings.targets import Targets, moves_of, of_labels, slides_of
 from jaxunshear.storage import Json
 
-Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
+TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
-Read = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
+PoseEstimator = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
 # split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
-Drag = Callable[[str], Batch]
+SlideSimulator = Callable[[str], Batch]
 
 
 def open_recorded(
@@ -39,12 +39,12 @@ def open_recorded(
     return RecordedSet(settings, open_set(settings, data_dir, sensor), seed)
 
 
-def frame_from(stored: Json) -> Frame:
+def parse_frame(stored: Json) -> SensorFrame:
     """The inverse of what metadata keep of a sensor's frames."""
     box = tuple(stored["box"]) if stored["box"] else None
     view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
     place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
-    return Frame(
+    return SensorFrame(
         view,
         place,
         shell,
@@ -55,7 +55,7 @@ def frame_from(stored: Json) -> Frame:
 class UnstoredSet:
     """Chunks of prepared frames in the place of a stored set: all of them are its test split."""
 
-    def __init__(self, contacts: Contacts, paths: list[Path], frame: Json) -> None:
+    def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
         chunks = [load_chunk(path) for path in paths]
         parts = {
             name: np.concatenate([chunk[name] for chunk in chunks])
@@ -66,14 +66,14 @@ class UnstoredSet:
             "image": parts["images"][kept],
             "pins": parts["pins"][kept].astype(np.float32),
             "sure": parts["sure"][kept].astype(np.int32),
-            "slid": contacts.slid[kept].astype(np.int32),
+            "slid": contacts.is_slide[kept].astype(np.int32),
             "pose": contacts.pose[kept].astype(np.float32),
             "move": contacts.move[kept].astype(np.float32),
             "pose_id": contacts.pose_id[kept].astype(np.int32),
             "number": np.flatnonzero(kept).astype(np.int32),
         }
         self.metadata: Json = {
-            "counts": counts_of(contacts, kept, parts["sure"], parts["problem"]),
+            "counts": count_contacts(contacts, kept, parts["sure"], parts["problem"]),
             "frame": frame,
             "pins": {"sure": round(float(parts["sure"][kept].mean()), 6) if kept.any() else 0.0},
             "notes": list(contacts.notes),
@@ -95,7 +95,7 @@ class RecordedSet:
 
     @property
     def frame(self) -> Json:
-        """What the sensor's frames have in common; see `preparing.Frame`."""
+        """What the sensor's frames have in common; see `preprocessing.SensorFrame`."""
         return self.metadata["frame"]
 
     def lattice(self) -> Lattice:
@@ -117,7 +117,7 @@ class RecordedSet:
     def slide_targets(self) -> Targets:
         """What training slides vary of their move."""
         rows = self.stored.rows("train")
-        labelled = _share(rows["number"], self.seed) < self.settings.labelled
+        labelled = _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
         return moves_of(rows["move"][labelled & (rows["slid"] == 1)])
 
     def count(self, kind: str, split: str) -> int:
@@ -126,38 +126,38 @@ class RecordedSet:
 
     def taps(self) -> Reader:
         """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
-        return Reader(lambda split: _numbered(self.labelled_taps(split)), self.size)
+        return Reader(lambda split: _number_poses(self.labelled_taps(split)), self.size)
 
     def labelled_taps(self, split: str) -> Batch:
         """All of a split, images at one bit a pixel."""
         rows = self._of(split, False)
-        return _taken(rows, np.isfinite(rows["pose"]).all(axis=1))
+        return _take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
 
-    def slides(self, drag: Drag | None = None, images: bool = True) -> Reader:
+    def slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
         """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
-        the settings' share; with `drag` simulated ones in their place, without `images` as pins alone. Where the settings say so,
+        the settings' share; with `simulate` simulated ones in their place, without `images` as pins alone. Where the settings say so,
         the training split has the taps behind its slides."""
 
         def load(split: str) -> Batch:
-            if drag and split != "test":
-                return self._dragged(split, drag, images)
+            if simulate and split != "test":
+                return self._dragged(split, simulate, images)
             slides = self._slides(split)
             if split == "train" and self.settings.direct_taps == "recorded":
-                slides = _concatenated([slides, _slid_by_nothing(self.labelled_taps(split))])
-            return _numbered(slides)
+                slides = _concatenate([slides, _make_zero_slides(self.labelled_taps(split))])
+            return _number_poses(slides)
 
         return Reader(load, self.size)
 
     def pairs(
         self,
         targets: Targets,
-        render: Render | None = None,
+        render: TapRenderer | None = None,
         images: bool = True,
-        read: Read | None = None,
-        drag: Drag | None = None,
+        estimate: PoseEstimator | None = None,
+        simulate: SlideSimulator | None = None,
     ) -> Reader:
         """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered". Without `images`
-        partners are pins alone. `read` gives training slides without a label a pose; without it these are left out. `drag` for
+        partners are pins alone. `estimate` gives training slides without a label a pose; without it these are left out. `simulate` for
         "simulated": all slides but the test's are simulated, each paired with the tap it was made from.
 
         `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
@@ -165,31 +165,33 @@ class RecordedSet:
         """
 
         def load(split: str) -> Batch:
-            if drag and split != "test":
-                return self._dragged(split, drag, images)
-            return self._paired(split, self._slides(split, read, images), targets, render, images)
+            if simulate and split != "test":
+                return self._dragged(split, simulate, images)
+            return self._paired(
+                split, self._slides(split, estimate, images), targets, render, images
+            )
 
         return Reader(load, self.size)
 
-    def _slides(self, split: str, read: Read | None = None, images: bool = True) -> Batch:
+    def _slides(self, split: str, read: PoseEstimator | None = None, images: bool = True) -> Batch:
         rows = self._of(split, True)
         known = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
-            known &= _share(rows["number"], self.seed) < self.settings.labelled
+            known &= _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
         if read and split == "train":
-            unpacked = unpack(rows["image"][~known], self.size) if images else None
+            unpacked = unpack_bits(rows["image"][~known], self.size) if images else None
             pose = rows["pose"].copy()
             pose[~known] = read(unpacked, rows["pins"][~known])
             rows = rows | {"pose": pose}
         else:
-            rows = _taken(rows, known)
+            rows = _take_rows(rows, known)
         batch = {
             name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")
         }
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 
     def _paired(
-        self, split: str, batch: Batch, targets: Targets, render: Render | None, images: bool
+        self, split: str, batch: Batch, targets: Targets, render: TapRenderer | None, images: bool
     ) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
         if way in RENDERED:
@@ -199,16 +201,16 @@ class RecordedSet:
             partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
             if images:
                 partner["canonical"] = self._redrawn(batch["pose"], pins, targets, render)
-            return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
+            return _number_poses(batch | partner | {"weight": np.ones(count, np.float32)})
         # a tap of another held-out split would let that split choose the checkpoint
-        taps = _concatenated([self.labelled_taps(each) for each in dict.fromkeys(("train", split))])
+        taps = _concatenate([self.labelled_taps(each) for each in dict.fromkeys(("train", split))])
         if way == "nearest":
-            row, distance = pairing.nearest(targets, batch["pose"], taps["pose"])
-            weight = pairing.weights_of(distance)
+            row, distance = pairing.find_nearest(targets, batch["pose"], taps["pose"])
+            weight = pairing.compute_pair_weights(distance)
         else:
             poses = (batch["pose"], batch["pose_id"], taps["pose"], taps["pose_id"])
-            row = pairing.same_pose(*poses, checked=way == "pose_id")
-            batch, row = _taken(batch, row >= 0), row[row >= 0]
+            row = pairing.match_same_pose(*poses, checked=way == "pose_id")
+            batch, row = _take_rows(batch, row >= 0), row[row >= 0]
             if not len(row):
                 raise UserError(
                     f"no {split} slide has a tap of its pose_id at its pose: record taps and slides of the same poses, or use "
@@ -218,13 +220,13 @@ class RecordedSet:
         partner = {
             "canonical": taps["image"][row],
             "canonical_pins": taps["pins"][row],
-            "gap": pairing.gaps(batch["pose"], taps["pose"][row]).astype(np.float32),
+            "gap": pairing.compute_pose_gaps(batch["pose"], taps["pose"][row]).astype(np.float32),
             "weight": weight,
         }
         batch = batch | partner
-        return batch if way in ("pose_id", "file") else _numbered(batch)
+        return batch if way in ("pose_id", "file") else _number_poses(batch)
 
-    def _dragged(self, split: str, drag: Drag, images: bool) -> Batch:
+    def _dragged(self, split: str, drag: SlideSimulator, images: bool) -> Batch:
         """Simulated slides to taps, each with the tap."""
         slides, taps = drag(split), self.labelled_taps(split)
         row, sheared = slides["row"], slides["sheared_pins"]
@@ -241,53 +243,53 @@ class RecordedSet:
         if images:
             motion, taken = np.nan_to_num(sheared - batch["canonical_pins"]), taps["image"][row]
             batch |= {"canonical": taken, "sheared": self._warped(taken, motion)}
-        return _numbered(batch | {"number": np.arange(len(row), dtype=np.int32)})
+        return _number_poses(batch | {"number": np.arange(len(row), dtype=np.int32)})
 
     def _redrawn(
-        self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render
+        self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: TapRenderer
     ) -> np.ndarray:
         """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
 
         Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
         """
         taps = self.labelled_taps("train")
-        row, _ = pairing.nearest(targets, poses, taps["pose"])
+        row, _ = pairing.find_nearest(targets, poses, taps["pose"])
         return self._warped(taps["image"][row], pins - render(taps["pose"][row]))
 
     def _warped(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """(N, S, S) uint8: images at one bit a pixel whose pins have moved by `motion` (N, P, 2) px."""
-        spread = pairing.spread_over(
+        spread = pairing.interpolate_over_pixels(
             np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size
         )
-        return pairing.warped(unpack(images, self.size), motion, spread)
+        return pairing.warp_images(unpack_bits(images, self.size), motion, spread)
 
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)
-        return _taken(
+        return _take_rows(
             rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid)
         )
 
 
-def _taken(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
+def _take_rows(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
     return {name: value[kept] for name, value in rows.items()}
 
 
-def _concatenated(parts: list[Batch]) -> Batch:
+def _concatenate(parts: list[Batch]) -> Batch:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _slid_by_nothing(taps: Batch) -> Batch:
+def _make_zero_slides(taps: Batch) -> Batch:
     """Return taps in the form of slides."""
     batch = {name: taps[name] for name in ("pose", "sure", "number", "pose_id", "stimulus")}
     batch |= {"move": np.zeros_like(taps["pose"])}
     return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}
 
 
-def _numbered(rows: Batch) -> Batch:
+def _number_poses(rows: Batch) -> Batch:
     """Each contact a pose of its own: none is paired anew with another's partner."""
     return rows | {"pose_id": rows["number"]}
 
 
-def _share(number: np.ndarray, seed: int) -> np.ndarray:
+def _draw_label_shares(number: np.ndarray, seed: int) -> np.ndarray:
     """(N,) in [0, 1) by seed and contact: which labels are used does not depend on the order of the files."""
     return np.array([hashed(f"label {seed} {n}") / 2**64 for n in number.tolist()])

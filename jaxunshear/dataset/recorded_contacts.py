@@ -1,7 +1,7 @@
 """Recorded contacts: which are taps and which slides, in which split, and where their pins stand. Imports no JAX until images are read.
 
-contacts = survey(settings)                                     # labels alone: no image is read
-sensor = sensor_of(contacts, settings.preprocess)               # by the number of pins
+contacts = read_contacts(settings)                                     # labels alone: no image is read
+sensor = identify_sensor(contacts, settings.preprocess)               # by the number of pins
 paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
 
 Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
@@ -27,7 +27,7 @@ from jaxunshear.settings.splits import SPLITS, hashed
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
 
-MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
+MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {
     "train": "train",
     "val": "validation",
@@ -37,11 +37,11 @@ SPLIT_NAMES = {
 }
 LARGEST_PX = 256  # pins are found at the frames' own size, at most this
 PROBES = 20  # training frames that crop, sensor and lattice are found from
-COUNTED = 5  # of them, whose pins are counted
-SAME_SENSOR = 0.15  # of a sensor's pins, by which a count may miss
+COUNTED_FRAMES = 5  # of them, whose pins are counted
+MAX_PIN_COUNT_ERROR = 0.15  # of a sensor's pins, by which a count may miss
 
 
-class Contacts(NamedTuple):
+class RecordedContacts(NamedTuple):
     """N recorded contacts. Poses and moves (N, 6) are x y z mm, Rx Ry Rz deg in the labels' own frame, NaN where unknown."""
 
     files: tuple[Path, ...]
@@ -49,12 +49,12 @@ class Contacts(NamedTuple):
     pose: np.ndarray
     move: np.ndarray
     pose_id: np.ndarray  # (N,) -1 where unknown
-    slid: np.ndarray  # (N,) bool
+    is_slide: np.ndarray  # (N,) bool
     split: np.ndarray  # (N,) index into SPLITS
     notes: tuple[str, ...]
-    paired: bool = False  # by a table: `pose_id` then numbers its taps
+    paired_by_table: bool = False  # by a table: `pose_id` then numbers its taps
 
-    def take(self, rows: np.ndarray) -> "Contacts":
+    def take(self, rows: np.ndarray) -> "RecordedContacts":
         arrays = {
             name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")
         }
@@ -62,11 +62,11 @@ class Contacts(NamedTuple):
         return self._replace(files=files, names=names, **arrays)
 
 
-def survey(settings: Recorded) -> Contacts:
+def read_contacts(settings: Recorded) -> RecordedContacts:
     """Taps and slides of the recordings, split. Raises UserError where there is nothing, or labels do not part taps from slides."""
-    contacts = _split(everything(settings), settings)
+    contacts = _split(read_test_contacts(settings), settings)
     for slid, kind in ((False, "taps"), (True, "slides")):
-        mine = contacts.split[contacts.slid == slid]
+        mine = contacts.split[contacts.is_slide == slid]
         lacking = [
             name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()
         ]
@@ -77,29 +77,31 @@ def survey(settings: Recorded) -> Contacts:
     return contacts
 
 
-def everything(settings: Recorded) -> Contacts:
+def read_test_contacts(settings: Recorded) -> RecordedContacts:
     """The same in one split, the test's: recordings that a finished run is scored on."""
     if settings.tap_folder == settings.slide_folder:
-        parts = [_of_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
+        parts = [_split_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
     else:
         folders = ((settings.tap_folder, False), (settings.slide_folder, True))
         parts = [
-            _of_kind(read_folder(folder, settings.preprocess), slid)
+            _select_kind(read_folder(folder, settings.preprocess), slid)
             for folder, slid in folders
             if folder
         ]
-    contacts = _joined(parts)
-    return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts
+    contacts = _join_contacts(parts)
+    return _pair_by_table(contacts, Path(settings.pairs)) if settings.pairs else contacts
 
 
-def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
+def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Sensor:
     """The sensor with as many pins as some training frames show. Raises UserError where there is none."""
     from jaxunshear.image.pin_detection import find_pins
 
-    counts = [len(find_pins(image)) for image in _probe_images(contacts, preprocess)[:COUNTED]]
+    counts = [
+        len(find_pins(image)) for image in _probe_images(contacts, preprocess)[:COUNTED_FRAMES]
+    ]
     pins = float(np.median(counts))
     nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
-    if abs(nearest.pins - pins) > SAME_SENSOR * nearest.pins:
+    if abs(nearest.pins - pins) > MAX_PIN_COUNT_ERROR * nearest.pins:
         known = ", ".join(dict.fromkeys(str(sensor.pins) for sensor in SENSORS.values()))
         raise UserError(
             f"{contacts.files[0].parent}: about {pins:.0f} pins are found in an image; known are sensors of {known} pins"
@@ -107,18 +109,18 @@ def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
     return nearest
 
 
-def probes_of(contacts: Contacts) -> np.ndarray:
+def select_probes(contacts: RecordedContacts) -> np.ndarray:
     """Rows of up to PROBES training contacts, evenly spaced: what a camera's frames have in common is found from these alone."""
     rows = np.flatnonzero(contacts.split == SPLITS.index("train"))
     return rows[evenly(len(rows), PROBES)]
 
 
-def common_view(contacts: Contacts, preprocess: Preprocess) -> "View":
+def find_common_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":
     """The crop and whites of the training frames; no crop where these differ in size."""
     from jaxunshear.image import preprocess as frames
 
     views, sizes = [], set()
-    for row in probes_of(contacts):
+    for row in select_probes(contacts):
         try:
             raw = read_image(contacts.files[row])
             views.append(frames.find_view(preprocess, raw))
@@ -129,11 +131,11 @@ def common_view(contacts: Contacts, preprocess: Preprocess) -> "View":
     return common if len(sizes) == 1 else frames.View(None, common.whites)
 
 
-def _probe_images(contacts: Contacts, preprocess: Preprocess) -> list[np.ndarray]:
+def _probe_images(contacts: RecordedContacts, preprocess: Preprocess) -> list[np.ndarray]:
     from jaxunshear.image.preprocess import prepare_frame
 
-    view, images, problem = common_view(contacts, preprocess), [], ""
-    for row in probes_of(contacts):
+    view, images, problem = find_common_view(contacts, preprocess), [], ""
+    for row in select_probes(contacts):
         try:
             raw = read_image(contacts.files[row])
             own = replace(preprocess, size=min(LARGEST_PX, *raw.shape[:2]))
@@ -142,7 +144,7 @@ def _probe_images(contacts: Contacts, preprocess: Preprocess) -> list[np.ndarray
             problem = f"{contacts.names[row]}: {error}"
     if not images:
         raise UserError(
-            f"none of {len(probes_of(contacts))} images of {contacts.files[0].parent} can be read; the last: {problem}"
+            f"none of {len(select_probes(contacts))} images of {contacts.files[0].parent} can be read; the last: {problem}"
         )
     return images
 
@@ -154,16 +156,16 @@ def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
     return read_recordings(path, preprocess)
 
 
-def _moved(move: np.ndarray) -> np.ndarray:
+def _classify_moves(move: np.ndarray) -> np.ndarray:
     """(N,) 1 slid, 0 tapped, -1 unknown."""
     known = np.isfinite(move).all(axis=1)
-    return np.where(known, (np.abs(np.nan_to_num(move)) > MOVED).any(axis=1).astype(int), -1)
+    return np.where(known, (np.abs(np.nan_to_num(move)) > MIN_MOVE).any(axis=1).astype(int), -1)
 
 
-def _of_one_folder(recordings: Recordings) -> Contacts:
+def _split_one_folder(recordings: Recordings) -> RecordedContacts:
     """Taps and slides that lie in one folder: by their labels."""
     contacts = _contacts(recordings, np.zeros(len(recordings), bool))
-    moved = _moved(contacts.move)
+    moved = _classify_moves(contacts.move)
     if (moved < 0).all():
         raise UserError(
             f"{recordings.path} has no labels that say which contacts are taps: name the two folders, "
@@ -175,12 +177,12 @@ def _of_one_folder(recordings: Recordings) -> Contacts:
             *notes,
             f"{int((moved < 0).sum())} contacts without a label of their move are left out",
         )
-    return contacts._replace(slid=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
+    return contacts._replace(is_slide=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
 
 
-def _of_kind(recordings: Recordings, slid: bool) -> Contacts:
+def _select_kind(recordings: Recordings, slid: bool) -> RecordedContacts:
     contacts = _contacts(recordings, np.full(len(recordings), slid))
-    wrong = np.zeros(len(contacts.slid), bool) if slid else _moved(contacts.move) == 1
+    wrong = np.zeros(len(contacts.slid), bool) if slid else _classify_moves(contacts.move) == 1
     if wrong.all():
         raise UserError(
             f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
@@ -191,9 +193,9 @@ def _of_kind(recordings: Recordings, slid: bool) -> Contacts:
     return contacts
 
 
-def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
+def _contacts(recordings: Recordings, slid: np.ndarray) -> RecordedContacts:
     unknown = np.full((len(recordings), 6), np.nan)
-    return Contacts(
+    return RecordedContacts(
         recordings.files,
         recordings.names,
         unknown if recordings.poses is None else recordings.poses,
@@ -205,7 +207,7 @@ def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
     )
 
 
-def _split(contacts: Contacts, settings: Recorded) -> Contacts:
+def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
     Taps and slides are split alike. Names count only where some contacts are left to learn from: a
@@ -220,9 +222,9 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
     if settings.split == "block":
         return _split_by_block(contacts, named, settings)
     split = np.zeros(len(named), int)
-    drawn = _drawn(contacts, settings.seed)
+    drawn = _draw_split_keys(contacts, settings.seed)
     for slid, kind in ((False, "taps"), (True, "slides")):
-        here = contacts.slid == slid
+        here = contacts.is_slide == slid
         opened = here & ((named == "") | (named == "train"))
         if not opened.any():
             named, opened = np.where(here, "", named), here
@@ -248,7 +250,9 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
     return contacts._replace(split=split)
 
 
-def _split_by_block(contacts: Contacts, named: np.ndarray, settings: Recorded) -> Contacts:
+def _split_by_block(
+    contacts: RecordedContacts, named: np.ndarray, settings: Recorded
+) -> RecordedContacts:
     """Keep a block of poses out, and drop contacts without a pose, since they may lie in it.
 
     Raises UserError if a folder is a split by its name.
@@ -274,11 +278,11 @@ def _named_split(file: Path, name: str) -> str:
     return next((SPLIT_NAMES[word] for word in words if word in SPLIT_NAMES), "")
 
 
-def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
+def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
     """(N,) numbers in [0, 1) that depend on the seed and the pose alone; on the file's name where there is no pose."""
     keys = [
         f"pair {number}"
-        if contacts.paired and number >= 0
+        if contacts.paired_by_table and number >= 0
         else ",".join(f"{value:.4f}" for value in pose + 0.0)
         if np.isfinite(pose).all()
         else name
@@ -289,13 +293,13 @@ def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
     return np.array([hashed(f"{seed} {key}") / 2**64 for key in keys])
 
 
-def _joined(parts: list[Contacts]) -> Contacts:
+def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
     known = np.unique(np.concatenate([part.pose_id for part in parts]))
     parts = [
         part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id)))
         for part in parts
     ]
-    return Contacts(
+    return RecordedContacts(
         tuple(file for part in parts for file in part.files),
         tuple(name for part in parts for name in part.names),
         np.concatenate([part.pose for part in parts]),
@@ -307,11 +311,11 @@ def _joined(parts: list[Contacts]) -> Contacts:
     )
 
 
-def _paired(contacts: Contacts, table: Path) -> Contacts:
+def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
     """With `pose_id` by a table of pairs, and the tap's pose for a slide that has none. Raises UserError by file and row."""
     rows: dict[bool, dict[str, int]] = {False: {}, True: {}}
     for row, name in enumerate(contacts.names):
-        mine = rows[bool(contacts.slid[row])]
+        mine = rows[bool(contacts.is_slide[row])]
         mine[name] = mine[name.rpartition("/")[2]] = row
     pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
     for number, (slide, tap) in enumerate(read_pair_table(table), 2):
@@ -327,4 +331,4 @@ def _paired(contacts: Contacts, table: Path) -> Contacts:
             pose[here] = pose[there]
     if not (pose_id >= 0).any():
         raise UserError(f"{table} pairs nothing")
-    return contacts._replace(pose_id=pose_id, pose=pose, paired=True)
+    return contacts._replace(pose_id=pose_id, pose=pose, paired_by_table=True)

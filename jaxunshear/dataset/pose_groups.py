@@ -1,6 +1,6 @@
 """Rows of a split that are of the same pose of the same stimulus, several slides say: each holds one of the pose's taps.
 
->>> siblings = siblings_of(rows["stimulus"], rows["pose_id"])
+>>> siblings = group_by_pose(rows["stimulus"], rows["pose_id"])
 >>> siblings.drawn(np.arange(64), generator)  # (64,) rows
 """
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Siblings(NamedTuple):
+class PoseGroups(NamedTuple):
     group: np.ndarray  # (N,) of each row
     rank: np.ndarray  # (N,) of each row in its group
     members: np.ndarray  # (N,) rows, group by group
@@ -30,16 +30,16 @@ class Siblings(NamedTuple):
         """One of each row's group (B,), another one where there is one."""
         group = self.group[rows]
         return self.members[
-            self.start[group] + onward(self.rank[rows], self.size[group], generator)
+            self.start[group] + sample_next(self.rank[rows], self.size[group], generator)
         ]
 
 
-def onward(place: np.ndarray, size: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+def sample_next(place: np.ndarray, size: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """Another place (B,) below `size` (B,), any; the same where there is but one."""
     return (place + 1 + generator.integers(np.maximum(size - 1, 1))) % size
 
 
-def siblings_of(stimulus: np.ndarray, pose: np.ndarray) -> Siblings:
+def group_by_pose(stimulus: np.ndarray, pose: np.ndarray) -> PoseGroups:
     """Of rows (N,) by what they touch and the number of their pose there."""
     _, group = np.unique(np.stack([stimulus, pose], axis=-1), axis=0, return_inverse=True)
     group = group.reshape(-1)
@@ -47,4 +47,4 @@ def siblings_of(stimulus: np.ndarray, pose: np.ndarray) -> Siblings:
     start = np.cumsum(size) - size
     rank = np.empty_like(members)
     rank[members] = np.arange(len(members)) - start[group[members]]
-    return Siblings(group, rank, members, start, size)
+    return PoseGroups(group, rank, members, start, size)

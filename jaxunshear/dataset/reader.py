@@ -5,7 +5,7 @@
     next(steps)["sheared"]  # (16, 128, 128, 1) uint8 in {0, 255}
 
 A split is decoded once and held in memory at one bit a pixel: 9 MB of images for the demo's training pairs, 0.9 GB for the
-paper's. A split with more than `MEMORY_BYTES` of images has them in an unlinked file beside the set instead.
+paper's. A split with more than `MAX_MEMORY_BYTES` of images has them in an unlinked file beside the set instead.
 """
 
 import functools
@@ -21,9 +21,9 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.dataset.chunks import pack, unpack
-from jaxunshear.dataset.making import damaged, read_metadata, remedy
-from jaxunshear.dataset.siblings import siblings_of
+from jaxunshear.dataset.chunks import pack_bits, unpack_bits
+from jaxunshear.dataset.generation import format_remedy, make_damage_error, read_metadata
+from jaxunshear.dataset.pose_groups import group_by_pose
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings.configs import MANIFEST, Settings, set_folder
 from jaxunshear.settings.data import PairedData
@@ -31,10 +31,10 @@ from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import blame_the_machine, read_object
 
-MEMORY_BYTES = 1 << 30
+MAX_MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared", "other", "swapped")  # the last two as in `factorial`
 PINS = ("pins", "canonical_pins", "sheared_pins", "other_pins", "swapped_pins")
-OF_TAP = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
+TAP_FIELDS = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
 Batch = dict[str, np.ndarray]
 
 
@@ -42,7 +42,7 @@ class Reader:
     """Examples in memory. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
     the other fields are those of the data card. `fields` names those wanted, all of them if None.
 
-    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack`), or (N, S, S) uint8 where they are grey.
+    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack_bits`), or (N, S, S) uint8 where they are grey.
     """
 
     def __init__(self, load: Callable[[str], Batch], size: int) -> None:
@@ -75,7 +75,7 @@ class Reader:
         """
         rows = self.rows("train")
         most = shift * self._size
-        siblings = siblings_of(rows["stimulus"], rows["pose_id"])
+        siblings = group_by_pose(rows["stimulus"], rows["pose_id"])
         wanted = fields or tuple(rows)
 
         def draw(row: int, generator: np.random.Generator) -> np.ndarray:
@@ -90,7 +90,7 @@ class Reader:
             .random_map(draw)
             .batch(batch)
         )
-        order = _shuffled(self.length("train"), batch, seed)
+        order = _make_shuffle(self.length("train"), batch, seed)
 
         def at_once(step: int) -> np.ndarray:
             here = order(step)
@@ -102,7 +102,7 @@ class Reader:
         def at(step: int) -> Batch:
             here, taps, *offsets = (drawn[step] if shift else at_once(step)).T
             examples = self._drawn(here, taps, wanted, (seed, step))
-            return shifted(examples, np.stack(offsets, axis=-1)) if shift else examples
+            return shift_examples(examples, np.stack(offsets, axis=-1)) if shift else examples
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
             return map(at, itertools.count(start_step))
@@ -114,7 +114,9 @@ class Reader:
     ) -> Batch:
         """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""
         rows = self.rows("train")
-        return self._images({name: rows[name][taps if name in OF_TAP else here] for name in fields})
+        return self._images(
+            {name: rows[name][taps if name in TAP_FIELDS else here] for name in fields}
+        )
 
     def _images(self, rows: Batch) -> Batch:
         return {
@@ -124,7 +126,7 @@ class Reader:
     def _image(self, stored: np.ndarray) -> np.ndarray:
         """One bit a pixel, or grey as it is."""
         grey = stored.shape[-2:] == (self._size, self._size)
-        return (stored if grey else unpack(stored, self._size))[..., None]
+        return (stored if grey else unpack_bits(stored, self._size))[..., None]
 
 
 class SetReader(Reader):
@@ -144,7 +146,7 @@ class SetReader(Reader):
         try:
             rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
             return (
-                rows | {"felt": felt(rows["move"], rows["pose"])}
+                rows | {"felt": to_sensor_frame(rows["move"], rows["pose"])}
                 if isinstance(self.settings, PairedData)
                 else rows
             )
@@ -152,7 +154,7 @@ class SetReader(Reader):
             raise
         except Exception as error:  # whatever a damaged file makes of itself
             blame_the_machine(self.folder, error)
-            raise damaged(self.folder, first_line(error)) from error
+            raise make_damage_error(self.folder, first_line(error)) from error
 
 
 def open_set(
@@ -167,14 +169,14 @@ def open_set(
     )
 
 
-def felt(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def to_sensor_frame(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Slides (N, 2) mm, or (N, 3) with their turn, deg, as the sensor at `pose` (N, 4) or (N, 6) feels them: in its own frame."""
     return np.concatenate(
         [rotate_2d(move[:, :2], np.radians(-pose[:, 2])), move[:, 2:]], axis=1
     ).astype(np.float32)
 
 
-def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
+def shift_examples(examples: Batch, offsets: np.ndarray) -> Batch:
     """Moves images (B, S, S, 1) by `offsets` (B, 2), integer pixels (col, row), black flowing in, and pins with them."""
     moved = dict(examples)
     for name in examples.keys() & set(IMAGES):
@@ -197,7 +199,7 @@ def _overlap(offset: int, size: int) -> tuple[slice, slice]:
     )
 
 
-def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
+def _make_shuffle(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
     """Step -> the rows (batch,) of its examples: all `count` of them in every epoch, in another order. Drawing these one by one takes
     longer than a step of a small network over pins."""
 
@@ -216,20 +218,20 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
 
 def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
     """Compares every shard of a split with its checksum from when it was written; returns the checksums."""
-    from jaxunshear.dataset.builders.stored import sha256
+    from jaxunshear.dataset.builders.stored import compute_sha256
 
     try:
         sums = read_object(folder / MANIFEST)
     except UserError as error:
         blame_the_machine(folder / MANIFEST, error)
-        raise damaged(folder, MANIFEST) from error
+        raise make_damage_error(folder, MANIFEST) from error
     shards = sorted(name for name in sums if f"-{split}." in name)
     for name in shards:
         path = folder / name
         if not path.exists():
-            raise UserError(f"shard {path} is missing: {remedy(folder)}")
-        if sha256(path) != sums[name]:
-            raise UserError(f"shard {path} is truncated or damaged: {remedy(folder)}")
+            raise UserError(f"shard {path} is missing: {format_remedy(folder)}")
+        if compute_sha256(path) != sums[name]:
+            raise UserError(f"shard {path} is truncated or damaged: {format_remedy(folder)}")
     return tuple(sums[name] for name in shards)
 
 
@@ -261,7 +263,7 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
     for index in range(count):
         for name, value in source[index].items():
             rows[name][index] = (
-                pack(np.asarray(Image.open(io.BytesIO(value)))[None])[0]
+                pack_bits(np.asarray(Image.open(io.BytesIO(value)))[None])[0]
                 if name in images
                 else value
             )
@@ -272,7 +274,7 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
 
 def _room(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
     """Bytes in memory, or in an unlinked file if all of a split's `images` fields together are too large."""
-    if images * shape[0] * shape[1] <= MEMORY_BYTES:
+    if images * shape[0] * shape[1] <= MAX_MEMORY_BYTES:
         return np.zeros(shape, np.uint8)
     beside = (
         folder.parent if os.access(folder.parent, os.W_OK) else None

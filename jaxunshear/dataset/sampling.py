@@ -23,18 +23,16 @@ from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS, splits_of
 from jaxunshear.settings.types import check_rules
 
-LEAST_DEPTH_MM = (
-    0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
-)
+MIN_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
 
 
-class Shots(NamedTuple):
+class ContactSamples(NamedTuple):
     """B contacts, numbered by their row."""
 
     scenes: Scenes
     pose_id: np.ndarray  # (B,) within the stimulus
     instance: np.ndarray  # (B,) number of the tap or of the slide at its pose
-    slid: np.ndarray  # (B,) bool: a slide, not a tap
+    is_slide: np.ndarray  # (B,) bool: a slide, not a tap
     age: np.ndarray  # (B,) in [0, 1]: when in the session it was recorded
     split: np.ndarray  # (B,) index into `splits.SPLITS`
     edge: (
@@ -42,7 +40,7 @@ class Shots(NamedTuple):
     )  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.compute_edge_labels`
 
 
-def check(settings: PairedData | PoseData) -> None:
+def check_settings(settings: PairedData | PoseData) -> None:
     """Refuses settings from which no set can be drawn, by name."""
     config_name(settings)
     check_rules(settings, set_name(settings))
@@ -90,9 +88,9 @@ def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
     return order / (settings.poses * len(settings.stimuli) - 1)
 
 
-def draw_paired(settings: PairedData) -> Shots:
+def sample_paired(settings: PairedData) -> ContactSamples:
     """For every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
-    check(settings)
+    check_settings(settings)
     shots = settings.taps + settings.slides
     slid = np.arange(shots) >= settings.taps
     pose, move = [], []
@@ -102,9 +100,9 @@ def draw_paired(settings: PairedData) -> Shots:
         depth = poses[:, ~slid, 3]
         deeper = _generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
         poses[:, ~slid, 3] = np.maximum(
-            depth + deeper, min(LEAST_DEPTH_MM, settings.ranges.depth_min_mm)
+            depth + deeper, min(MIN_DEPTH_MM, settings.ranges.depth_min_mm)
         )
-        leader = slide_leaders(settings, name)
+        leader = find_slide_leaders(settings, name)
         drawn = _slides(settings, name)[leader]
         moves = np.zeros((settings.poses, shots, drawn.shape[-1]))
         yaw = poses[:, 0, 2]
@@ -123,7 +121,7 @@ def draw_paired(settings: PairedData) -> Shots:
     )
 
 
-def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
+def find_slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
     """(poses,) number of the pose whose slides each pose has: its own, or that of the first of `poses_a_slide` of its split."""
     split = splits_of(settings.seed, stimulus, settings.poses)
     leader = np.arange(settings.poses)
@@ -135,9 +133,9 @@ def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
     return leader
 
 
-def draw_pose(settings: PoseData) -> Shots:
+def sample_taps(settings: PoseData) -> ContactSamples:
     """One tap for every stimulus and pose."""
-    check(settings)
+    check_settings(settings)
     pose = np.concatenate([_poses(settings, name) for name in settings.names])
     zero = np.zeros(len(pose), int)
     return _shots(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
@@ -149,7 +147,7 @@ def _shots(
     move: np.ndarray,
     instance: np.ndarray,
     slid: np.ndarray,
-) -> Shots:
+) -> ContactSamples:
     names = settings.names
     each = len(pose) // (len(names) * settings.poses)
     stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
@@ -159,10 +157,10 @@ def _shots(
         [np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names]
     )
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
-    return Shots(
+    return ContactSamples(
         scenes, pose_id, instance, slid, age, split, compute_edge_labels(settings.stimuli, scenes)
     )
 
 
-def draw(settings: PairedData | PoseData) -> Shots:
-    return draw_paired(settings) if isinstance(settings, PairedData) else draw_pose(settings)
+def sample_contacts(settings: PairedData | PoseData) -> ContactSamples:
+    return sample_paired(settings) if isinstance(settings, PairedData) else sample_taps(settings)

@@ -5,8 +5,8 @@ import io
 import shutil
 from pathlib import Path
 
-from jaxunshear.dataset.chunks import Engine
-from jaxunshear.dataset.shots import check
+from jaxunshear.dataset.chunks import SimulationEngine
+from jaxunshear.dataset.sampling import check_settings
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import PoseData, Recorded
@@ -15,12 +15,12 @@ from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import blame_the_machine, checksum, os_error, read_object
 
 
-def remedy(folder: Path) -> str:
+def format_remedy(folder: Path) -> str:
     return f"delete {folder} and run `jaxunshear data` again"
 
 
-def damaged(folder: Path, what: str) -> UserError:
-    return UserError(f"the data set in {folder} is damaged ({what}): {remedy(folder)}")
+def make_damage_error(folder: Path, what: str) -> UserError:
+    return UserError(f"the data set in {folder} is damaged ({what}): {format_remedy(folder)}")
 
 
 def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
@@ -36,12 +36,12 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
         )
     except UserError as error:
         blame_the_machine(folder, error)
-        raise damaged(folder, first_line(error)) from error
+        raise make_damage_error(folder, first_line(error)) from error
     intact = sums.get(configs.METADATA) in (None, checksum(metadata)) and isinstance(
         metadata.get("counts"), dict
     )
     if not intact:
-        raise damaged(folder, configs.METADATA)
+        raise make_damage_error(folder, configs.METADATA)
     wanted = configs.describe(settings, sensor)
     changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:
@@ -57,14 +57,14 @@ def make_set(
     settings: configs.Settings,
     sensor: Sensor = TACTIP_331,
     data_dir: Path = Path("datasets"),
-    engine: Engine | None = None,
+    engine: SimulationEngine | None = None,
 ) -> dict:
     """Makes the set that `settings` describe under `data_dir`, going on where a killed run stopped; returns its metadata.
 
     At once if the set is there. Raises `UserError`: settings out of range, a set made with other settings, a full disk.
     """
     if not isinstance(settings, Recorded):
-        check(settings)
+        check_settings(settings)
     folder = configs.set_folder(settings, sensor, data_dir)
     if not folder.exists():
         try:
@@ -79,7 +79,7 @@ def make_set(
 
 
 def _make(
-    settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: Engine | None
+    settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
 ) -> None:
     import absl.logging
     import tensorflow_datasets as tfds
@@ -105,7 +105,7 @@ def _make(
         builder.download_and_prepare()
 
 
-def sets_of(experiment: Experiment) -> dict[str, configs.Settings]:
+def list_sets(experiment: Experiment) -> dict[str, configs.Settings]:
     """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
     sets: dict[str, configs.Settings] = {configs.set_name(experiment.paired): experiment.paired}
     if takes_taps(experiment) and isinstance(experiment.pose, PoseData):
@@ -114,10 +114,10 @@ def sets_of(experiment: Experiment) -> dict[str, configs.Settings]:
 
 
 def make_sets(
-    experiment: Experiment, data_dir: Path, engine: Engine | None = None
+    experiment: Experiment, data_dir: Path, engine: SimulationEngine | None = None
 ) -> dict[str, dict]:
     """Makes those sets; their metadata by the same names."""
     return {
         name: make_set(settings, experiment.sensor, data_dir, engine)
-        for name, settings in sets_of(experiment).items()
+        for name, settings in list_sets(experiment).items()
     }
