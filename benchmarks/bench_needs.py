@@ -19,8 +19,8 @@ from benchmarks.steps import dots, step_of, variables_of
 from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.fast import native
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.fast import compiled_kernels
+from jaxunshear.model.weights import Variables
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
@@ -51,7 +51,7 @@ class Way:
 
     @cached_property
     def operations(self) -> float:
-        with native.taking("counted"):
+        with compiled_kernels.use_form("counted"):
             counted = (
                 jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
             )
@@ -64,7 +64,7 @@ def bench_needs(
     """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
-    unshearnet.check(net)
+    unshearnet.check_net(net)
     cases = list(_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:
@@ -140,7 +140,7 @@ def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, W
     values = {
         ENTANGLED: variables_of(partial(unshearnet.init, entangled), 1),
         DISENTANGLED: variables,
-        POSENET: variables_of(partial(posenet.init, pose, posenet.outputs_of(targets)), 2),
+        POSENET: variables_of(partial(posenet.init, pose, posenet.count_outputs(targets)), 2),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 

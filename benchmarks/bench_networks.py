@@ -4,7 +4,7 @@
 
 The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
 the convolutions' multiplications over the product's. Compile time stands apart. Without the extras `torch` and `onnx` only our rows come.
-Where parts of the training are compiled for the processor (`model/fast/native.py`), training without them has a row of its own.
+Where parts of the training are compiled for the processor (`model/fast/compiled_kernels.py`), training without them has a row of its own.
 """
 
 import statistics
@@ -25,8 +25,8 @@ from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.inference.perception import forward_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.fast import native
-from jaxunshear.model.ready import ready
+from jaxunshear.model.fast import compiled_kernels
+from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.progress import Progress
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET
@@ -115,7 +115,7 @@ def _network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
-    unshearnet.check(net)
+    unshearnet.check_net(net)
     return net
 
 
@@ -130,7 +130,7 @@ def _training_sides(size: int, batch: int) -> Sides:
         given = jax.device_put({"canonical": canonical, "sheared": sheared})
 
         def work() -> None:
-            with native.taking(form):
+            with compiled_kernels.use_form(form):
                 state[0], metrics = program(state[0], given)
             jax.block_until_ready(metrics)
 
@@ -148,7 +148,7 @@ def _training_sides(size: int, batch: int) -> Sides:
         return lambda: float(step(*given)) and None
 
     yield "jaxunshear", lambda: ours("compiled")
-    if native.available():
+    if compiled_kernels.is_available():
         yield "jaxunshear, XLA alone", lambda: ours("xla")
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
@@ -160,7 +160,9 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
     def ours() -> Work:
         variables = variables_of(partial(unshearnet.init, net))
-        run = ready(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
+        run = jit_for_inference(
+            lambda variables, images: unshearnet.unshear(net, variables, images), variables
+        )
         given = np.asarray(sheared, np.float32) / 255
         return lambda: np.asarray(run(given)) is None
 
@@ -189,12 +191,12 @@ def _stream_sides(size: int, batch: int) -> Sides:
     image = dots(batch, size)[1, 0, ..., 0]
 
     def fresh_variables() -> dict[str, Any]:
-        reader = variables_of(partial(posenet.init, pose_net, posenet.outputs_of(TARGETS)))
+        reader = variables_of(partial(posenet.init, pose_net, posenet.count_outputs(TARGETS)))
         return {DISENTANGLED: variables_of(partial(unshearnet.init, net)), POSENET: reader}
 
     def ours() -> Work:
         forward = forward_of({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = ready(perceive_of(forward, names_of(TARGETS)), fresh_variables())
+        run = jit_for_inference(perceive_of(forward, names_of(TARGETS)), fresh_variables())
         return lambda: jax.device_get(run(image)) is None
 
     def exported() -> Work:
@@ -214,7 +216,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
         torch, torch_twin = _twins()
         twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
         pose = (
-            torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS)))
+            torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.count_outputs(TARGETS)))
             .to(_place())
             .eval()
         )

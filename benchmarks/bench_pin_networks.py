@@ -18,7 +18,7 @@ from jax import Array
 from benchmarks.steps import step_of
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import kernels, pinnets
+from jaxunshear.model import layer_choice, pin_networks
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.experiment import PINS
@@ -64,7 +64,8 @@ def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Jso
                 *(("a frame", batch) for batch in BATCHES),
             ):
                 made = {
-                    way: _made(net, rest, what, batch, way) for way in (kernels.FAST, kernels.PLAIN)
+                    way: _made(net, rest, what, batch, way)
+                    for way in (layer_choice.FAST, layer_choice.PLAIN)
                 }
                 rows.append(
                     {"name": name, "what": what, "batch": batch, **_measured(made, rounds, turn_s)}
@@ -75,7 +76,7 @@ def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Jso
 
 def _made(net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str) -> tuple[Work, float]:
     """Something to time, and the seconds that compiling it took."""
-    with kernels.using(way):
+    with layer_choice.use_layers(way):
         pins = jnp.asarray(
             rest[None] + SPREAD * np.random.default_rng(0).normal(size=(batch, *rest.shape)),
             jnp.float32,
@@ -87,12 +88,12 @@ def _made(net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str) ->
 
 def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     reader = PinPoseNet()
-    weights = pinnets.init(net, rest, SPREAD, jax.random.key(0))
-    pose_weights = pinnets.init(reader, rest, SPREAD, jax.random.key(1), POSE)
+    weights = pin_networks.init(net, rest, SPREAD, jax.random.key(0))
+    pose_weights = pin_networks.init(reader, rest, SPREAD, jax.random.key(1), POSE)
 
     def read(pins: Array) -> tuple[Array, Array]:
-        unsheared = pinnets.unshear(net, weights, pins)
-        return unsheared, pinnets.predict(reader, pose_weights, unsheared)
+        unsheared = pin_networks.unshear(net, weights, pins)
+        return unsheared, pin_networks.predict(reader, pose_weights, unsheared)
 
     run = jax.jit(read).lower(pins).compile()
     return lambda: jax.block_until_ready(run(pins))
@@ -120,12 +121,14 @@ def _measured(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -
     def turn(way: str) -> float:
         return 1e3 * seconds(lambda: [works[way]() for _ in range(times)]) / times
 
-    fast, plain = np.array([[turn(kernels.FAST), turn(kernels.PLAIN)] for _ in range(rounds)]).T
+    fast, plain = np.array(
+        [[turn(layer_choice.FAST), turn(layer_choice.PLAIN)] for _ in range(rounds)]
+    ).T
     return {
         "ms": float(np.median(fast)),
         "ms_p95": float(np.percentile(fast, 95)),
         "plain_ms": float(np.median(plain)),
         "plain_over_fast": float(np.median(plain / fast)),
-        "compile_s": made[kernels.FAST][1],
-        "plain_compile_s": made[kernels.PLAIN][1],
+        "compile_s": made[layer_choice.FAST][1],
+        "plain_compile_s": made[layer_choice.PLAIN][1],
     }

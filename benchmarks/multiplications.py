@@ -42,5 +42,7 @@ def pose_multiplications(net: PoseNet) -> int:
         + 9 * rest[1] * rest[2] * (side // 4) ** 2
     )
     return (
-        count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)
+        count
+        + (side // 4) ** 2 * rest[2] * net.hidden
+        + net.hidden * posenet.count_outputs(TARGETS)
     )

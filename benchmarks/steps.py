@@ -5,7 +5,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import first_state, run_once
 from jaxunshear.training.step import State, make_step, optimiser_of

@@ -31,10 +31,10 @@ from jaxunshear.image.sensor_check import NO_MINIMUM
 from jaxunshear.inference.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.inference.perception import BATCH, in_batches
 from jaxunshear.inference.suitability import learnt_note, suits_recordings
-from jaxunshear.model.parts import Tree
-from jaxunshear.model.posenet import pose_from_outputs
-from jaxunshear.model.ready import ready
-from jaxunshear.model.unshearing import encode
+from jaxunshear.model.dispatch import encode
+from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.model.posenet import unscale_outputs
+from jaxunshear.model.weights import Tree
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import Targets
@@ -138,8 +138,7 @@ class Model:
             )
         outputs = jnp.asarray((shear[:, : len(self.slides)] + 1) / 2)
         return {
-            name: np.asarray(value)
-            for name, value in pose_from_outputs(outputs, self.slides).items()
+            name: np.asarray(value) for name, value in unscale_outputs(outputs, self.slides).items()
         }
 
     def _answers(self, images: np.ndarray) -> Answers:
@@ -181,7 +180,7 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
     slides: Targets = ()
     if holds_model(folder / DISENTANGLED):
         net = read_net(folder / DISENTANGLED)
-        encoder = ready(
+        encoder = jit_for_inference(
             lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED)
         )
         slides = read_slides(folder / DISENTANGLED)

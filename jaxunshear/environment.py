@@ -18,7 +18,7 @@ HEEDED = (
 DEVICES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
-KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/kernels.py`
+KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/layer_choice.py`
 KERNEL_WAYS = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `training/devices.py`
 SECONDS = 120  # a GPU on a busy machine needs some

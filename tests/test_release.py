@@ -70,7 +70,7 @@ def finished(tmp_path_factory):
         (
             "posenet",
             "posenet",
-            partial(posenet.init, POSENET, posenet.outputs_of(TARGETS)),
+            partial(posenet.init, POSENET, posenet.count_outputs(TARGETS)),
             POSENET,
         ),
     ):

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import of_ranges
@@ -132,7 +132,7 @@ def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Ar
     """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)
-        return {"outputs": outputs, **posenet.pose_from_outputs(outputs, TARGETS)}
+        return {"outputs": outputs, **posenet.unscale_outputs(outputs, TARGETS)}
     if isinstance(net, UNet):
         return {"unsheared": unet.unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)

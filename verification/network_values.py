@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.metrics import images as metrics
 from jaxunshear.model import posenet
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import PoseNet
 from jaxunshear.training import checkpoint, losses
 from verification.network_images import KINDS, as_floats, pairs, spoilt, with_nan
@@ -76,7 +76,7 @@ def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
         "reconstruction": lambda x: losses.reconstruction(x, target),
         "patch": lambda x: losses.patch(x, target, counts),
         "pose": lambda x: losses.pose(
-            x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.output_weights(TARGETS)
+            x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.list_output_weights(TARGETS)
         ),
     }
     arrays = {}

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.parts import leaves_of
+from jaxunshear.model.weights import list_leaves
 from jaxunshear.training import checkpoint
 
 FINITE, STOPPED, REFUSED = "finite", "stopped, and said so", "refused"
@@ -145,7 +145,7 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
 
 def not_finite(tree: Mapping[str, object]) -> list[str]:
     """Dotted names of the arrays that hold a NaN or an infinity."""
-    leaves = leaves_of(dict(tree))
+    leaves = list_leaves(dict(tree))
     return [
         name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()
     ]

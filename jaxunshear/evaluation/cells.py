@@ -8,7 +8,7 @@ from jax import Array
 
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.model import unshearnet
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import UnshearNet
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank; *: of another image

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.model import pinnets, unshearnet
-from jaxunshear.model.parts import Net, Variables
+from jaxunshear.model import pin_networks, unshearnet
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
 
 AT_ONCE = 64
@@ -19,7 +19,7 @@ Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F)
 def encoder_of(net: Net, variables: Variables) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
     if isinstance(net, PinUnshear) and net.shear_code:
-        run = jax.jit(partial(pinnets.encode, net))
+        run = jax.jit(partial(pin_networks.encode, net))
     elif isinstance(net, UnshearNet) and net.disentangled and net.shear_channels:
         run = jax.jit(
             lambda weights, images: unshearnet.encode(
@@ -48,5 +48,5 @@ def untrained(net: Net, variables: Variables, seed: int) -> Variables:
     key = jax.random.key(seed)
     if isinstance(net, PinUnshear):
         constants = variables["batch_stats"]
-        return pinnets.init(net, constants["rest"], constants["spread"], key)
+        return pin_networks.init(net, constants["rest"], constants["spread"], key)
     return unshearnet.init(net, key)

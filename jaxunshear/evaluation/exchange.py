@@ -21,8 +21,8 @@ from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.evenly import evenly
 from jaxunshear.image.png import to_uint8
 from jaxunshear.metrics.pin_error import measure_pin_error
-from jaxunshear.model import pinnets, unshearnet
-from jaxunshear.model.parts import Net, Variables
+from jaxunshear.model import pin_networks, unshearnet
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
 from jaxunshear.settings.registry import DISENTANGLED
@@ -69,8 +69,8 @@ def _road(net: Net) -> _Road:
         return _Road(
             SHEARED_PINS,
             "px",
-            jax.jit(partial(pinnets.encode, net)),
-            jax.jit(partial(pinnets.decode_sheared, net)),
+            jax.jit(partial(pin_networks.encode, net)),
+            jax.jit(partial(pin_networks.decode_sheared, net)),
         )
 
     @jax.jit

@@ -13,9 +13,9 @@ from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
 from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.parts import Net, Variables
-from jaxunshear.model.unshearing import unshear
+from jaxunshear.model import pin_networks, posenet
+from jaxunshear.model.dispatch import unshear
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.settings.targets import Targets
 from jaxunshear.storage import Json
@@ -73,12 +73,12 @@ def run_of(
                 for kind, x in images.items()
             }
             poses = {
-                kind: posenet.pose_from_outputs(answer, targets[POSENET])
+                kind: posenet.unscale_outputs(answer, targets[POSENET])
                 for kind, answer in answers.items()
             }
         if POSENET_SHEARED in nets:
             answer = posenet.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
-            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets[POSENET_SHEARED])
+            poses[LEARNT_SHEARED] = posenet.unscale_outputs(answer, targets[POSENET_SHEARED])
         return Outputs(images, cells, poses, {}), image_scores(images, cells)
 
     return run
@@ -102,18 +102,22 @@ def pin_run_of(
             {},
         )
         for kind in (name for name in UNSHEARING if name in nets):
-            z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)
-            places[kind] = pinnets.decode_canonical(nets[kind], variables[kind], z_p)
+            z_p, z_s = pin_networks.encode(nets[kind], variables[kind], sheared)
+            places[kind] = pin_networks.decode_canonical(nets[kind], variables[kind], z_p)
             if z_s is not None:
                 cells = {"DC(z_p)": places[kind]}
-                cells["DS(z_p,z_s)"] = pinnets.decode_sheared(nets[kind], variables[kind], z_p, z_s)
+                cells["DS(z_p,z_s)"] = pin_networks.decode_sheared(
+                    nets[kind], variables[kind], z_p, z_s
+                )
         if POSENET in nets:
             for kind, place in places.items():
-                outputs = pinnets.predict(nets[POSENET], variables[POSENET], place)
-                poses[kind] = posenet.pose_from_outputs(outputs, targets[POSENET])
+                outputs = pin_networks.predict(nets[POSENET], variables[POSENET], place)
+                poses[kind] = posenet.unscale_outputs(outputs, targets[POSENET])
         if POSENET_SHEARED in nets:
-            outputs = pinnets.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
-            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets[POSENET_SHEARED])
+            outputs = pin_networks.predict(
+                nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared
+            )
+            poses[LEARNT_SHEARED] = posenet.unscale_outputs(outputs, targets[POSENET_SHEARED])
         shown = places | {"tap": tap}
         images, drawn = (
             {k: draw_dots(p, pins.radius_px, pins.size) for k, p in each.items()}

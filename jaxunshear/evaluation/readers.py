@@ -23,7 +23,7 @@ from jaxunshear.evaluation.score import Outputs, pose_scores
 from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
-from jaxunshear.model.posenet import pose_from_outputs, pose_targets
+from jaxunshear.model.posenet import scale_poses, unscale_outputs
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import POSENET, UNSHEARING
 from jaxunshear.settings.targets import Targets, fields_of
@@ -84,7 +84,7 @@ def reader_of(
         return None
     seen = np.isfinite(features)
     mean = np.where(seen, features, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    outputs = np.asarray(pose_targets(labels, targets))
+    outputs = np.asarray(scale_poses(labels, targets))
     return PoseReader(fitted(np.where(seen, features, mean), outputs), targets, len(features))
 
 
@@ -93,7 +93,7 @@ def read(reader: PoseReader, features: np.ndarray) -> Poses:
     found = answers(reader.ridge, np.where(np.isfinite(features), features, reader.ridge.middle))
     return {
         name: np.asarray(value)
-        for name, value in pose_from_outputs(jnp.asarray(found), reader.targets).items()
+        for name, value in unscale_outputs(jnp.asarray(found), reader.targets).items()
     }
 
 

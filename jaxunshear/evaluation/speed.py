@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.parts import Net, Variables
-from jaxunshear.model.ready import ready
-from jaxunshear.model.unshearing import unshear
+from jaxunshear.model import pin_networks, posenet
+from jaxunshear.model.dispatch import unshear
+from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.networks import PinNet, PinUnshear
 from jaxunshear.settings.registry import POSENETS
 from jaxunshear.training.checkpoint import load_best, read_net
@@ -26,7 +26,7 @@ def ms_per_image(run_dir: Path, names: Sequence[str]) -> dict[str, dict[str, flo
         net = read_net(Path(run_dir) / name)
         answer = function_of(name, net)
         variables = load_best(Path(run_dir) / name)
-        found[name] = timed(ready(answer, variables), _input_of(net, variables))
+        found[name] = timed(jit_for_inference(answer, variables), _input_of(net, variables))
     return found
 
 
@@ -34,7 +34,7 @@ def function_of(name: str, net: Net) -> Callable[[Variables, Array], Array]:
     """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
     outputs (B, K). Networks over pins take these, (B, P, 2) px, in the place of images."""
     if isinstance(net, PinNet):
-        read: Any = pinnets.unshear if isinstance(net, PinUnshear) else pinnets.predict
+        read: Any = pin_networks.unshear if isinstance(net, PinUnshear) else pin_networks.predict
         return lambda variables, pins: read(net, variables, pins)
     answer: Any = posenet.predict if name in POSENETS else unshear
     return lambda variables, images: answer(net, variables, images)

@@ -43,9 +43,9 @@ from jaxunshear.image.sensor_check import (
 from jaxunshear.inference.perception import lattice_of, trained, unit
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
-from jaxunshear.model.parts import Tree, Variables
-from jaxunshear.model.ready import ready
-from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.model.dispatch import predict, unshear
+from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.model.weights import Tree, Variables
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
@@ -145,7 +145,7 @@ def perceiver(
     names = next(
         (names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ()
     )
-    run = ready(partial(_forward, nets, targets, recorded_too), variables)
+    run = jit_for_inference(partial(_forward, nets, targets, recorded_too), variables)
     learnt, expected = frame_learnt(model, experiment), expected_by(model, experiment)
     if over_pins(experiment):
         rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
@@ -204,7 +204,7 @@ def _forward(
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
     def pose(name: str, given: Array) -> dict[str, Array]:
-        return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
+        return posenet.unscale_outputs(predict(nets[name], variables[name], given), targets[name])
 
     after = (
         unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None

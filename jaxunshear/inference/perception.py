@@ -20,9 +20,9 @@ from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions, track_images
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.model import posenet
-from jaxunshear.model.parts import Net, Tree, Variables
-from jaxunshear.model.ready import ready
-from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.model.dispatch import predict, unshear
+from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.model.weights import Net, Tree, Variables
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.registry import (
     DISENTANGLED,
@@ -143,7 +143,7 @@ def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forwa
         for name, net in unshearing:
             seen = unshear(net, variables[name], seen)
         name, net = reader
-        return seen, posenet.pose_from_outputs(predict(net, variables[name], seen), targets[name])
+        return seen, posenet.unscale_outputs(predict(net, variables[name], seen), targets[name])
 
     return forward
 
@@ -174,12 +174,14 @@ def _see_of(experiment: Experiment) -> See:
 
 
 def _of_images(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
-    run = ready(lambda known, images: unshear(net, known, unit(images))[..., 0], variables)
+    run = jit_for_inference(
+        lambda known, images: unshear(net, known, unit(images))[..., 0], variables
+    )
     return lambda images: measure_motions(lattice, in_batches(run, images))
 
 
 def _of_pins(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
-    run = ready(lambda known, pins: unshear(net, known, pins), variables)
+    run = jit_for_inference(lambda known, pins: unshear(net, known, pins), variables)
 
     def motions(images: np.ndarray) -> np.ndarray:
         motion, sure = track_images(lattice, images)
@@ -200,7 +202,7 @@ def _perception(model: Path, see: See, way: str) -> Perceive:
         _, pose = forward(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 
-    run = ready(edge, variables)
+    run = jit_for_inference(edge, variables)
 
     def perceive(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         given, known = see(images)

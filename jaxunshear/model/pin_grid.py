@@ -1,6 +1,6 @@
 """Motions of pins laid on a square grid, for convolutions: neighbouring pins move alike, which dense layers have to learn.
 
->>> grid = grid_of(rest)                      # (P, G): what each pin counts at each place; 0 outside the pins
+>>> grid = make_grid(rest)                      # (P, G): what each pin counts at each place; 0 outside the pins
 >>> GridTrunk(net).apply(variables, motions, grid)
 """
 
@@ -17,19 +17,19 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from jaxunshear.image.lattice import measure_spacing
-from jaxunshear.model import kernels
+from jaxunshear.model import layer_choice
 from jaxunshear.model.fast import patches
 from jaxunshear.settings.networks import PinNet
 
-AROUND = 30  # pins that the motion at a place is interpolated from
+GRID_NEIGHBOURS = 30  # pins that the motion at a place is interpolated from
 CONVOLUTIONS: tuple[Callable[..., Array], ...] = (
     lax.conv_general_dilated,
     patches.convolution,
 )  # plain and fast
-INSIDE = 1.2  # pin spacings from the nearest pin: a place is still among them
+MAX_GRID_DISTANCE = 1.2  # pin spacings from the nearest pin: a place is still among them
 
 
-def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
+def make_grid(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     """Of pins that stand untouched at `rest` px: G places in rows, as far apart as pins, each interpolated by linear splines."""
     pins = np.asarray(rest, np.float64)
     low, high = pins.min(axis=0), pins.max(axis=0)
@@ -38,9 +38,9 @@ def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
     places = np.stack([columns.ravel(), rows.ravel()], axis=-1)
     spline = RBFInterpolator(
-        pins, np.eye(len(pins)), neighbors=min(AROUND, len(pins)), kernel="linear"
+        pins, np.eye(len(pins)), neighbors=min(GRID_NEIGHBOURS, len(pins)), kernel="linear"
     )
-    inside = cKDTree(pins).query(places)[0] < INSIDE * spacing
+    inside = cKDTree(pins).query(places)[0] < MAX_GRID_DISTANCE * spacing
     return np.where(inside[:, None], spline(places), 0).T.astype(np.float32)
 
 
@@ -56,7 +56,7 @@ class GridTrunk(nn.Module):
         inside = jnp.any(grid != 0, axis=0).astype(laid.dtype)
         inside = jnp.broadcast_to(inside[None, :, None], (count, len(inside), 1))
         x = jnp.concatenate([laid, inside], -1).reshape(count, side, side, 3)
-        way = kernels.pick(*CONVOLUTIONS)
+        way = layer_choice.pick_layer(*CONVOLUTIONS)
         for number, channels in enumerate(self.net.convolved):
             stride = 2 if number else 1
             convolve = nn.Conv(channels, (3, 3), stride, kernel_init=he, conv_general_dilated=way)

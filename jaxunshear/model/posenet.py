@@ -1,8 +1,8 @@
 """PoseNet: a tap image -> pose (paper appendix A), behind pure functions.
 
->>> variables = init(net, outputs_of(targets), jax.random.key(0))
+>>> variables = init(net, count_outputs(targets), jax.random.key(0))
 >>> outputs = predict(net, variables, images)                     # (B, S, S, 1) in [0, 1] -> (B, K) in [0, 1]
->>> pose_from_outputs(outputs, targets)["edge_mm"]                # (B,)
+>>> unscale_outputs(outputs, targets)["edge_mm"]                # (B,)
 
 What is predicted is a matter of `targets` (jaxunshear/settings/targets.py), each scaled to [0, 1] for the sigmoid output.
 The paper predicts x and yaw; for simulated shapes distance to the edge and the edge's direction are added, as these stay
@@ -19,10 +19,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxunshear.errors import UserError
-from jaxunshear.model import kernels
+from jaxunshear.model import layer_choice
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import INIT, Down, Same
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets
 
@@ -46,19 +46,21 @@ class Network(nn.Module):
 
 
 def _network(net: networks.PoseNet, outputs: int) -> nn.Module:
-    return kernels.pick(Network, fast.PoseNet)(net, outputs)
+    return layer_choice.pick_layer(Network, fast.PoseNet)(net, outputs)
 
 
 def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
     """Fresh variables of a network with as many `outputs` as the targets have together.
 
     Raises UserError where `size` and `widths` do not fit the network."""
-    check(net)
-    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+    check_net(net)
+    with layer_choice.use_layers(
+        layer_choice.FAST
+    ):  # whatever layers are chosen, a seed gives the same weights
         return dict(_network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
 
 
-def check(net: networks.PoseNet) -> None:
+def check_net(net: networks.PoseNet) -> None:
     """Raises UserError that names the field where a network of these settings cannot be built."""
     if len(net.widths) != 5:
         raise UserError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
@@ -70,7 +72,7 @@ def predict(
     net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B K"]:
     """Images in [0, 1] -> outputs in [0, 1]; each image on its own."""
-    outputs: Array = _of(net, variables).apply(variables, images, False)  # type: ignore[assignment]
+    outputs: Array = _make_module(net, variables).apply(variables, images, False)  # type: ignore[assignment]
     return outputs
 
 
@@ -78,25 +80,27 @@ def predict_training(
     net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Float[Array, "B K"], Variables]:
     """The same with the batch's statistics, and the updated running ones."""
-    outputs, updates = _of(net, variables).apply(variables, images, True, mutable=["batch_stats"])
+    outputs, updates = _make_module(net, variables).apply(
+        variables, images, True, mutable=["batch_stats"]
+    )
     return outputs, updates["batch_stats"]
 
 
-def _of(net: networks.PoseNet, variables: Variables) -> nn.Module:
+def _make_module(net: networks.PoseNet, variables: Variables) -> nn.Module:
     return _network(net, len(variables["params"]["Dense_1"]["bias"]))
 
 
-def outputs_of(targets: Targets) -> int:
+def count_outputs(targets: Targets) -> int:
     """K, of all targets together."""
     return sum(target.outputs for target in targets)
 
 
-def output_weights(targets: Targets) -> tuple[float, ...]:
+def list_output_weights(targets: Targets) -> tuple[float, ...]:
     """Weight of each of the K outputs in the loss."""
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
-def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array, "B K"]:
+def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array, "B K"]:
     """Labels (B, _) of a batch, mm and deg by field -> what the outputs should be, in [0, 1]."""
     signed: list[Array] = []
     for target in targets:
@@ -109,7 +113,7 @@ def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Arra
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def drawn_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{count} K"]:
+def sample_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{count} K"]:
     """Outputs in [0, 1] of poses that are uniform over the targets' ranges and circles."""
     signed: list[Array] = []
     for target, one in zip(targets, jax.random.split(key, len(targets)), strict=True):
@@ -118,9 +122,7 @@ def drawn_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{co
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def pose_from_outputs(
-    outputs: Float[Array, "B K"], targets: Targets
-) -> dict[str, Float[Array, "B"]]:
+def unscale_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str, Float[Array, "B"]]:
     """Outputs -> mm and deg by target; angles of a full circle in (-180, 180]."""
     signed = 2 * outputs - 1
     pose, column = {}, 0

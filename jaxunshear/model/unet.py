@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxunshear.model import kernels, unshearnet
-from jaxunshear.model.decoded import Decoded
+from jaxunshear.model import layer_choice, unshearnet
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Up
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.reconstruction import Reconstruction
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings import networks
 
 
@@ -39,20 +39,22 @@ class Network(nn.Module):
 
 
 def _network(net: networks.UNet) -> nn.Module:
-    return kernels.pick(Network, fast.UNet)(net)
+    return layer_choice.pick_layer(Network, fast.UNet)(net)
 
 
 def init(net: networks.UNet, key: Array) -> Variables:
     """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
-    check(net)
+    check_net(net)
     side = 2 ** len(net.widths)
-    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+    with layer_choice.use_layers(
+        layer_choice.FAST
+    ):  # whatever layers are chosen, a seed gives the same weights
         return dict(_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
-def check(net: networks.UNet) -> None:
+def check_net(net: networks.UNet) -> None:
     """Raises UserError that names the field where a network of these settings cannot be built."""
-    unshearnet.check(networks.UnshearNet(net.size, net.widths))
+    unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
 
 
 def unshear(
@@ -65,7 +67,7 @@ def unshear(
 
 def reconstruct(
     net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> tuple[Decoded, Variables]:
+) -> tuple[Reconstruction, Variables]:
     """The training pass: logits of the canonical image, and new running statistics."""
     canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
-    return Decoded(canonical), updates["batch_stats"]
+    return Reconstruction(canonical), updates["batch_stats"]

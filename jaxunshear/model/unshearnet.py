@@ -25,13 +25,13 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.errors import UserError
-from jaxunshear.model import kernels
-from jaxunshear.model.decoded import Decoded, measure_disagreement
+from jaxunshear.model import layer_choice
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
-from jaxunshear.model.narrow import Grown, Numbers
-from jaxunshear.model.parts import Variables, check_sheared, holds
+from jaxunshear.model.reconstruction import Reconstruction, measure_disagreement
+from jaxunshear.model.vector_code import VectorCode, VectorDecoder
+from jaxunshear.model.weights import Variables, check_has_sheared_decoder, has_part
 from jaxunshear.settings.networks import UnshearNet
 
 
@@ -67,18 +67,20 @@ class Network(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        encoder = kernels.pick(Encoder, fast.Encoder)
-        decoder: Callable[[], nn.Module] = partial(kernels.pick(Decoder, fast.Decoder), net.widths)
-        code = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
+        encoder = layer_choice.pick_layer(Encoder, fast.Encoder)
+        decoder: Callable[[], nn.Module] = partial(
+            layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
+        )
+        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast_layers.Same)
         if net.apart:
             side = net.size // 2 ** len(net.widths)
-            decoder = partial(Grown, (side, side, net.widths[-1]), decoder)
+            decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)
         self.E, self.DC = encoder(net.widths), decoder()
         if net.disentangled:
             self.pose = code(net.pose_channels)
             if net.shear_channels:
                 channels = net.shear_channels
-                self.shear = Numbers(channels, normalised=False) if net.apart else code(channels)
+                self.shear = VectorCode(channels, normalise=False) if net.apart else code(channels)
                 self.DS = decoder()
         if net.apart:
             self.ES = encoder(net.widths)
@@ -111,36 +113,38 @@ class Network(nn.Module):
 
     def __call__(
         self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None
-    ) -> Decoded:
+    ) -> Reconstruction:
         """In training."""
         if not self.net.apart:
             z_p, z_s = self.encode(images, True)
             sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
-            return Decoded(self.DC(z_p, True), z_p, sheared, z_s=z_s)
-        z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, True))
-        z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, True))
+            return Reconstruction(self.DC(z_p, True), z_p, sheared, z_s=z_s)
+        z_p, again = _run_both(images, same_pose, lambda seen: self.encode_pose(seen, True))
+        z_s, other = _run_both(images, same_slide, lambda seen: self.encode_slide(seen, True))
         held = jax.lax.stop_gradient(z_p)
-        drawn = _with(
+        drawn = _run_both(
             z_s,
             other,
-            lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), True),
+            lambda z: self.decode_sheared(_repeat_like(held, z), jax.lax.stop_gradient(z), True),
         )
-        canonical, partner = _with(z_p, again, lambda z: self.DC(z, True))
+        canonical, partner = _run_both(z_p, again, lambda z: self.DC(z, True))
         apart = None if again is None else measure_disagreement(z_p, again)
-        return Decoded(canonical, z_p, *drawn, apart, z_s, partner)
+        return Reconstruction(canonical, z_p, *drawn, apart, z_s, partner)
 
 
 def init(net: UnshearNet, key: Array) -> Variables:
     """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
-    check(net)
+    check_net(net)
     side = (
         net.size if net.apart else 2 ** len(net.widths)
     )  # shapes of other networks do not depend on the image's
-    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+    with layer_choice.use_layers(
+        layer_choice.FAST
+    ):  # whatever layers are chosen, a seed gives the same weights
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
 
-def check(net: UnshearNet) -> None:
+def check_net(net: UnshearNet) -> None:
     """Raises UserError that names the field where a network of these settings cannot be built."""
     if len(net.widths) < 2:
         raise UserError(f"widths: at least two layers are needed, got {net.widths}")
@@ -158,36 +162,36 @@ def check(net: UnshearNet) -> None:
         )
 
 
-def parameters(net: UnshearNet) -> int:
+def count_parameters(net: UnshearNet) -> int:
     """How many numbers are trained."""
     shapes = jax.eval_shape(lambda key: init(net, key)["params"], jax.random.key(0))
     return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
 
 
-def as_large_entangled(net: UnshearNet) -> UnshearNet:
+def match_entangled_size(net: UnshearNet) -> UnshearNet:
     """The entangled network whose widths are those of `net`, all in one ratio, so that it has as many parameters as `net`,
     or as near as multiples of 4 allow (other widths are slow). The fair rival of a disentangled one, which has a
     second decoder and two codes more."""
-    wanted = parameters(net)
+    wanted = count_parameters(net)
 
     def scaled(ratio: float) -> UnshearNet:
         widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
         return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
 
     low, high = 0.25, 4.0
-    while parameters(scaled(high)) < wanted:
+    while count_parameters(scaled(high)) < wanted:
         low, high = high, 2 * high
     for _ in range(12):  # parameters grow with the ratio
         middle = (low + high) / 2
-        low, high = (middle, high) if parameters(scaled(middle)) < wanted else (low, middle)
-    return min(scaled(low), scaled(high), key=lambda other: abs(parameters(other) - wanted))
+        low, high = (middle, high) if count_parameters(scaled(middle)) < wanted else (low, middle)
+    return min(scaled(low), scaled(high), key=lambda other: abs(count_parameters(other) - wanted))
 
 
 def encode(
     net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
     """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights."""
-    if net.disentangled and net.shear_channels and not holds(variables, "shear"):
+    if net.disentangled and net.shear_channels and not has_part(variables, "shear"):
         return _apply(net, variables, "encode_pose", images), None
     return _apply(net, variables, "encode", images)
 
@@ -206,7 +210,7 @@ def decode_sheared(
     z_s: Float[Array, "B _ _ _"],
 ) -> Float[Array, "B S S 1"]:
     """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
-    check_sheared(variables)
+    check_has_sheared_decoder(variables)
     return _apply(net, variables, "decode_sheared", z_p, z_s)
 
 
@@ -223,7 +227,7 @@ def reconstruct(
     images: Float[Array, "B S S 1"],
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
-) -> tuple[Decoded, Variables]:
+) -> tuple[Reconstruction, Variables]:
     """The training pass over sheared images: what both decoders make of them, and the updated running statistics.
 
     Of codes that are `apart`, which DS does not teach, partners: `same_pose`, the contacts after another slide, or taps there, whose pose
@@ -234,7 +238,7 @@ def reconstruct(
     return found, updates["batch_stats"]
 
 
-def _with(
+def _run_both(
     images: Array, others: Array | None, run: Callable[[Array], Array]
 ) -> tuple[Array, Array | None]:
     """`run` of both in one batch, whose statistics are of both."""
@@ -244,7 +248,7 @@ def _with(
     return first, second
 
 
-def _twice(one: Array, like: Array) -> Array:
+def _repeat_like(one: Array, like: Array) -> Array:
     """As often as `like` has it."""
     return jnp.concatenate([one] * (like.shape[0] // one.shape[0]))
 

@@ -11,9 +11,9 @@ from jax import Array
 
 from jaxunshear.dataset.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
-from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.parts import Net, Variables
-from jaxunshear.model.unshearnet import as_large_entangled
+from jaxunshear.model import pin_networks, posenet
+from jaxunshear.model.unshearnet import match_entangled_size
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.settings.networks import (
@@ -118,7 +118,9 @@ def _over_pins(
         if network not in OF_TAPS:
             rendered = recorded is not None and recorded.direct_taps == "rendered"
         render = (
-            partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
+            partial(pin_networks.render_pins, *_of_taps(experiment, RENDERER, folder))
+            if rendered
+            else None
         )
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (
             field,
@@ -127,7 +129,7 @@ def _over_pins(
         )
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
     teacher = (
-        partial(pinnets.predict, *_of_taps(experiment, TEACHER, folder))
+        partial(pin_networks.predict, *_of_taps(experiment, TEACHER, folder))
         if training.pose_weight
         else None
     )
@@ -188,7 +190,7 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
 _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
     DISENTANGLED: lambda net: net,
     ENTANGLED: lambda net: dataclasses.replace(without_codes(net), disentangled=False),
-    ENTANGLED_LARGE: as_large_entangled,
+    ENTANGLED_LARGE: match_entangled_size,
     UNET: lambda net: UNet(net.size, net.widths),
 }
 

@@ -25,7 +25,7 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.parts import Net, Variables, leaves_of
+from jaxunshear.model.weights import Net, Variables, list_leaves
 from jaxunshear.settings.networks import (
     PinPoseNet,
     PinRenderer,
@@ -59,7 +59,7 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
     """
     target = _path(folder, step)
     part = target.with_suffix(".part")
-    arrays = leaves_of(jax.device_get(state))
+    arrays = list_leaves(jax.device_get(state))
     try:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
@@ -95,7 +95,7 @@ def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
     damaged."""
     arrays, record = _read(folder, step)
-    names = leaves_of(like)
+    names = list_leaves(like)
     shapes, wanted = (
         {name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names)
     )
@@ -151,7 +151,7 @@ def load_best(folder: Path) -> Json:
 
 def digest_of(folder: Path) -> str:
     """Of the variables that `load_best` gives: equal ones have equal digests. Raises UserError."""
-    return _digest(leaves_of(load_best(folder)))
+    return _digest(list_leaves(load_best(folder)))
 
 
 def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:
@@ -163,7 +163,7 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
         name: np.asarray(
             leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None
         )
-        for name, leaf in leaves_of(jax.device_get(variables)).items()
+        for name, leaf in list_leaves(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
     storage.write_npz(

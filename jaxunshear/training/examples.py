@@ -23,8 +23,8 @@ from jaxunshear.dataset.recorded_set import (
     open_recorded,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.parts import Net, Variables
+from jaxunshear.model import pin_networks, posenet
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.data import RENDERED, PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
@@ -155,11 +155,11 @@ def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Pa
 def _render(folder: Path) -> TapRenderer:
     """The trained renderer in `folder` as a function of poses (N, 6). Raises UserError."""
     net, variables, targets = _trained(folder, "pairs that are rendered")
-    run = jax.jit(partial(pinnets.render, net, variables))
+    run = jax.jit(partial(pin_networks.render_pins, net, variables))
 
     def render(poses: np.ndarray) -> np.ndarray:
         return _in_parts(
-            lambda part: run(posenet.pose_targets({"pose": part}, targets)), poses, POSES_AT_ONCE
+            lambda part: run(posenet.scale_poses({"pose": part}, targets)), poses, POSES_AT_ONCE
         )
 
     return render
@@ -169,8 +169,8 @@ def _read(folder: Path, pins: bool) -> PoseEstimator:
     """The trained PoseNet in `folder`, over pins or images, as a function of both: poses (N, 6), 0 in columns that it does not know.
     Raises UserError."""
     net, variables, targets = _trained(folder, "slides without labels that are read")
-    predict = partial((pinnets if pins else posenet).predict, net, variables)
-    run = jax.jit(lambda seen: posenet.pose_from_outputs(predict(seen), targets))
+    predict = partial((pin_networks if pins else posenet).predict, net, variables)
+    run = jax.jit(lambda seen: posenet.unscale_outputs(predict(seen), targets))
 
     def read(images: np.ndarray | None, places: np.ndarray) -> np.ndarray:
         def poses(part: np.ndarray) -> np.ndarray:

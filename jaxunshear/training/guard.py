@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.parts import leaves_of
+from jaxunshear.model.weights import list_leaves
 from jaxunshear.training import checkpoint
 from jaxunshear.training.step import State
 from jaxunshear.training.tasks import Batch
@@ -32,7 +32,7 @@ def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) 
 
 def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
     """Raises UserError where an array of the state after `step` is not finite."""
-    for name, leaf in leaves_of(jax.device_get(state)).items():
+    for name, leaf in list_leaves(jax.device_get(state)).items():
         if not np.isfinite(leaf).all():
             raise _stop(name, step, batch, folder)
 

@@ -26,8 +26,8 @@ from jaxunshear import storage
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import describe_machine
-from jaxunshear.model import kernels
-from jaxunshear.model.fast import native
+from jaxunshear.model import layer_choice
+from jaxunshear.model.fast import compiled_kernels
 from jaxunshear.progress import Progress
 from jaxunshear.results import stored
 from jaxunshear.results.rows import Summary
@@ -111,7 +111,7 @@ def train(
     step = make_step(task, training, optimiser, key_steps)
     rate = learning_rate(training, length.steps, steps_per_epoch)
     with (
-        native.taking("xla") if devices.mesh else contextlib.nullcontext()
+        compiled_kernels.use_form("xla") if devices.mesh else contextlib.nullcontext()
     ):  # what is compiled cannot be split
         with (
             contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream,
@@ -257,7 +257,7 @@ def _ended(
         images_per_second=images / reached.seconds,
         trained_on=replace(
             describe_machine(),
-            kernels=kernels.described(),
+            kernels=layer_choice.describe_layers(),
             devices=devices.number if devices.mesh else None,
         ),
         trained_by=read_source(),

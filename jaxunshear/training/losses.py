@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxunshear.model.parts import Variables, leaves_of
+from jaxunshear.model.weights import Variables, list_leaves
 
 
 def supervised(
@@ -100,7 +100,7 @@ def kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
 
 def kernels_of(params: Variables) -> dict[str, Array]:
     """The kernels of convolution and dense layers, by dotted name."""
-    leaves = leaves_of(params)
+    leaves = list_leaves(params)
     return {
         name.removesuffix(".kernel"): leaf
         for name, leaf in leaves.items()

@@ -13,8 +13,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
-from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.decoded import Decoded
+from jaxunshear.model import pin_networks, posenet
+from jaxunshear.model.reconstruction import Reconstruction
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
@@ -53,8 +53,8 @@ def pin_unshear_task(
     """
     watch = watcher(training, teacher, targets, losses.absolute_pose)
 
-    def named_of(variables: Tree, batch: Batch, found: Decoded) -> dict[str, Array]:
-        off = partial(pinnets.distance, variables=variables)
+    def named_of(variables: Tree, batch: Batch, found: Reconstruction) -> dict[str, Array]:
+        off = partial(pin_networks.compute_pin_distance, variables=variables)
         named = {"supervised": supervise(found, batch["canonical_pins"], off)}
         if watch:
             named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
@@ -62,24 +62,24 @@ def pin_unshear_task(
             named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
         )
 
-    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:
+    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Reconstruction:
         alike = (
             batch.get(SWAPPED, batch["canonical_pins"])
             if training.agreement_weight and net.shear_code
             else None
         )
         other = batch.get(OTHER) if training.swap_weight else None
-        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
+        return pin_networks.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
 
     def unsheared(variables: Tree, pins: Array, key: Array, number: int) -> Array:
-        return pinnets.unshear(
-            net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number))
+        return pin_networks.unshear(
+            net, variables, pin_networks.add_noise(net, pins, jax.random.fold_in(key, number))
         )
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         named = named_of(variables, batch, decoded(variables, batch, key))
         if TAPS in batch:
-            named["tap"] = pinnets.distance(
+            named["tap"] = pin_networks.compute_pin_distance(
                 unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables
             )
         if ONE in batch:
@@ -87,13 +87,13 @@ def pin_unshear_task(
                 unsheared(variables, batch[ONE], key, 3),
                 unsheared(variables, batch[ANOTHER], key, 4),
             )
-            named["alike"] = pinnets.distance(one, another, variables)
+            named["alike"] = pin_networks.compute_pin_distance(one, another, variables)
         return named, variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         return named_of(variables, batch, decoded(variables, batch))
 
-    init = partial(pinnets.init, net, rest, spread)
+    init = partial(pin_networks.init, net, rest, spread)
     return Task(
         "pin_unshear",
         net,
@@ -121,11 +121,11 @@ def pin_posenet_task(
     `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from recorded taps: then as many rendered taps, at poses
     drawn anew, teach as recorded contacts. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
     """
-    weights = posenet.output_weights(targets)
+    weights = posenet.list_output_weights(targets)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        pins = pinnets.spoilt(net, batch["pins"], key)
-        wanted, angle = posenet.pose_targets(batch, targets), jnp.zeros(())
+        pins = pin_networks.add_noise(net, batch["pins"], key)
+        wanted, angle = posenet.scale_poses(batch, targets), jnp.zeros(())
         if turns is not None:
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
             pins, wanted, angle = (
@@ -133,22 +133,24 @@ def pin_posenet_task(
                 turned_outputs(turns, k, wanted, targets),
                 turns.radians[k],
             )
-        loss = losses.absolute_pose(pinnets.predict(net, variables, pins, angle), wanted, weights)
+        loss = losses.absolute_pose(
+            pin_networks.predict(net, variables, pins, angle), wanted, weights
+        )
         named = weighed({"pose": loss}, batch)
         if render is not None:
-            drawn = posenet.drawn_outputs(targets, len(pins), jax.random.fold_in(key, 3))
-            rendered = pinnets.spoilt(net, render(drawn), jax.random.fold_in(key, 4))
+            drawn = posenet.sample_outputs(targets, len(pins), jax.random.fold_in(key, 3))
+            rendered = pin_networks.add_noise(net, render(drawn), jax.random.fold_in(key, 4))
             named["rendered"] = losses.absolute_pose(
-                pinnets.predict(net, variables, rendered), drawn, weights
+                pin_networks.predict(net, variables, rendered), drawn, weights
             )
         return named, variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        outputs = pinnets.predict(net, variables, batch["pins"])
-        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
+        outputs = pin_networks.predict(net, variables, batch["pins"])
+        loss = losses.absolute_pose(outputs, posenet.scale_poses(batch, targets), weights)
         return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
 
-    init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
+    init = partial(pin_networks.init, net, rest, spread, outputs=posenet.count_outputs(targets))
     return Task(
         "pin_posenet", net, targets, init, terms, {"pose": 1.0, "rendered": 1.0}, validate, "pose"
     )
@@ -163,10 +165,12 @@ def renderer_task(
         return validate(variables, batch), variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
-        return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch)
+        drawn = pin_networks.render_pins(net, variables, posenet.scale_poses(batch, targets))
+        return weighed(
+            {"pins": pin_networks.compute_pin_distance(drawn, batch["pins"], variables)}, batch
+        )
 
-    init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
+    init = partial(pin_networks.init, net, rest, spread, outputs=posenet.count_outputs(targets))
     return Task("renderer", net, targets, init, terms, {"pins": 1.0}, validate, "pins")
 
 

@@ -70,11 +70,13 @@ def begin_from(fresh: Json, start: Json) -> Json:
     """Return `fresh` variables with those of `start` in their places. Raises UserError if a shape or layer differs."""
     from jax import tree
 
-    from jaxunshear.model.parts import leaves_of
+    from jaxunshear.model.weights import list_leaves
 
-    own = leaves_of(fresh)
+    own = list_leaves(fresh)
     modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel
-    kept = {name: leaf for name, leaf in leaves_of(start).items() if name.split(".")[1] in modules}
+    kept = {
+        name: leaf for name, leaf in list_leaves(start).items() if name.split(".")[1] in modules
+    }
     wrong = next(
         (name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape),
         None,

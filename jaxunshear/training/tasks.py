@@ -13,8 +13,8 @@ from jaxunshear.angles import wrap_degrees
 from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.decoded import Decoded
-from jaxunshear.model.parts import Net, Tree
+from jaxunshear.model.reconstruction import Reconstruction
+from jaxunshear.model.weights import Net, Tree
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets, true_values
 from jaxunshear.settings.training import Training
@@ -93,7 +93,9 @@ def unshear_task(
         else:
             z_p, z_s = unshearnet.encode(net, variables, images)
             again = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
-            found = Decoded(unshearnet.decode_canonical(net, variables, z_p), z_p, again, z_s=z_s)
+            found = Reconstruction(
+                unshearnet.decode_canonical(net, variables, z_p), z_p, again, z_s=z_s
+            )
             image, named = jax.nn.sigmoid(found.canonical), of_codes(found, batch=batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
@@ -106,7 +108,7 @@ def unshear_task(
 
 def _decoded(
     net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, batch: Batch
-) -> tuple[Decoded, Tree]:
+) -> tuple[Reconstruction, Tree]:
     if isinstance(net, networks.UNet):
         return unet.reconstruct(net, variables, batch["sheared"])
     parted = net.disentangled and net.apart
@@ -119,7 +121,9 @@ def _decoded(
     return unshearnet.reconstruct(net, variables, batch["sheared"], alike, other)
 
 
-def supervise(found: Decoded, canonical: Array, off: Callable[[Array, Array], Array]) -> Array:
+def supervise(
+    found: Reconstruction, canonical: Array, off: Callable[[Array, Array], Array]
+) -> Array:
     """Return L_sup (B,) of the slide, averaged with its partner's where codes of one pose should agree.
 
     `off` is the distance of what DC reconstructs from the tap (B,).
@@ -129,7 +133,7 @@ def supervise(found: Decoded, canonical: Array, off: Callable[[Array, Array], Ar
 
 
 def code_terms(
-    found: Decoded,
+    found: Reconstruction,
     fields: tuple[str, str],
     off: Callable[[Array, Array], Array],
     batch: Batch,
@@ -140,12 +144,12 @@ def code_terms(
     named = {}
     if found.sheared is not None:
         named["reconstruction"] = off(found.sheared, batch[fields[0]])
-    if found.exchanged is not None:
-        named["swap"] = off(found.exchanged, batch[fields[1]])
+    if found.counterfactual is not None:
+        named["swap"] = off(found.counterfactual, batch[fields[1]])
     if found.disagreement is not None:
         named["agreement"] = found.disagreement
     if slides and found.z_s is not None:
-        wanted = 2 * posenet.pose_targets(batch, slides) - 1
+        wanted = 2 * posenet.scale_poses(batch, slides) - 1
         named["slide"] = losses.slide(found.z_s.reshape(found.z_s.shape[0], -1), wanted)
     return named
 
@@ -158,22 +162,22 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
     """Of PoseNet; batches {"image"} uint8 (B, S, S, 1) and the fields of the `targets`, float32. Raises UserError without targets."""
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
-    weights = posenet.output_weights(targets)
+    weights = posenet.list_output_weights(targets)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         images = _unit(batch["image"])
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         return {
-            "pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+            "pose": losses.pose(outputs, posenet.scale_poses(batch, targets), weights)
         }, batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
-        loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+        loss = losses.pose(outputs, posenet.scale_poses(batch, targets), weights)
         return {"pose": loss} | pose_error_terms(outputs, batch, targets)
 
-    posenet.check(net)
-    init = partial(posenet.init, net, posenet.outputs_of(targets))
+    posenet.check_net(net)
+    init = partial(posenet.init, net, posenet.count_outputs(targets))
     return Task("posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
 
 
@@ -219,11 +223,11 @@ def watcher(
         )
     if not targets:
         raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
-    weights = posenet.output_weights(targets)
+    weights = posenet.list_output_weights(targets)
 
     def watched(unsheared: Array, canonical: Array, batch: Batch) -> Array:
         wanted = (
-            posenet.pose_targets(batch, targets)
+            posenet.scale_poses(batch, targets)
             if training.pose_target == "label"
             else teacher(canonical)
         )
@@ -234,7 +238,7 @@ def watcher(
 
 def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
-    got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
+    got, true = posenet.unscale_outputs(outputs, targets), true_values(targets, batch)
     apart = {name: true[name] - got[name] for name in got}
     return {
         name: jnp.abs(wrap_degrees(off) if name.endswith("_deg") else off)

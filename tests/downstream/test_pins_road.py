@@ -16,7 +16,7 @@ from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.pin_tracking import measure_motions, track_images
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perception import perceptions, unshearers, unshearing_of, ways_of
-from jaxunshear.model import pinnets, posenet
+from jaxunshear.model import pin_networks, posenet
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.experiment import Experiment
@@ -41,8 +41,8 @@ def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pins")
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     for seed, (name, net) in enumerate(NETS.items()):
-        count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
-        fresh = pinnets.init(net, LATTICE.rest, 2.0, jax.random.key(seed), outputs=count)
+        count = posenet.count_outputs(TARGETS) if name == "posenet" else 0
+        fresh = pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(seed), outputs=count)
         draw = np.random.default_rng(seed).normal
         shaken = jax.tree.map(
             lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"]
@@ -90,7 +90,7 @@ def test_pins_are_followed_and_what_is_not_is_nan(seen):
 
 def by_hand(model, name, pins):
     net, variables = NETS[name], checkpoint.load_best(model / name)
-    run = pinnets.predict if name == "posenet" else pinnets.unshear
+    run = pin_networks.predict if name == "posenet" else pin_networks.unshear
     return np.asarray(jax.jit(partial(run, net))(variables, jnp.asarray(pins, jnp.float32)))
 
 
@@ -103,7 +103,7 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
     after = by_hand(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
         edge_mm, edge_deg = perceptions(model, EXPERIMENT, (way,))[way](images)
-        expected = posenet.pose_from_outputs(by_hand(model, "posenet", given), TARGETS)
+        expected = posenet.unscale_outputs(by_hand(model, "posenet", given), TARGETS)
         assert edge_mm[0] == pytest.approx(float(expected["edge_mm"][0]), abs=1e-4)
         assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()

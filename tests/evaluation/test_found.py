@@ -13,7 +13,7 @@ from jaxunshear.evaluation.found import FOUND, SEEN_TAP, batches_of, found_pairs
 from jaxunshear.evaluation.networks import pin_run_of
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.model import pinnets, posenet
+from jaxunshear.model import pin_networks, posenet
 from jaxunshear.report import scores
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment
@@ -86,9 +86,9 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
         "disentangled": PinUnshear(hidden=8, layers=1),
         "posenet": PinPoseNet(hidden=8, layers=1),
     }
-    counts = {"disentangled": 0, "posenet": posenet.outputs_of(TARGETS)}
+    counts = {"disentangled": 0, "posenet": posenet.count_outputs(TARGETS)}
     variables = {
-        name: pinnets.init(net, LATTICE.rest, 2.0, jax.random.key(1), outputs=counts[name])
+        name: pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(1), outputs=counts[name])
         for name, net in nets.items()
     }
     run = partial(

@@ -127,14 +127,14 @@ def describe_machine() -> dict[str, Any]:
     """Return what decides how sums are rounded."""
     from jaxunshear.environment import cores
     from jaxunshear.metrics.machine import list_versions
-    from jaxunshear.model import kernels
+    from jaxunshear.model import layer_choice
 
     return {
         "processor": _describe_processor(),
         "cores": cores(),
         "versions": {name: list_versions()[name] for name in ("jax", "jaxlib", "numpy", "scipy")},
         "XLA flags": os.environ.get("XLA_FLAGS", ""),
-        "layers": kernels.described(),
+        "layers": layer_choice.describe_layers(),
     }
 
 

@@ -43,7 +43,7 @@ EXPERIMENT = Experiment(
 
 
 def init(module, net, seed):
-    shape = (posenet.outputs_of(TARGETS),) if module is posenet else ()
+    shape = (posenet.count_outputs(TARGETS),) if module is posenet else ()
     fresh = jax.jit(partial(module.init, net, *shape), compiler_options=run_once())
     return fresh(jax.random.key(seed))
 
@@ -141,7 +141,7 @@ def test_every_readable_image_is_unsheared_in_its_place(
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
         written = np.asarray(Image.open(out / row["image"]))
         np.testing.assert_allclose(written, 255 * np.asarray(expected)[0, ..., 0], atol=0.6)
-        poses = posenet.pose_from_outputs(
+        poses = posenet.unscale_outputs(
             posenet.predict(POSENET, variables["posenet"], expected), TARGETS
         )
         assert set(poses) == {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}

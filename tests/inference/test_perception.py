@@ -71,7 +71,7 @@ def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, way):
     np.testing.assert_allclose(seen, image, atol=1e-6)
     predict = jax.jit(posenet.predict, static_argnums=0)
     outputs = predict(POSENET, checkpoint.load_best(model / "posenet"), image)
-    expected = posenet.pose_from_outputs(outputs, TARGETS)
+    expected = posenet.unscale_outputs(outputs, TARGETS)
     assert pose.keys() == expected.keys()
     for name, answer in pose.items():
         np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-3)

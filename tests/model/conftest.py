@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from jaxunshear.model.fast import native
+from jaxunshear.model.fast import compiled_kernels
 
 
 @pytest.fixture
@@ -15,4 +15,4 @@ def compiled() -> None:
     compiler = (shlex.split(os.environ.get("CXX", "")) or ["c++"])[0]
     if shutil.which(compiler) is None:
         pytest.skip(f"there is no C++ compiler {compiler}")
-    assert native.available()
+    assert compiled_kernels.is_available()

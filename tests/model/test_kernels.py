@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.environment import KERNELS, check_environment
 from jaxunshear.errors import UserError
-from jaxunshear.model import kernels, posenet, unet, unshearnet
+from jaxunshear.model import layer_choice, posenet, unet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 
 WIDTHS = (16, 16, 32)
@@ -40,7 +40,7 @@ def put_to_use(net, variables, images):
 
 def everything(net, way, dtype):
     """Variables, outputs in training and in use, statistics, gradients of all parameters."""
-    with kernels.using(way):
+    with layer_choice.use_layers(way):
         variables = jax.tree.map(
             lambda x: x.astype(dtype), jax.jit(lambda key: fresh(net, key))(jax.random.key(0))
         )
@@ -77,7 +77,7 @@ def close(one, other, tolerance):
 )
 def test_plain_and_fast_layers_are_one_network(name):
     plain, fast = (
-        everything(NETS[name], way, jnp.float32) for way in (kernels.PLAIN, kernels.FAST)
+        everything(NETS[name], way, jnp.float32) for way in (layer_choice.PLAIN, layer_choice.FAST)
     )
     jax.tree.map(np.testing.assert_array_equal, plain[0], fast[0])  # one seed, the same weights
     close(plain[1:], fast[1:], 2e-5)
@@ -90,20 +90,21 @@ def test_they_are_the_same_function_in_double_precision(name):
         jax.numpy_dtype_promotion("standard"),
     ):  # Flax' statistics begin in single precision
         plain, fast = (
-            everything(NETS[name], way, jnp.float64) for way in (kernels.PLAIN, kernels.FAST)
+            everything(NETS[name], way, jnp.float64)
+            for way in (layer_choice.PLAIN, layer_choice.FAST)
         )
     close(plain[1:], fast[1:], 1e-12)
 
 
 def test_the_switch_is_one_variable(monkeypatch):
     monkeypatch.delenv(KERNELS, raising=False)
-    assert kernels.chosen() == kernels.FAST
+    assert layer_choice.choose_layers() == layer_choice.FAST
     monkeypatch.setenv(KERNELS, "plain")
-    assert kernels.chosen() == kernels.PLAIN and kernels.pick(1, 2) == 1
+    assert layer_choice.choose_layers() == layer_choice.PLAIN and layer_choice.pick_layer(1, 2) == 1
     monkeypatch.setenv(KERNELS, "quick")
     with pytest.raises(
         UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"
     ):
-        kernels.chosen()
+        layer_choice.choose_layers()
     with pytest.raises(UserError, match=KERNELS):
         check_environment()

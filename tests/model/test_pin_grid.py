@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.model.pin_grid import grid_of
+from jaxunshear.model.pin_grid import make_grid
 
 
 def hexagon(rings, spacing=7.0, middle=(64.0, 60.0)):
@@ -20,7 +20,7 @@ def places(rest, side):
 @pytest.mark.parametrize("rings", [6, 10])  # 127 pins, and 331
 def test_the_grid_is_as_fine_as_the_pins(rings):
     rest = hexagon(rings)
-    grid = grid_of(rest)
+    grid = make_grid(rest)
     assert grid.shape == (len(rest), (2 * rings) ** 2) and grid.dtype == np.float32
     inside = grid.any(axis=0)
     assert 0.6 < inside.mean() < 0.9  # a hexagon's share of the square about it
@@ -31,7 +31,7 @@ def test_the_grid_is_as_fine_as_the_pins(rings):
 
 def test_a_smooth_field_comes_out_at_its_places():
     rest = hexagon(10)
-    at, grid = places(rest, 20), grid_of(rest)
+    at, grid = places(rest, 20), make_grid(rest)
     inside = grid.any(axis=0)
 
     def field(xy):

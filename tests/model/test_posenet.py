@@ -20,10 +20,10 @@ def test_targets_and_units_are_inverse():
     rng = np.random.default_rng(0)
     pose = jnp.asarray(rng.uniform(-1, 1, (50, 4)) * [5, 5, 45, 6], jnp.float32)
     edge = jnp.asarray(rng.uniform(-1, 1, (50, 2)) * [7, 179], jnp.float32)
-    targets = posenet.pose_targets({"pose": pose, "edge": edge}, TARGETS)
+    targets = posenet.scale_poses({"pose": pose, "edge": edge}, TARGETS)
     assert targets.shape == (50, 5)
     assert np.all((targets >= 0) & (targets <= 1))
-    back = posenet.pose_from_outputs(targets, TARGETS)
+    back = posenet.unscale_outputs(targets, TARGETS)
     np.testing.assert_allclose(back["x_mm"], pose[:, 0], atol=1e-5)
     np.testing.assert_allclose(back["yaw_deg"], pose[:, 2], atol=1e-4)
     np.testing.assert_allclose(back["edge_mm"], edge[:, 0], atol=1e-5)
@@ -31,8 +31,8 @@ def test_targets_and_units_are_inverse():
 
 
 def test_poses_are_drawn_evenly_over_ranges_and_circles():
-    pose = posenet.pose_from_outputs(
-        posenet.drawn_outputs(TARGETS, 4000, jax.random.key(0)), TARGETS
+    pose = posenet.unscale_outputs(
+        posenet.sample_outputs(TARGETS, 4000, jax.random.key(0)), TARGETS
     )
     for name, reach in (("x_mm", 5), ("yaw_deg", 45), ("edge_deg", 180)):
         quantiles = np.quantile(pose[name], [0.0, 0.25, 0.5, 0.75, 1.0]) / reach
@@ -42,13 +42,13 @@ def test_poses_are_drawn_evenly_over_ranges_and_circles():
 
 def test_the_papers_two_outputs_come_first():
     batch = {"pose": jnp.asarray([[5.0, 0, -45, 1]]), "edge": jnp.zeros((1, 2))}
-    np.testing.assert_allclose(posenet.pose_targets(batch, TARGETS)[0, :2], [1, 0], atol=1e-6)
+    np.testing.assert_allclose(posenet.scale_poses(batch, TARGETS)[0, :2], [1, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize(("lateral_mm", "yaw_deg", "outputs"), [(0, 45, 3), (5, 0, 4)])
 def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, yaw_deg, outputs):
     varied = of_ranges((), Ranges(lateral_mm=lateral_mm, yaw_deg=yaw_deg))
-    targets = posenet.pose_targets({"pose": jnp.zeros((1, 4)), "edge": jnp.zeros((1, 2))}, varied)
+    targets = posenet.scale_poses({"pose": jnp.zeros((1, 4)), "edge": jnp.zeros((1, 2))}, varied)
     assert targets.shape == (1, outputs)
     assert np.all(np.isfinite(targets))
 
@@ -58,7 +58,7 @@ def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, 
 )
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
-    variables = init(net, posenet.outputs_of(TARGETS), jax.random.key(0))
+    variables = init(net, posenet.count_outputs(TARGETS), jax.random.key(0))
     images = jax.random.uniform(jax.random.key(1), (3, net.size, net.size, 1))
     predict = jax.jit(lambda v, x: posenet.predict(net, v, x))
     outputs = predict(variables, images)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.ready import ready
+from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.training.loop import run_once
 
@@ -35,7 +35,7 @@ def predict(variables, images):
 def test_ready_networks_answer_alike_and_take_images_alone(run, init, net):
     variables = jax.jit(init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
     images = np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
-    prepared, plain = ready(run, variables), jax.jit(run)
+    prepared, plain = jit_for_inference(run, variables), jax.jit(run)
     np.testing.assert_allclose(prepared(images), plain(variables, images), rtol=1e-5, atol=1e-6)
     compiled = prepared.lower(images).compile()
     assert len(re.findall(r" parameter\(\d+\)", compiled.as_text().split("ENTRY")[1])) == 1

@@ -72,14 +72,16 @@ def test_a_size_that_cannot_be_halved_is_refused():
 )
 def test_the_large_entangled_network_has_as_many_parameters(widths):
     net = UnshearNet(widths=widths)
-    large = unshearnet.as_large_entangled(net)
+    large = unshearnet.match_entangled_size(net)
     assert not large.disentangled
     down = [
         16 * a * b + 2 * b for a, b in zip((1, *large.widths), large.widths, strict=False)
     ]  # kernel, scale, bias
     up = [16 * b * a + 2 * a for a, b in zip(large.widths, large.widths[1:], strict=False)]
-    assert unshearnet.parameters(large) == sum(down) + sum(up) + 16 * large.widths[0] + 1
-    assert unshearnet.parameters(large) == pytest.approx(unshearnet.parameters(net), rel=0.01)
-    assert unshearnet.parameters(replace(net, disentangled=False)) < 0.6 * unshearnet.parameters(
-        net
+    assert unshearnet.count_parameters(large) == sum(down) + sum(up) + 16 * large.widths[0] + 1
+    assert unshearnet.count_parameters(large) == pytest.approx(
+        unshearnet.count_parameters(net), rel=0.01
     )
+    assert unshearnet.count_parameters(
+        replace(net, disentangled=False)
+    ) < 0.6 * unshearnet.count_parameters(net)

@@ -17,7 +17,7 @@ from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
 from jaxunshear.evaluation.unseen import table
 from jaxunshear.image.sensor_check import measure_sensor_appearance
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
-from jaxunshear.model import pinnets, posenet
+from jaxunshear.model import pin_networks, posenet
 from jaxunshear.plain import plain
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings import targets
@@ -182,8 +182,8 @@ def weights(tmp_path_factory):
         "posenet": PinPoseNet(hidden=16, layers=1),
     }
     for seed, (name, net) in enumerate(nets.items()):
-        count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
-        init = jax.jit(partial(pinnets.init, net, made.rest_px(), 1.0, outputs=count))
+        count = posenet.count_outputs(TARGETS) if name == "posenet" else 0
+        init = jax.jit(partial(pin_networks.init, net, made.rest_px(), 1.0, outputs=count))
         fresh = init(jax.random.key(seed))
         shaken = jax.tree.map(
             lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype),

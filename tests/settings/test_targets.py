@@ -99,7 +99,13 @@ def test_a_simulated_set_has_the_papers_two_and_the_edge():
     assert [target.weight for target in USUAL] == [1, 1, 4, 1]
     assert [target.circle for target in USUAL] == [False, False, False, True]
     assert [target.reach for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
-    assert posenet.outputs_of(USUAL) == 5 and posenet.output_weights(USUAL) == (1, 1, 4, 1, 1)
+    assert posenet.count_outputs(USUAL) == 5 and posenet.list_output_weights(USUAL) == (
+        1,
+        1,
+        4,
+        1,
+        1,
+    )
     assert fields_of(USUAL) == ("pose", "edge") and fields_of(USUAL[:2]) == ("pose",)
 
 
@@ -165,12 +171,12 @@ def test_recorded_labels_that_vary_are_targets():
 def test_recorded_labels_fill_the_outputs_from_end_to_end():
     poses = recorded()
     wanted = np.asarray(
-        posenet.pose_targets({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses))
+        posenet.scale_poses({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses))
     )
     np.testing.assert_allclose(wanted.min(axis=0), 0, atol=1e-6)
     np.testing.assert_allclose(wanted.max(axis=0), 1, atol=1e-6)
     turned = of_labels(("Rz_deg:range",), poses)
-    wanted = np.asarray(posenet.pose_targets({"pose": poses}, turned))[:2, 0]
+    wanted = np.asarray(posenet.scale_poses({"pose": poses}, turned))[:2, 0]
     np.testing.assert_allclose(wanted, [0, 1], atol=1e-2)
 
 
@@ -218,7 +224,7 @@ def test_the_slide_of_a_recording_is_a_target_where_it_is_named():
         Target("slide_Rz_deg", "move", 5, 2.0, 2.0, weight=2.0),
     )
     assert fields_of(targets) == ("pose", "move")
-    wanted = np.asarray(posenet.pose_targets({"pose": poses, "move": moves}, targets))
+    wanted = np.asarray(posenet.scale_poses({"pose": poses, "move": moves}, targets))
     np.testing.assert_allclose(wanted[:, 1], np.linspace(0, 1, len(moves)), atol=1e-6)
     assert of_labels((), poses, moves) == of_labels((), poses)
     with pytest.raises(UserError, match="slide_y_mm' does not vary"):
@@ -239,14 +245,14 @@ def test_labels_come_back_from_their_outputs(count, jit):
     targets, batch = of_ranges(SEVERAL[:count], Ranges()), simulated()
 
     def there_and_back(batch):
-        outputs = posenet.pose_targets(batch, targets)
-        return outputs, posenet.pose_from_outputs(outputs, targets)
+        outputs = posenet.scale_poses(batch, targets)
+        return outputs, posenet.unscale_outputs(outputs, targets)
 
     outputs, back = (jax.jit(there_and_back) if jit else there_and_back)(batch)
     assert (
         outputs.shape
-        == (50, posenet.outputs_of(targets))
-        == (50, len(posenet.output_weights(targets)))
+        == (50, posenet.count_outputs(targets))
+        == (50, len(posenet.list_output_weights(targets)))
     )
     assert 0 <= float(outputs.min()) < float(outputs.max()) <= 1
     true = true_values(targets, batch)
@@ -268,8 +274,8 @@ def test_simulated_outputs_are_the_very_numbers_they_were():
         jnp.sin(angle),
     )
     former = (jnp.stack(signed, -1) + 1) / 2
-    np.testing.assert_array_equal(posenet.pose_targets(batch, USUAL), former)
-    back, signed = posenet.pose_from_outputs(former, USUAL), 2 * former - 1
+    np.testing.assert_array_equal(posenet.scale_poses(batch, USUAL), former)
+    back, signed = posenet.unscale_outputs(former, USUAL), 2 * former - 1
     for i, (name, scale) in enumerate(
         {"x_mm": lateral, "yaw_deg": yaw, "edge_mm": distance}.items()
     ):
@@ -290,13 +296,12 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     targets = of_labels(
         (f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]])
     )
-    outputs, batch = posenet.pose_targets({"pose": answers}, targets), {"pose": labels}
+    outputs, batch = posenet.scale_poses({"pose": answers}, targets), {"pose": labels}
     np.testing.assert_allclose(
         pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3
     )
     read = {
-        name: np.asarray(value)
-        for name, value in posenet.pose_from_outputs(outputs, targets).items()
+        name: np.asarray(value) for name, value in posenet.unscale_outputs(outputs, targets).items()
     }
     np.testing.assert_allclose(
         compute_pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
@@ -308,7 +313,7 @@ def test_errors_of_lengths_do_not_wrap():
         ("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]])
     )
     assert (target.middle, target.reach) == (0, 200)
-    outputs = posenet.pose_targets({"pose": np.full((1, 6), -190, np.float32)}, targets)
+    outputs = posenet.scale_poses({"pose": np.full((1, 6), -190, np.float32)}, targets)
     assert (
         float(
             pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][

@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
-from jaxunshear.model.pinnets import distance, encode, predict, unshear
+from jaxunshear.model.pin_networks import compute_pin_distance, encode, predict, unshear
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.settings.targets import felt_of, of_labels
@@ -67,7 +67,7 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
 
     np.testing.assert_allclose(
         term(variables["params"]),
-        distance(unshear(net, variables, taps), taps, variables),
+        compute_pin_distance(unshear(net, variables, taps), taps, variables),
         rtol=1e-5,
     )
     slopes = jax.jit(jax.grad(lambda params: term(params).sum()))(variables["params"])
@@ -90,7 +90,9 @@ def test_two_slides_to_one_pose_are_unsheared_alike():
         batch(4)["sheared_pins"][:2],
     )
     named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
-    wanted = distance(unshear(net, variables, pins), unshear(net, variables, other), variables)
+    wanted = compute_pin_distance(
+        unshear(net, variables, pins), unshear(net, variables, other), variables
+    )
     np.testing.assert_allclose(named["alike"], wanted, rtol=1e-5)
     assert task.weights["alike"] == 2.0 and np.all(named["alike"] > 0)
     assert np.all(task.terms(variables, batch() | {ONE: pins, ANOTHER: pins}, KEY)[0]["alike"] == 0)

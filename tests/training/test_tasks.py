@@ -12,7 +12,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.unshearing import unshear
+from jaxunshear.model.dispatch import unshear
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UNet
 from jaxunshear.settings.targets import felt_of
@@ -37,7 +37,7 @@ WEIGHTS = (
 
 @pytest.fixture(scope="module")
 def teacher():
-    outputs = posenet.outputs_of(small.TARGETS)
+    outputs = posenet.count_outputs(small.TARGETS)
     fresh = jax.jit(lambda key: posenet.init(small.POSENET, outputs, key))(jax.random.key(9))
     # fresh ones answer 0.5 whatever they see
     wide = jax.tree.map(lambda leaf: 20 * leaf if leaf.ndim > 1 else leaf, fresh["params"])
@@ -138,7 +138,7 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
     image = jax.jit(unshear, static_argnums=0)(
         net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
     )
-    targets = posenet.pose_targets(batch, small.TARGETS)
+    targets = posenet.scale_poses(batch, small.TARGETS)
     expected = losses.pose(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.posenet import pose_targets
+from jaxunshear.model.posenet import scale_poses
 from jaxunshear.settings.targets import of_labels
 from jaxunshear.training.turning import ANGLES, sense_of, turned, turned_outputs, turns_of
 
@@ -86,10 +86,10 @@ def test_pins_that_are_not_seen_count_as_untouched():
 def test_the_twist_turns_and_nothing_else(sense):
     _, poses = contacts(40, 1)
     targets, k = of_labels((), poses), 7
-    outputs = pose_targets({"pose": jnp.asarray(poses, jnp.float32)}, targets)
+    outputs = scale_poses({"pose": jnp.asarray(poses, jnp.float32)}, targets)
     after = poses.copy()
     after[:, 5] += sense * 360 * k / ANGLES
-    wanted = pose_targets({"pose": jnp.asarray(after, jnp.float32)}, targets)
+    wanted = scale_poses({"pose": jnp.asarray(after, jnp.float32)}, targets)
     np.testing.assert_allclose(
         turned_outputs(turns_of(REST, sense), k, outputs, targets), wanted, atol=1e-5
     )

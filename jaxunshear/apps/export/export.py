@@ -122,12 +122,12 @@ def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
     from jax import export
 
     from jaxunshear.apps.export.parts import function_of
-    from jaxunshear.model import kernels
+    from jaxunshear.model import layer_choice
 
     many = export.symbolic_shape("batch")[0] if batch is None else batch
     given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
     # layers that are compiled for this processor stay here; a GPU is not to round
-    with kernels.using(kernels.PLAIN), jax.default_matmul_precision("highest"):
+    with layer_choice.use_layers(layer_choice.PLAIN), jax.default_matmul_precision("highest"):
         return bytes(
             export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize()
         )

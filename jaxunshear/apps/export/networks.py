@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.apps.export.graph import Graph
 from jaxunshear.model.layers import EPSILON
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.settings.targets import Targets
 
@@ -74,7 +74,7 @@ def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen:
 
 
 def pose(graph: Graph, targets: Targets, outputs: str) -> str:
-    """Outputs (B, K) in [0, 1] -> mm and deg, a column a target: `posenet.pose_from_outputs`."""
+    """Outputs (B, K) in [0, 1] -> mm and deg, a column a target: `posenet.unscale_outputs`."""
     signed = graph.add("Sub", graph.add("Mul", outputs, np.float32(2)), np.float32(1))
     columns, start = [], 0
     for target in targets:
@@ -205,7 +205,7 @@ def _gelu(graph: Graph, x: str) -> str:
 
 
 def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
-    """`pinnets.Dense`. Where the network is also given a turn, as cosine and sine, there is none: (1, 0) goes into the bias."""
+    """`pin_networks.Dense`. Where the network is also given a turn, as cosine and sine, there is none: (1, 0) goes into the bias."""
     trunk, last = params["Trunk_0"], params["Dense_0"]
     if isinstance(net, PinPoseNet) and net.turned:
         first = trunk["Dense_0"]

@@ -12,8 +12,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
 from jaxunshear.inference.perception import confidence, trained, unit
 from jaxunshear.model import posenet
-from jaxunshear.model.parts import Net, Variables
-from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.model.dispatch import predict, unshear
+from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
@@ -96,7 +96,7 @@ def function_of(parts: Parts) -> Callable[[Array], Json]:
             seen = after if parts.way == UNSHEARED else seen
         if parts.reads is not None:
             outputs = predict(*parts.reads, seen)
-            found["pose"] = posenet.pose_from_outputs(outputs, parts.targets)
+            found["pose"] = posenet.unscale_outputs(outputs, parts.targets)
         return found
 
     return run

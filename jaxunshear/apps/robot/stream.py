@@ -34,8 +34,8 @@ from jaxunshear.image.sensor_check import (
 from jaxunshear.inference.perceiver import UNSHEARED, expected_by, perceiver
 from jaxunshear.inference.perception import Forward, confidence, load_forward
 from jaxunshear.metrics import compute_pose_errors
-from jaxunshear.model.parts import Variables
-from jaxunshear.model.ready import ready
+from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.model.weights import Variables
 from jaxunshear.results.applications import Streamed
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
@@ -114,7 +114,7 @@ def step_of(model: Path, experiment: Experiment) -> Step:
     """Return what a frame is perceived by, of networks over images; compiled already."""
     forward, variables, targets = load_forward(model, DISENTANGLED)
     names = names_of(targets)
-    run = ready(perceive_of(forward, names), variables)
+    run = jit_for_inference(perceive_of(forward, names), variables)
     size = experiment.paired.preprocess.size
 
     def step(image: np.ndarray) -> Perceived:

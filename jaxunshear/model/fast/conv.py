@@ -13,7 +13,7 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
 >>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
 
 *Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
-lies outside the image and must be zero (`norm.inside`).
+lies outside the image and must be zero (`norm.make_inside_mask`).
 """
 
 from functools import partial
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxunshear.model.fast import native
+from jaxunshear.model.fast import compiled_kernels
 
 SLICE = (
     1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
@@ -81,9 +81,13 @@ def _input_gradient(dy: Array, w: Array, border: int) -> Array:
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
-    if native.form() == "counted":
+    if compiled_kernels.get_form() == "counted":
         return _gradient_as_convolution(x, dy)
-    here = native.kernel_gradient if native.suits(x, dy) else _gradient_in_slices
+    here = (
+        compiled_kernels.kernel_gradient
+        if compiled_kernels.can_compute_gradient(x, dy)
+        else _gradient_in_slices
+    )
     return lax.platform_dependent(
         x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution
     )

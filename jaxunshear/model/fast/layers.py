@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.model.fast import conv, outermost
+from jaxunshear.model.fast import conv, image_layers
 from jaxunshear.model.fast.norm import affine_relu, norm_relu
 from jaxunshear.model.layers import INIT, MOMENTUM
 
@@ -43,7 +43,7 @@ class First(nn.Module):
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
         return NormRelu("blocks", "blocks", name="norm")(
-            outermost.first(x, w, compiled=train), train
+            image_layers.apply_first(x, w, compiled=train), train
         )
 
 
@@ -94,5 +94,5 @@ class Last(nn.Module):
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
         bias = self.param("bias", nn.initializers.zeros, (1,))
-        image = outermost.last(x, w, compiled=train)
+        image = image_layers.apply_last(x, w, compiled=train)
         return image.astype(np.promote_types(x.dtype, np.float32)) + bias[None, None, None]

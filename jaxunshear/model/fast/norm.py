@@ -17,14 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxunshear.model.fast import conv, native
+from jaxunshear.model.fast import compiled_kernels, conv
 from jaxunshear.model.layers import EPSILON
 
 GROUP = 8  # images summed at once
 _Saved = tuple[Array, Array, Array, Array, Array]
 
 
-def relayout(x: Array, source: str, target: str) -> Array:
+def convert_layout(x: Array, source: str, target: str) -> Array:
     """An image in another layout."""
     if source == target:
         return x
@@ -36,7 +36,7 @@ def relayout(x: Array, source: str, target: str) -> Array:
     return conv.to_blocks(padded) if target == "blocks" else padded
 
 
-def inside(height: int, width: int) -> np.ndarray:
+def make_inside_mask(height: int, width: int) -> np.ndarray:
     """(height, width, 4) 0/1: which of the 2x2 pixels of each bordered block lie inside the image."""
     rows, columns = (np.ones((n, 2)) for n in (height, width))
     for lines in (rows, columns):
@@ -113,20 +113,22 @@ def _affine_relu_by_xla(
 ) -> Array:
     """max(factor x + shift, 0)."""
     y = jax.nn.relu(_images(x) * _wide(factor, source) + _wide(shift, source))
-    return relayout(_inside(y, x, source).reshape(x.shape).astype(x.dtype), source, target)
+    return convert_layout(_inside(y, x, source).reshape(x.shape).astype(x.dtype), source, target)
 
 
-def _passed(x: Array, dy: Array, factor: Array, shift: Array, source: str, target: str) -> Array:
+def _mask_gradient(
+    x: Array, dy: Array, factor: Array, shift: Array, source: str, target: str
+) -> Array:
     """The gradient dy that ReLU lets through, as `_images`."""
     active = _images(x) * _wide(factor, source) + _wide(shift, source) > 0
-    return jnp.where(active, _images(relayout(dy, target, source)), 0)
+    return jnp.where(active, _images(convert_layout(dy, target, source)), 0)
 
 
 def _slopes_by_xla(
     x: Array, dy: Array, factor: Array, shift: Array, mean: Array, *, source: str, target: str
 ) -> tuple[Array, Array]:
     """Sums of the gradient that passes, and of its product with x - mean, (C,) each."""
-    passed = _passed(x, dy, factor, shift, source, target)
+    passed = _mask_gradient(x, dy, factor, shift, source, target)
     both = _both_over_images(passed, passed * (_images(x) - _wide(mean, source)))
     d_bias, d_scale = (_over_pixels(numbers, x, source) for numbers in both)
     return d_bias, d_scale
@@ -147,19 +149,23 @@ def _gradient_by_xla(
     """factor * (the gradient that passes) - constant - (x - mean) * tilt, in layout `source`."""
     wide = partial(_wide, source=source)
     line = wide(constant) + (_images(x) - wide(mean)) * wide(tilt)
-    dx = _inside(_passed(x, dy, factor, shift, source, target) * wide(factor) - line, x, source)
+    dx = _inside(
+        _mask_gradient(x, dy, factor, shift, source, target) * wide(factor) - line, x, source
+    )
     return dx.reshape(x.shape).astype(x.dtype)
 
 
 Answer = TypeVar("Answer")
 
 
-def _compiled(by_xla: Callable[..., Answer], run: Callable[..., Answer]) -> Callable[..., Answer]:
+def _choose_compiled(
+    by_xla: Callable[..., Answer], run: Callable[..., Answer]
+) -> Callable[..., Answer]:
     """`run` where `native.py` can, `by_xla` elsewhere; the derivatives are those of `by_xla` in any case."""
 
     def choose(x: Array, *more: Array, **layouts: str) -> Answer:
         here = partial(by_xla, **layouts)
-        if not native.takes(x, *more, source=layouts["source"]):
+        if not compiled_kernels.can_normalise(x, *more, source=layouts["source"]):
             return here(x, *more)
         both = jax.custom_vjp(
             lambda *given: lax.platform_dependent(*given, cpu=partial(run, **layouts), default=here)
@@ -173,10 +179,10 @@ def _compiled(by_xla: Callable[..., Answer], run: Callable[..., Answer]) -> Call
     return choose
 
 
-_moments = _compiled(_moments_by_xla, native.moments)
-_affine_relu = _compiled(_affine_relu_by_xla, native.affine_relu)
-_slopes = _compiled(_slopes_by_xla, native.slopes)
-_gradient = _compiled(_gradient_by_xla, native.gradient)
+_moments = _choose_compiled(_moments_by_xla, compiled_kernels.moments)
+_affine_relu = _choose_compiled(_affine_relu_by_xla, compiled_kernels.affine_relu)
+_slopes = _choose_compiled(_slopes_by_xla, compiled_kernels.slopes)
+_gradient = _choose_compiled(_gradient_by_xla, compiled_kernels.gradient)
 
 
 def _images(x: Array) -> Array:
@@ -195,7 +201,7 @@ def _inside(numbers: Array, x: Array, source: str) -> Array:
     if source != "blocks":
         return numbers
     _, h, w, c = x.shape
-    mask = np.repeat(inside(h, w).reshape(-1, 4), c // 4, axis=1)
+    mask = np.repeat(make_inside_mask(h, w).reshape(-1, 4), c // 4, axis=1)
     return numbers * jnp.asarray(mask[None] if numbers.ndim == 3 else mask, numbers.dtype)
 
 

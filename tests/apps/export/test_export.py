@@ -24,8 +24,8 @@ from jaxunshear.dataset.recordings import read_image
 from jaxunshear.folders import RELEASED
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.inference.perception import load_forward
-from jaxunshear.model import pinnets, posenet, unshearnet
-from jaxunshear.model.pin_grid import grid_of
+from jaxunshear.model import pin_networks, posenet, unshearnet
+from jaxunshear.model.pin_grid import make_grid
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
@@ -65,15 +65,15 @@ def drawn(init):
 
 
 def drawn_of_pins(net, outputs=0):
-    variables = drawn(lambda key: pinnets.init(net, REST, 1.5, key, outputs))
-    grid = {"grid": grid_of(REST)} if "grid" in variables["batch_stats"] else {}
+    variables = drawn(lambda key: pin_networks.init(net, REST, 1.5, key, outputs))
+    grid = {"grid": make_grid(REST)} if "grid" in variables["batch_stats"] else {}
     return variables | {"batch_stats": {"rest": REST, "spread": np.float32(1.5)} | grid}
 
 
 def images(net=NET):
     unshears = Part(net, drawn(lambda key: unshearnet.init(net, key)))
     reads = Part(
-        POSENET, drawn(lambda key: posenet.init(POSENET, posenet.outputs_of(TARGETS), key))
+        POSENET, drawn(lambda key: posenet.init(POSENET, posenet.count_outputs(TARGETS), key))
     )
     return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
 
@@ -81,7 +81,7 @@ def images(net=NET):
 def pins(turned=0.0, convolved=(), read_by=()):
     net = PinUnshear(**PINS, convolved=convolved)
     reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
-    reads = Part(reader, drawn_of_pins(reader, posenet.outputs_of(TARGETS)))
+    reads = Part(reader, drawn_of_pins(reader, posenet.count_outputs(TARGETS)))
     return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
 
 

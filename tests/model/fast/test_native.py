@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.model.fast import conv, native
+from jaxunshear.model.fast import compiled_kernels, conv
 
 compiled = pytest.mark.usefixtures("compiled")
 # k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
@@ -55,7 +55,10 @@ def test_it_is_the_sum_it_says(case):
     k, border = case[:2]
     x, dy = arrays(*case)
     expected = by_definition(x, dy, k)
-    for run in (native.kernel_gradient, jax.jit(native.kernel_gradient, static_argnums=(2, 3))):
+    for run in (
+        compiled_kernels.kernel_gradient,
+        jax.jit(compiled_kernels.kernel_gradient, static_argnums=(2, 3)),
+    ):
         np.testing.assert_allclose(
             run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0
         )
@@ -66,21 +69,21 @@ def test_the_network_takes_it_and_twice_gives_the_same_bits():
     x, dy = arrays(2, 1, 24, 64, 5, 17, 16)
     w = jnp.ones((2, 2, 24, 64), jnp.float32)
     grad = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
-    assert native.NAMES["KernelGradient"] in grad.lower(w).as_text()
+    assert compiled_kernels.NAMES["KernelGradient"] in grad.lower(w).as_text()
     first = grad(w)
     for _ in range(10):
         np.testing.assert_array_equal(grad(w), first)
     for form in ("xla", "counted"):
-        with native.taking(form):
+        with compiled_kernels.use_form(form):
             other = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
-            assert native.NAMES["KernelGradient"] not in other.lower(w).as_text()
+            assert compiled_kernels.NAMES["KernelGradient"] not in other.lower(w).as_text()
             np.testing.assert_allclose(other(w), first, atol=1e-5 * np.abs(first).max(), rtol=0)
 
 
 @compiled
 def test_mapped_over_it_is_as_one_by_one():
     x, dy = (array.reshape(3, 2, *array.shape[1:]) for array in arrays(2, 0, 5, 16, 6, 6, 5))
-    run = lambda x, dy: native.kernel_gradient(x, dy, 2, 0)  # noqa: E731
+    run = lambda x, dy: compiled_kernels.kernel_gradient(x, dy, 2, 0)  # noqa: E731
     np.testing.assert_array_equal(
         jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)])
     )
@@ -90,18 +93,20 @@ def test_mapped_over_it_is_as_one_by_one():
 def test_what_is_not_finite_is_passed_on():
     x, dy = arrays(2, 0, 8, 16, 2, 6, 5)
     x[0, 3, 2, 1] = np.nan
-    found = np.isnan(native.kernel_gradient(x, dy, 2, 0))
+    found = np.isnan(compiled_kernels.kernel_gradient(x, dy, 2, 0))
     assert found[:, :, 1].all() and found.sum() == 4 * 16
 
 
 @pytest.mark.parametrize("kind", [jnp.float64, jnp.bfloat16])
 def test_other_numbers_and_few_channels_are_left_to_xla(kind):
     with jax.enable_x64(True):
-        assert not native.suits(jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind))
+        assert not compiled_kernels.can_compute_gradient(
+            jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind)
+        )
     few = jnp.zeros((1, 3, 3, 15)), jnp.zeros((1, 2, 2, 3))
-    assert not native.suits(*few)
+    assert not compiled_kernels.can_compute_gradient(*few)
     with pytest.raises(ValueError, match="15 and 3 channels"):
-        native.kernel_gradient(*few, 2, 0)
+        compiled_kernels.kernel_gradient(*few, 2, 0)
 
 
 def reported(environment, code="print(native.available(), native.available())") -> tuple[str, str]:

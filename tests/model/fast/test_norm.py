@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.model.fast import conv, layers, native, norm
+from jaxunshear.model.fast import compiled_kernels, conv, layers, norm
 
-LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in native.LAYOUTS]
+LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in compiled_kernels.LAYOUTS]
 WIDE = [("plain", "blocks"), ("blocks", "padded"), ("blocks", "blocks")]  # as networks have them
 NARROW = [("plain", "padded"), ("blocks", "plain")]
 compiled = pytest.mark.usefixtures("compiled")
@@ -61,7 +61,7 @@ def test_equals_flax(source, target, channels):
         padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=50.0)
         given = conv.to_blocks(padded) if source == "blocks" else x
         y = norm.norm_relu(given, scale, bias, source, target)[0]
-        full = norm.relayout(y, target, "padded")
+        full = norm.convert_layout(y, target, "padded")
         border = full.at[:, 1:-1, 1:-1].set(0)
         return full[:, 1:-1, 1:-1] + jnp.sum(jnp.abs(border))  # zero outside, or this disagrees
 
@@ -82,25 +82,28 @@ def test_compiled_passes_are_xla_s(source, target):
     odd = [(32, 7, 5)] if "blocks" not in (source, target) else []
     for channels, rows, columns in [(16, 2, 2), (112, 6, 10), (80, 32, 32), *odd]:
         x, factor, shift = inputs((3, rows, columns, channels))
-        x = norm.relayout(x, "plain", source)
-        dy = norm.relayout(inputs((3, rows, columns, channels))[0][::-1], "plain", target)
+        x = norm.convert_layout(x, "plain", source)
+        dy = norm.convert_layout(inputs((3, rows, columns, channels))[0][::-1], "plain", target)
         at = {"source": source, "target": target}
         mean, constant, tilt = shift + 1, factor - 1, shift * factor
 
         def passes(x, dy, factor, shift, mean, constant, tilt, at=at):
             return [
-                (norm._moments_by_xla(x, source=source), native.moments(x, source=source)),
+                (
+                    norm._moments_by_xla(x, source=source),
+                    compiled_kernels.moments(x, source=source),
+                ),
                 (
                     norm._affine_relu_by_xla(x, factor, shift, **at),
-                    native.affine_relu(x, factor, shift, **at),
+                    compiled_kernels.affine_relu(x, factor, shift, **at),
                 ),
                 (
                     norm._slopes_by_xla(x, dy, factor, shift, mean, **at),
-                    native.slopes(x, dy, factor, shift, mean, **at),
+                    compiled_kernels.slopes(x, dy, factor, shift, mean, **at),
                 ),
                 (
                     norm._gradient_by_xla(x, dy, factor, shift, mean, constant, tilt, **at),
-                    native.gradient(x, dy, factor, shift, mean, constant, tilt, **at),
+                    compiled_kernels.gradient(x, dy, factor, shift, mean, constant, tilt, **at),
                 ),
             ]
 
@@ -121,7 +124,8 @@ def test_the_network_takes_the_compiled_passes_and_twice_gives_the_same_bits():
     )
     text = grad.lower(x).as_text()
     assert all(
-        native.NAMES[name] in text for name in ("Moments", "AffineRelu", "Slopes", "Gradient")
+        compiled_kernels.NAMES[name] in text
+        for name in ("Moments", "AffineRelu", "Slopes", "Gradient")
     )
     first = grad(x)
     for _ in range(5):
@@ -133,7 +137,7 @@ def test_what_is_not_finite_spoils_its_channel_alone():
     x = x.at[1, 2, 3, 7].set(jnp.nan)
     for source in ("plain", "blocks"):
         y, mean, variance = norm.norm_relu(
-            norm.relayout(x, "plain", source), scale, bias, source, "plain"
+            norm.convert_layout(x, "plain", source), scale, bias, source, "plain"
         )
         broken = np.isnan(np.asarray(y)).any((0, 1, 2))
         assert broken[7] and broken.sum() == 1
@@ -155,10 +159,10 @@ def test_second_derivatives_are_those_of_flax():
 @pytest.mark.parametrize(("source", "target"), LAYOUTS)
 def test_layouts_there_and_back(source, target):
     x, *_ = inputs((2, 4, 6, 3))
-    given = norm.relayout(x, "plain", source)
-    there = norm.relayout(given, source, target)
-    assert there.shape == native._shape(given.shape, source, target)
-    np.testing.assert_array_equal(norm.relayout(there, target, "plain"), x)
+    given = norm.convert_layout(x, "plain", source)
+    there = norm.convert_layout(given, source, target)
+    assert there.shape == compiled_kernels._shape(given.shape, source, target)
+    np.testing.assert_array_equal(norm.convert_layout(there, target, "plain"), x)
 
 
 def test_gradient_outside_is_zero():
@@ -166,13 +170,13 @@ def test_gradient_outside_is_zero():
     gradient = jax.grad(
         lambda x: jnp.sum(norm.norm_relu(x, scale[:2], bias[:2], "blocks", "blocks")[0] ** 2)
     )(x)
-    outside = np.repeat(norm.inside(4, 4), 2, -1) == 0
+    outside = np.repeat(norm.make_inside_mask(4, 4), 2, -1) == 0
     assert np.all(np.asarray(gradient)[:, outside] == 0)
     assert np.any(np.asarray(gradient)[:, ~outside] != 0)
 
 
 def test_inside_marks_the_padded_ring():
-    mask = conv.from_blocks(jnp.asarray(norm.inside(4, 3))[None])[0, ..., 0]
+    mask = conv.from_blocks(jnp.asarray(norm.make_inside_mask(4, 3))[None])[0, ..., 0]
     expected = np.zeros((8, 6))
     expected[1:-1, 1:-1] = 1
     np.testing.assert_array_equal(mask, expected)
@@ -198,7 +202,7 @@ def test_constant_channel_stays_finite(channels):
 @pytest.mark.parametrize("channels", CHANNELS)
 @pytest.mark.parametrize("source", ["plain", "blocks"])
 def test_running_statistics_follow_the_batch(source, channels):
-    x = norm.relayout(inputs((2, 6, 6, channels))[0], "plain", source)
+    x = norm.convert_layout(inputs((2, 6, 6, channels))[0], "plain", source)
     module = layers.NormRelu(source, "plain")
     variables = module.init(jax.random.key(0), x, True)
     np.testing.assert_array_equal(variables["batch_stats"]["mean"], 0)  # init leaves them alone

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.model.fast import native, norm, outermost
+from jaxunshear.model.fast import compiled_kernels, image_layers, norm
 
 LAYOUT = ("NHWC", "HWIO", "NHWC")
 compiled = pytest.mark.usefixtures("compiled")
@@ -32,14 +32,16 @@ def plain_last(x, w):
 
 def as_first(compiled):
     def run(x, w):
-        blocks = outermost.first(x, w, compiled)
-        return norm.relayout(blocks, "blocks", "plain")
+        blocks = image_layers.apply_first(x, w, compiled)
+        return norm.convert_layout(blocks, "blocks", "plain")
 
     return run
 
 
 def as_last(compiled):
-    return lambda x, w: outermost.last(norm.relayout(x, "plain", "blocks"), w, compiled)
+    return lambda x, w: image_layers.apply_last(
+        norm.convert_layout(x, "plain", "blocks"), w, compiled
+    )
 
 
 def same_function(ours, reference, x, w, tolerance):
@@ -87,23 +89,23 @@ def test_compiled_forms_are_the_plain_convolutions(images, side, channels):
 @compiled
 def test_what_lies_outside_is_zero_and_is_not_read():
     x, k = normal(2, 12, 12, 1), normal(16, 16)
-    blocks = outermost.gather(x, k)
-    outside = np.repeat(norm.inside(4, 4), 16, -1) == 0
+    blocks = image_layers.gather(x, k)
+    outside = np.repeat(norm.make_inside_mask(4, 4), 16, -1) == 0
     assert np.all(np.asarray(blocks)[:, outside] == 0)
     garbage = jnp.where(outside, 7.0, blocks)
-    np.testing.assert_array_equal(outermost.scatter(garbage, k), outermost.scatter(blocks, k))
-    np.testing.assert_array_equal(outermost.outer(x, garbage), outermost.outer(x, blocks))
+    np.testing.assert_array_equal(image_layers.scatter(garbage, k), image_layers.scatter(blocks, k))
+    np.testing.assert_array_equal(image_layers.outer(x, garbage), image_layers.outer(x, blocks))
 
 
 @compiled
 def test_each_is_a_slope_of_the_others():
     """Of both orders, and the form for other devices is the same."""
     x, k = normal(2, 16, 16, 1), normal(16, 16)
-    y = norm.relayout(normal(2, 8, 8, 16), "plain", "blocks")
+    y = norm.convert_layout(normal(2, 8, 8, 16), "plain", "blocks")
     pairs = [
-        (outermost.gather, outermost._gather, x, k),
-        (outermost.scatter, outermost._scatter, y, k),
-        (outermost.outer, outermost._outer, x, y),
+        (image_layers.gather, image_layers._gather, x, k),
+        (image_layers.scatter, image_layers._scatter, y, k),
+        (image_layers.outer, image_layers._outer, x, y),
     ]
     for ours, reference, a, b in pairs:
         same_function(ours, reference, a, b, 1e-5)
@@ -123,7 +125,7 @@ def test_each_is_a_slope_of_the_others():
 @compiled
 def test_twice_gives_the_same_bits():
     x, w = normal(5, 32, 32, 1), normal(4, 4, 1, 32)
-    run = jax.jit(jax.grad(lambda w: jnp.sum(jnp.sin(outermost.first(x, w, True)))))
+    run = jax.jit(jax.grad(lambda w: jnp.sum(jnp.sin(image_layers.apply_first(x, w, True)))))
     first = run(w)
     for _ in range(5):
         np.testing.assert_array_equal(run(w), first)
@@ -132,21 +134,25 @@ def test_twice_gives_the_same_bits():
 @compiled
 @pytest.mark.parametrize("image", [(1, 8, 12, 1), (1, 8, 8, 3), (1, 10, 10, 1)])
 def test_other_images_are_left_to_xla(image):
-    assert not native.suits_image(jnp.zeros(image), jnp.zeros((4, 4, image[-1], 16)))
-    assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 12)))
-    assert not native.suits_image(
+    assert not compiled_kernels.can_compute_image(
+        jnp.zeros(image), jnp.zeros((4, 4, image[-1], 16))
+    )
+    assert not compiled_kernels.can_compute_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 12)))
+    assert not compiled_kernels.can_compute_image(
         jnp.zeros((1, 8, 8, 1), jnp.bfloat16), jnp.zeros((4, 4, 1, 16), jnp.bfloat16)
     )
-    assert native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
-    with native.taking("xla"):
-        assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
+    assert compiled_kernels.can_compute_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
+    with compiled_kernels.use_form("xla"):
+        assert not compiled_kernels.can_compute_image(
+            jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16))
+        )
 
 
 def test_blocks_of_windows_keep_their_place():
     x = normal(1, 8, 8, 1)
-    seen = outermost.windows(x)
+    seen = image_layers.extract_windows(x)
     assert seen.shape == (1, 3, 3, 36)
     np.testing.assert_array_equal(seen[0, 1, 1].reshape(6, 6), x[0, 1:7, 1:7, 0])
     np.testing.assert_array_equal(
-        outermost.from_windows(jnp.ones((1, 3, 3, 36)))[0, :4, 0, 0], [1, 2, 2, 1]
+        image_layers.from_windows(jnp.ones((1, 3, 3, 36)))[0, :4, 0, 0], [1, 2, 2, 1]
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxunshear.model import kernels, pinnets
+from jaxunshear.model import layer_choice, pin_networks
 from jaxunshear.model.fast.patches import convolution
 from jaxunshear.settings.networks import PinUnshear
 
@@ -43,13 +43,13 @@ def test_values_and_gradients_are_those_of_a_convolution(side, stride, dtype):
 def test_a_trunk_over_pins_is_the_same_with_plain_layers():
     net = PinUnshear(hidden=8, layers=1, convolved=(4, 6))
     rest = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), -1).reshape(-1, 2) * 7
-    variables = pinnets.init(net, rest, 2.0, jax.random.key(0))
+    variables = pin_networks.init(net, rest, 2.0, jax.random.key(0))
     pins = rest[None] + jax.random.normal(jax.random.key(1), (3, *rest.shape))
 
     def found(way):
-        with kernels.using(way):
-            return np.asarray(jax.jit(partial(pinnets.unshear, net))(variables, pins))
+        with layer_choice.use_layers(way):
+            return np.asarray(jax.jit(partial(pin_networks.unshear, net))(variables, pins))
 
-    fast, plain = found(kernels.FAST), found(kernels.PLAIN)
+    fast, plain = found(layer_choice.FAST), found(layer_choice.PLAIN)
     np.testing.assert_allclose(fast, plain, atol=1e-4)
     assert np.abs(plain - rest[None]).max() > 1e-3

@@ -1,7 +1,7 @@
 """The 4x4 convolutions of stride 2 next to an image of one channel: the first layer's, and the transposed one of the last layer.
 
->>> y = first(image, w)    # (B, 4H, 4W, C), w (4, 4, C, N) -> bordered blocks (B, H+1, W+1, 4N)
->>> z = last(x, w)         # bordered blocks (B, H+1, W+1, 4C), w (4, 4, C, 1) -> image (B, 4H, 4W, 1)
+>>> y = apply_first(image, w)    # (B, 4H, 4W, C), w (4, 4, C, N) -> bordered blocks (B, H+1, W+1, 4N)
+>>> z = apply_last(x, w)         # bordered blocks (B, H+1, W+1, 4C), w (4, 4, C, 1) -> image (B, 4H, 4W, 1)
 
 One channel would leave most of a vector unused. In XLA they are products of 6x6 *windows* of the image with blocks, which takes
 2.25 times the multiplications. Where `native.py` can, training takes compiled ones without that: `gather`, `scatter` and `outer` are
@@ -16,24 +16,24 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxunshear.model.fast import native
+from jaxunshear.model.fast import compiled_kernels
 from jaxunshear.model.fast.conv import conv_valid
-from jaxunshear.model.fast.norm import relayout
+from jaxunshear.model.fast.norm import convert_layout
 
 
-def first(x: Array, w: Array, compiled: bool = False) -> Array:
+def apply_first(x: Array, w: Array, compiled: bool = False) -> Array:
     """What lies outside the image is not to be read. `compiled` asks for that form where there is one."""
-    if compiled and native.suits_image(x, w):
+    if compiled and compiled_kernels.can_compute_image(x, w):
         return gather(x, w.reshape(16, -1))
-    return conv_valid(windows(x), _first_kernel(w))
+    return conv_valid(extract_windows(x), _first_kernel(w))
 
 
-def last(x: Array, w: Array, compiled: bool = False) -> Array:
-    """What lies outside the blocks' image must be zero. `compiled` as in `first`."""
+def apply_last(x: Array, w: Array, compiled: bool = False) -> Array:
+    """What lies outside the blocks' image must be zero. `compiled` as in `apply_first`."""
     image = jax.ShapeDtypeStruct(
         (len(x), 4 * (x.shape[1] - 1), 4 * (x.shape[2] - 1), w.shape[3]), x.dtype
     )
-    if compiled and native.suits_image(image, w):
+    if compiled and compiled_kernels.can_compute_image(image, w):
         # Flax's kernels are turned
         return scatter(x, jnp.flip(w, (0, 1)).reshape(16, -1))
     return from_windows(conv_valid(x, _last_kernel(w)))
@@ -42,19 +42,19 @@ def last(x: Array, w: Array, compiled: bool = False) -> Array:
 @jax.custom_vjp
 def gather(image: Array, kernel: Array) -> Array:
     """(B, S, S, 1), (16, C) -> bordered blocks (B, S/4+1, S/4+1, 4C), zero outside."""
-    return _on_cpu(native.gather, _gather, image, kernel)
+    return _on_cpu(compiled_kernels.gather, _gather, image, kernel)
 
 
 @jax.custom_vjp
 def scatter(blocks: Array, kernel: Array) -> Array:
     """Bordered blocks (B, S/4+1, S/4+1, 4C), (16, C) -> (B, S, S, 1)."""
-    return _on_cpu(native.scatter, _scatter, blocks, kernel)
+    return _on_cpu(compiled_kernels.scatter, _scatter, blocks, kernel)
 
 
 @jax.custom_vjp
 def outer(image: Array, blocks: Array) -> Array:
     """(B, S, S, 1), bordered blocks (B, S/4+1, S/4+1, 4C) -> (16, C)."""
-    return _on_cpu(native.outer, _outer, image, blocks)
+    return _on_cpu(compiled_kernels.outer, _outer, image, blocks)
 
 
 gather.defvjp(
@@ -72,7 +72,9 @@ outer.defvjp(
 
 
 def _on_cpu(run: Callable[..., Array], plain: Callable[..., Array], *given: Array) -> Array:
-    return lax.platform_dependent(*given, cpu=run if native.available() else plain, default=plain)
+    return lax.platform_dependent(
+        *given, cpu=run if compiled_kernels.is_available() else plain, default=plain
+    )
 
 
 def _gather(image: Array, kernel: Array) -> Array:
@@ -80,7 +82,7 @@ def _gather(image: Array, kernel: Array) -> Array:
     y = lax.conv_general_dilated(
         image, w, (2, 2), 2 * [(1, 1)], dimension_numbers=("NHWC", "HWIO", "NHWC")
     )
-    return relayout(y, "plain", "blocks")
+    return convert_layout(y, "plain", "blocks")
 
 
 def _scatter(blocks: Array, kernel: Array) -> Array:
@@ -95,7 +97,7 @@ def _outer(image: Array, blocks: Array) -> Array:
     return jax.linear_transpose(partial(_gather, image), kernel)(blocks)[0]
 
 
-def windows(x: Array) -> Array:
+def extract_windows(x: Array) -> Array:
     """The 6x6 pixels of the image that the bordered blocks of half its size are read from: (B, 4H, 4W, C) -> (B, H+1, W+1,
     36 C), channels ordered (row, column, channel), with zeros outside."""
     b, h, w, c = x.shape
@@ -106,14 +108,14 @@ def windows(x: Array) -> Array:
 
 
 def from_windows(x: Array) -> Array:
-    """The transpose of `windows`: (B, H+1, W+1, 36 C) -> (B, 4H, 4W, C), sums where windows overlap."""
+    """The transpose of `extract_windows`: (B, H+1, W+1, 36 C) -> (B, 4H, 4W, C), sums where windows overlap."""
     b, h, w, c = x.shape
     image = jax.ShapeDtypeStruct((b, 4 * (h - 1), 4 * (w - 1), c // 36), x.dtype)
-    return jax.linear_transpose(windows, image)(x)[0]
+    return jax.linear_transpose(extract_windows, image)(x)[0]
 
 
 def _first_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 convolution -> (1, 1, 36 C, 4N) from `windows` of the image to the bordered blocks of the
+    """(4, 4, C, N) of a stride-2 convolution -> (1, 1, 36 C, 4N) from `extract_windows` of the image to the bordered blocks of the
     output: what the next `down_kernel` reads, so the widest array of the network is never rearranged."""
     # of the window's rows t, the output's row a of a block reads 2a + k
     place = _placement(lambda t, a: t - 2 * a, w.dtype)
@@ -123,7 +125,7 @@ def _first_kernel(w: Array) -> Array:
 
 def _last_kernel(w: Array) -> Array:
     """(4, 4, C, N) of a stride-2 transposed convolution -> (1, 1, 4C, 36N) from the bordered blocks of its input to
-    `windows` of its output."""
+    `extract_windows` of its output."""
     # the input's row a of a block reaches the window's rows t through k = 3 - (t - 2a): Flax's kernels are turned
     place = _placement(lambda t, a: 3 - t + 2 * a, w.dtype)
     big = jnp.einsum("tak,sbl,klcn->abctsn", place, place, w, precision="highest")

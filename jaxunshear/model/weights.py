@@ -14,13 +14,13 @@ Net = Any  # settings of a network, of whichever kind
 Tree = Any  # weights, a state or a part of them
 
 
-def leaves_of(tree: Tree) -> dict[str, Any]:
+def list_leaves(tree: Tree) -> dict[str, Any]:
     """Leaves by dotted path ("params.E.First_0.kernel"), in the tree's order."""
     name = partial(jax.tree_util.keystr, simple=True, separator=".")
     return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
-def holds(variables: Variables, part: str) -> bool:
+def has_part(variables: Variables, part: str) -> bool:
     """Whether these weights hold `part` of a network; a note where they do not hold the shear code."""
     there = part in variables["params"]
     if not there and part == "shear":
@@ -29,9 +29,9 @@ def holds(variables: Variables, part: str) -> bool:
     return there
 
 
-def check_sheared(variables: Variables) -> None:
+def check_has_sheared_decoder(variables: Variables) -> None:
     """Raises UserError for weights without DS."""
-    if not holds(variables, "DS"):
+    if not has_part(variables, "DS"):
         raise UserError(
             "these weights hold no DS to draw sheared contacts, as released ones do: load those of the run itself"
         )

@@ -13,13 +13,13 @@ from typing import TypeVar
 import jax
 
 from jaxunshear.environment import AUTO, FAST, PLAIN, kernels_asked
-from jaxunshear.model.fast import native
+from jaxunshear.model.fast import compiled_kernels
 
 T = TypeVar("T")
 _asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", default=None)
 
 
-def chosen() -> str:
+def choose_layers() -> str:
     """PLAIN or FAST. Raises UserError for another value of the variable."""
     way = _asked.get() or kernels_asked()
     if way != AUTO:
@@ -28,7 +28,7 @@ def chosen() -> str:
 
 
 @contextlib.contextmanager
-def using(way: str) -> Iterator[None]:
+def use_layers(way: str) -> Iterator[None]:
     """What is traced herein is of these layers."""
     token = _asked.set(way)
     try:
@@ -37,15 +37,17 @@ def using(way: str) -> Iterator[None]:
         _asked.reset(token)
 
 
-def described() -> str:
+def describe_layers() -> str:
     """For results: which layers, and whether those of a training were compiled for this processor."""
     return (
         f"{FAST}, compiled"
-        if chosen() == FAST and native.form() == "compiled" and native.available()
-        else chosen()
+        if choose_layers() == FAST
+        and compiled_kernels.get_form() == "compiled"
+        and compiled_kernels.is_available()
+        else choose_layers()
     )
 
 
-def pick(plain: T, fast: T) -> T:
+def pick_layer(plain: T, fast: T) -> T:
     """The one to build a network of."""
-    return fast if chosen() == FAST else plain
+    return fast if choose_layers() == FAST else plain

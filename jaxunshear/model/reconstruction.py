@@ -10,13 +10,13 @@ RIDGE = 1e-4  # of the mean variance of a code: a direction much narrower than t
 LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet need not agree at any cost
 
 
-class Decoded(NamedTuple):
+class Reconstruction(NamedTuple):
     """Logits of images (B, S, S, 1), or pins (B, P, 2) px; None where there is none."""
 
     canonical: Array
     z_p: Array | None = None  # (B, ...)
     sheared: Array | None = None
-    exchanged: Array | None = None  # DS of the slide's pose code and the other's shear code
+    counterfactual: Array | None = None  # DS of the slide's pose code and the other's shear code
     disagreement: Array | None = None  # (B,) see `measure_disagreement`
     z_s: Array | None = None  # (B, ...)
     same_pose: Array | None = None  # DC of the pose code of a partner at the same pose

@@ -56,7 +56,7 @@ _form = contextvars.ContextVar("form", default="compiled")
 
 
 @contextlib.contextmanager
-def taking(name: str) -> Iterator[None]:
+def use_form(name: str) -> Iterator[None]:
     """What is traced herein takes this form: "compiled", the default; "xla", that of machines without a compiler; "counted", of which XLA
     counts the operations, slow on a CPU."""
     token = _form.set(name)
@@ -66,19 +66,19 @@ def taking(name: str) -> Iterator[None]:
         _form.reset(token)
 
 
-def form() -> str:
+def get_form() -> str:
     """The form to trace."""
     return _form.get()
 
 
-def suits(x: Array, dy: Array) -> bool:
+def can_compute_gradient(x: Array, dy: Array) -> bool:
     """Whether `kernel_gradient` takes these arrays, here: of float32, one of them with a vector of channels, on a CPU with a compiler."""
     floats = x.dtype == dy.dtype == jnp.float32
-    return floats and max(x.shape[-1], dy.shape[-1]) >= WIDEST and available()
+    return floats and max(x.shape[-1], dy.shape[-1]) >= WIDEST and is_available()
 
 
 def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
-    """dw (k, k, C, N) of `conv.conv_valid`, of x (B, H, W, C) and dy (B, H-k+1, W-k+1, N). Where `suits` says so."""
+    """dw (k, k, C, N) of `conv.conv_valid`, of x (B, H, W, C) and dy (B, H-k+1, W-k+1, N). Where `can_compute_gradient` says so."""
     c, n = x.shape[-1], dy.shape[-1]
     if max(c, n) < WIDEST:
         raise ValueError(f"{c} and {n} channels: the larger must be at least {WIDEST}")
@@ -92,11 +92,11 @@ def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     return (sums if c <= n else sums.swapaxes(1, 2)).reshape(k, k, c, n)
 
 
-def suits_image(image: Array | jax.ShapeDtypeStruct, w: Array) -> bool:
+def can_compute_image(image: Array | jax.ShapeDtypeStruct, w: Array) -> bool:
     """Whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...), here: of float32, one channel and full vectors."""
     square, one = image.shape[1] == image.shape[2] and image.shape[1] % 4 == 0, image.shape[3] == 1
     floats = image.dtype == w.dtype == jnp.float32
-    return square and one and floats and w.shape[2] * w.shape[3] % WIDEST == 0 and available()
+    return square and one and floats and w.shape[2] * w.shape[3] % WIDEST == 0 and is_available()
 
 
 def gather(image: Array, kernel: Array) -> Array:
@@ -113,10 +113,12 @@ def outer(image: Array, blocks: Array) -> Array:
     return _call("Outer", (len(image), 16, blocks.shape[-1] // 4), image, blocks).sum(0)
 
 
-def takes(x: Array, *more: Array, source: str) -> bool:
+def can_normalise(x: Array, *more: Array, source: str) -> bool:
     """Whether the four passes of `norm.py` take these arrays, here: float32, full vectors of channels, on a CPU with a compiler."""
     floats = all(array.dtype == jnp.float32 for array in (x, *more))
-    return floats and x.shape[-1] // (4 if source == "blocks" else 1) % WIDEST == 0 and available()
+    return (
+        floats and x.shape[-1] // (4 if source == "blocks" else 1) % WIDEST == 0 and is_available()
+    )
 
 
 def moments(x: Array, *, source: str) -> tuple[Array, Array]:
@@ -182,9 +184,9 @@ def _call(name: str, shape: tuple[int, ...], *arrays: Array, **attributes: int |
     return call(*arrays, **numbers)
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether JAX is on a CPU and the compiled form is there; the first call of a process searches for it, or makes it."""
-    if form() != "compiled":
+    if get_form() != "compiled":
         return False
     with _once:
         return jax.default_backend() == "cpu" and _load()

@@ -9,22 +9,22 @@ from jax import Array
 from jaxunshear.model.layers import EPSILON, INIT, MOMENTUM
 
 
-class Numbers(nn.Module):
+class VectorCode(nn.Module):
     """An encoder's array (B, s, s, C) -> (B, 1, 1, width), where `normalised` of mean 0 and variance 1 together."""
 
     width: int
-    normalised: bool = True
+    normalise: bool = True
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         z = nn.Dense(self.width, dtype=x.dtype, kernel_init=INIT)(x.reshape(x.shape[0], -1))
-        if not self.normalised:
+        if not self.normalise:
             return z[:, None, None]
         # no loss holds their size: without it they grow until DS, which does not teach them, sees nothing of the shear code beside them
         return nn.LayerNorm(dtype=z.dtype, use_scale=False, use_bias=False)(z)[:, None, None]
 
 
-class Grown(nn.Module):
+class VectorDecoder(nn.Module):
     """Numbers (B, 1, 1, n) -> what a decoder draws of an array (B, *shape) that is grown from them."""
 
     shape: tuple[int, int, int]

@@ -3,7 +3,7 @@
 >>> variables = init(PinUnshear(), rest, spread, jax.random.key(0))       # rest (P, 2) px: the untouched pins
 >>> canonical = unshear(net, variables, sheared)                          # pins (B, P, 2) px -> (B, P, 2) px
 >>> outputs = predict(pose_net, pose_variables, canonical)                # -> (B, K), as PoseNet's
->>> pins = render(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
+>>> pins = render_pins(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
 
 Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved.
 `rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry, and so is the grid of `pin_grid`.
@@ -19,9 +19,9 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxunshear.model.decoded import Decoded, measure_disagreement
-from jaxunshear.model.parts import Variables, check_sheared, holds
-from jaxunshear.model.pin_grid import GridTrunk, grid_of
+from jaxunshear.model.pin_grid import GridTrunk, make_grid
+from jaxunshear.model.reconstruction import Reconstruction, measure_disagreement
+from jaxunshear.model.weights import Variables, check_has_sheared_decoder, has_part
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
 
@@ -54,7 +54,7 @@ class Dense(nn.Module):
         return nn.Dense(self.outputs, kernel_init=small)(trunk(x, *grid))
 
 
-class Codes(nn.Module):
+class PinUnshearModule(nn.Module):
     """E, DC and DS under their names in the paper, over motions (B, 2 P), where E convolves with the grid (P, G) behind them."""
 
     net: PinUnshear
@@ -98,7 +98,7 @@ def init(
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     seen = [jnp.zeros((1, given))]
     if net.convolved and not isinstance(net, PinRenderer):
-        constants["grid"] = jnp.asarray(grid_of(rest))
+        constants["grid"] = jnp.asarray(make_grid(rest))
         seen.append(constants["grid"])
     return {
         "params": _module(net, motions, outputs).init(key, *seen)["params"],
@@ -111,7 +111,7 @@ def unshear(
 ) -> Float[Array, "B P 2"]:
     """Sheared pins px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
     return decode_canonical(
-        net, variables, _codes(net, variables, "pose_code", *_seen(net, variables, pins))
+        net, variables, _codes(net, variables, "pose_code", *_make_inputs(net, variables, pins))
     )
 
 
@@ -119,9 +119,9 @@ def encode(
     net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
 ) -> tuple[Float[Array, "B {net.pose_code}"], Float[Array, "B {net.shear_code}"] | None]:
     """Pins px -> (z_p, z_s, or None as in released weights)."""
-    if net.shear_code and not holds(variables, "shear"):
-        return _codes(net, variables, "pose_code", *_seen(net, variables, pins)), None
-    return _codes(net, variables, "encode", *_seen(net, variables, pins))
+    if net.shear_code and not has_part(variables, "shear"):
+        return _codes(net, variables, "pose_code", *_make_inputs(net, variables, pins)), None
+    return _codes(net, variables, "encode", *_make_inputs(net, variables, pins))
 
 
 def decode_canonical(
@@ -135,7 +135,7 @@ def decode_sheared(
     net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"], z_s: Float[Array, "B G"]
 ) -> Float[Array, "B P 2"]:
     """DS: both codes -> pins px of the slide. Raises UserError for released weights, which leave it out."""
-    check_sheared(variables)
+    check_has_sheared_decoder(variables)
     return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
 
 
@@ -146,12 +146,12 @@ def reconstruct(
     key: Array | None = None,
     same_pose: Float[Array, "B P 2"] | None = None,
     same_slide: Float[Array, "B P 2"] | None = None,
-) -> Decoded:
+) -> Reconstruction:
     """Both decoders over sheared pins px; in training a `key` spoils these a little. `same_pose`: a tap there, or
     the pins after another slide; `same_slide`: of another pose after that other slide."""
     partners = [each for each in (same_slide, same_pose) if each is not None]
     seen = jnp.concatenate([pins, *partners])
-    seen = seen if key is None else spoilt(net, seen, key)
+    seen = seen if key is None else add_noise(net, seen, key)
     # one by one: where trunks are apart, the partner in the slide passes E by
     z_p, z_s = zip(
         *(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True
@@ -162,13 +162,13 @@ def reconstruct(
         apart = measure_disagreement(z_p[0], z_p[-1])
         again = decode_canonical(net, variables, z_p[-1])
     if z_s[0] is None:
-        return Decoded(canonical, z_p[0], disagreement=apart, same_pose=again)
+        return Reconstruction(canonical, z_p[0], disagreement=apart, same_pose=again)
     held = jax.lax.stop_gradient((z_p, z_s)) if net.apart else (z_p, z_s)
     sheared = decode_sheared(net, variables, held[0][0], held[1][0])
     exchanged = (
         None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
     )
-    return Decoded(canonical, z_p[0], sheared, exchanged, apart, z_s[0], again)
+    return Reconstruction(canonical, z_p[0], sheared, exchanged, apart, z_s[0], again)
 
 
 def predict(
@@ -176,21 +176,21 @@ def predict(
 ) -> Float[Array, "B K"]:
     """Pins px -> outputs, scaled as PoseNet's but not bounded. `radians`: by how much all of them were turned, for
     networks that learn from turned pins."""
-    motions, *grid = _seen(net, variables, pins)
+    motions, *grid = _make_inputs(net, variables, pins)
     if net.turned:
         turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
         motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (motions.shape[0], 2))], -1)
     return _dense(net, variables, motions, *grid)
 
 
-def render(
+def render_pins(
     net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]
 ) -> Float[Array, "B P 2"]:
     """Poses as PoseNet's outputs in [0, 1] -> pins px of a tap there."""
     return _places(variables, _dense(net, variables, 2 * outputs - 1))
 
 
-def distance(
+def compute_pin_distance(
     pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables
 ) -> Float[Array, "B"]:
     """Mean squared distance of pins in units of `spread`, over those that the target shows."""
@@ -203,14 +203,14 @@ def distance(
     return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2), dtype=square.dtype), 1)
 
 
-def spoilt(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
+def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
     """Pins with the noise of a training example."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
 
 
 def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:
     if isinstance(net, PinUnshear):
-        return Codes(net, motions)
+        return PinUnshearModule(net, motions)
     return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
 
 
@@ -220,11 +220,11 @@ def _dense(net: PinNet, variables: Variables, *seen: Array) -> Array:
 
 
 def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -> Any:
-    module = Codes(net, variables["batch_stats"]["rest"].size)
+    module = PinUnshearModule(net, variables["batch_stats"]["rest"].size)
     return module.apply({"params": variables["params"]}, *inputs, method=method)
 
 
-def _seen(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
+def _make_inputs(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
     """What E, or a PoseNet, is given."""
     motions = _motions(variables, pins)
     return (motions, variables["batch_stats"]["grid"]) if net.convolved else (motions,)

@@ -1,6 +1,6 @@
 """Trained networks made ready for use, image after image.
 
->>> run = ready(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
+>>> run = jit_for_inference(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
 >>> run(images)
 
 The weights are constants of the compiled program: what depends on them alone (kernels rearranged for `fast/conv.py`, the norm's
@@ -12,12 +12,12 @@ from typing import TypeVar
 
 import jax
 
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.weights import Variables
 
 Answer = TypeVar("Answer")
 
 
-def ready(run: Callable[..., Answer], variables: Variables) -> Callable[..., Answer]:
+def jit_for_inference(run: Callable[..., Answer], variables: Variables) -> Callable[..., Answer]:
     """`run(variables, ...)` as a jitted function of the rest. Its products are in the precision of what it is given, also on a GPU, which
     would round float32 to ten bits: a network answers there as on a CPU."""
     constants = jax.device_get(variables)
