@@ -27,9 +27,9 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
-from jaxunshear.training.ahead import ahead
-from jaxunshear.training.pin_tasks import pin_unshear_task
-from jaxunshear.training.tasks import Task, unshear_task
+from jaxunshear.training.pin_tasks import make_pin_unshear_task
+from jaxunshear.training.prefetch import prefetch
+from jaxunshear.training.tasks import Task, make_unshear_task
 from verification.clock import seconds
 
 SECONDS = 60.0  # of each way
@@ -76,7 +76,9 @@ def _images(widths: tuple[int, ...]) -> Case:
     net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
     canonical, sheared = dots(EXAMPLES, net.size)[..., 0]
     stored = {"canonical": pack_bits(canonical), "sheared": pack_bits(sheared)}
-    return Case("images", unshear_task(net, training), training, stored | _poses(), net.size, 2)
+    return Case(
+        "images", make_unshear_task(net, training), training, stored | _poses(), net.size, 2
+    )
 
 
 def _pins() -> Case:
@@ -86,7 +88,7 @@ def _pins() -> Case:
         .normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2))
         .astype(np.float32)
     )
-    task = pin_unshear_task(
+    task = make_pin_unshear_task(
         PinUnshear(), training, of_ranges((), Ranges()), pins[0].mean(axis=0), 20.0
     )
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
@@ -101,7 +103,7 @@ def _measured(case: Case, of_each: float) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
     reader = Reader(lambda split: case.stored, case.size)
-    stream = ahead(
+    stream = prefetch(
         reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put
     )
     there = next(stream)

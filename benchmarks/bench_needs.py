@@ -28,7 +28,7 @@ from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
-from jaxunshear.training.tasks import unshear_task
+from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import seconds
 
 ROUNDS = 15
@@ -128,7 +128,7 @@ def _both_decoders(
 
 
 def _step(net: UnshearNet, training: Training) -> Way:
-    step, state = step_of(unshear_task(net, training), training)
+    step, state = step_of(make_unshear_task(net, training), training)
     canonical, sheared = dots(training.batch, net.size)
     return Way(step, (state, {"canonical": canonical, "sheared": sheared}))
 

@@ -33,7 +33,7 @@ from jaxunshear.settings.registry import DISENTANGLED, POSENET
 from jaxunshear.settings.targets import names_of
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
-from jaxunshear.training.tasks import unshear_task
+from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import SIZE, matrix_product, seconds
 
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
@@ -124,7 +124,7 @@ def _training_sides(size: int, batch: int) -> Sides:
     canonical, sheared = dots(batch, size)
 
     def ours(form: str) -> Work:
-        step, first = step_of(unshear_task(net, training), training)
+        step, first = step_of(make_unshear_task(net, training), training)
         state = [first]
         program = jax.jit(step, donate_argnums=0)
         given = jax.device_put({"canonical": canonical, "sheared": sheared})

@@ -27,7 +27,7 @@ from jaxunshear.settings.networks import PinPoseNet, PinUnshear
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.storage import Json
-from jaxunshear.training.pin_tasks import pin_unshear_task
+from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from verification.clock import seconds
 
 NETS = {
@@ -101,7 +101,7 @@ def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 
 def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     training = replace(PINS, pose_weight=0.0)
-    task = pin_unshear_task(net, training, of_ranges((), Ranges()), rest, SPREAD)
+    task = make_pin_unshear_task(net, training, of_ranges((), Ranges()), rest, SPREAD)
     step, first = step_of(task, training)
     state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}

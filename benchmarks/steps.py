@@ -7,23 +7,23 @@ import numpy as np
 
 from jaxunshear.model.weights import Variables
 from jaxunshear.settings.training import Training
-from jaxunshear.training.loop import first_state, run_once
-from jaxunshear.training.step import State, make_step, optimiser_of
+from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Batch, Task
+from jaxunshear.training.trainer import get_compile_options, make_first_state
 
 
 def variables_of(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
     """Fresh ones."""
-    return jax.jit(init, compiler_options=run_once())(jax.random.key(seed))
+    return jax.jit(init, compiler_options=get_compile_options())(jax.random.key(seed))
 
 
 def step_of(
     task: Task, training: Training
 ) -> tuple[Callable[[State, Batch], tuple[State, dict[str, jax.Array]]], State]:
     """The step, not yet compiled, and the state before the first one."""
-    optimiser = optimiser_of(training, 1000, 100)
+    optimiser = make_optimiser(training, 1000, 100)
     step = make_step(task, training, optimiser, jax.random.key(1))
-    return step, first_state(task, optimiser, jax.random.key(0))
+    return step, make_first_state(task, optimiser, jax.random.key(0))
 
 
 def dots(images: int, size: int) -> np.ndarray:

@@ -38,7 +38,7 @@ from jaxunshear.model.weights import Tree
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import Targets
-from jaxunshear.training.checkpoint import holds_model, load_best, read_net, read_slides
+from jaxunshear.training.checkpoint import has_model, load_best, read_net, read_slides
 
 __all__ = [
     "Codes",
@@ -178,7 +178,7 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
     frame = None if like is None else frame_for(Path(like), experiment)
     encoder = None
     slides: Targets = ()
-    if holds_model(folder / DISENTANGLED):
+    if has_model(folder / DISENTANGLED):
         net = read_net(folder / DISENTANGLED)
         encoder = jit_for_inference(
             lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED)

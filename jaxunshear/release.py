@@ -31,7 +31,7 @@ def release(run_dir: Path, out: Path) -> Path:
     Raises `UserError` where the run is not finished or evaluated.
     """
     from jaxunshear.inference.perception import trained
-    from jaxunshear.training.checkpoint import MODEL, holds_model, write_weights
+    from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
     from jaxunshear.training.examples import FRAME
 
     for name in ("experiment.json", "results.json"):
@@ -51,7 +51,7 @@ def release(run_dir: Path, out: Path) -> Path:
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
     needed = NEEDED if results.simulated else ()
-    names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
+    names = [name for name in PARTS if name in needed or has_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     _, variables, targets = trained(run_dir, names)

@@ -20,8 +20,8 @@ from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json, with_version
 from jaxunshear.storage import Json, read_object, write_json
-from jaxunshear.training.origin import check_origin, origin_of
-from jaxunshear.training.start import Start, data_of, start_folder
+from jaxunshear.training.data_origin import check_origin, describe_origin
+from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
 
 TEACHER_SEED = 1000  # beyond the run's own
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
@@ -144,19 +144,24 @@ def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -
 
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
-    from jaxunshear.training.checkpoint import SUMMARY, digest_of, holds_model, load_best
+    from jaxunshear.training.checkpoint import SUMMARY, compute_weights_digest, has_model, load_best
 
     if (folder / network / SUMMARY).exists():
-        if not holds_model(folder / network):
+        if not has_model(folder / network):
             raise UserError(
                 f"{folder / network} has lost its checkpoints: delete that folder, then run the same command"
             )
         check_origin(experiment, network, folder)
         return False
-    from jaxunshear.training.building import first, renamed, task_of
-    from jaxunshear.training.examples import FRAME, open_examples, stored_of
-    from jaxunshear.training.few_pairs import few_pairs, taps_of, with_alike, with_taps
-    from jaxunshear.training.loop import train
+    from jaxunshear.training.examples import FRAME, open_examples, open_recorded_set
+    from jaxunshear.training.few_pairs import (
+        add_same_pose_slides,
+        add_taps,
+        open_taps,
+        select_few_pairs,
+    )
+    from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
+    from jaxunshear.training.trainer import train
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training, examples = (
@@ -164,29 +169,29 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         open_examples(experiment, network, data, folder),
     )
     if recorded_of(experiment):
-        write_json(folder / FRAME, stored_of(experiment, data).frame)
+        write_json(folder / FRAME, open_recorded_set(experiment, data).frame)
     full = examples
     if training.paired_share < 1:
-        examples = few_pairs(full, training.paired_share, experiment.seed)
-    task, fields = task_of(experiment, network, examples, folder)
+        examples = select_few_pairs(full, training.paired_share, experiment.seed)
+    task, fields = make_task(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     beside = max(1, training.batch // 2)
     if training.tap_weight:
-        batches = with_taps(batches, taps_of(experiment, data), beside, seed)
+        batches = add_taps(batches, open_taps(experiment, data), beside, seed)
     if training.alike_weight:
-        batches = with_alike(batches, full, beside, seed)
+        batches = add_same_pose_slides(batches, full, beside, seed)
     begin = start_folder(experiment, network)
     summary = train(
         task,
         training,
-        lambda start: map(renamed, batches(start)),
-        first(examples.reader.split, training.validation_images, fields),
+        lambda start: map(rename_inputs, batches(start)),
+        take_first(examples.reader.split, training.validation_images, fields),
         seed,
         folder / network,
         epoch_images=examples.epoch,
-        origin=origin_of(experiment, network),
+        origin=describe_origin(experiment, network),
         data=data_of(experiment, network, begin),
-        start=Start(load_best(begin), digest_of(begin)) if begin else None,
+        start=InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
     )
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(

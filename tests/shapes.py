@@ -22,7 +22,7 @@ CHECKED += (
     "image.png",
     "image.preprocess",
 )
-CHECKED += ("training.losses", "training.turning", "training.drawing")
+CHECKED += ("training.losses", "training.rotation", "training.domain_randomisation")
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]
 MODULES += ["verification.hyperelastic", "verification.large_strain"]
 

@@ -27,7 +27,7 @@ from jaxunshear.settings.rules import validate
 from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
@@ -74,7 +74,7 @@ def finished(tmp_path_factory):
             POSENET,
         ),
     ):
-        variables = jax.jit(init, compiler_options=run_once())(jax.random.key(1))
+        variables = jax.jit(init, compiler_options=get_compile_options())(jax.random.key(1))
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
         settings = {
             "kind": kind,

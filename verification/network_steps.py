@@ -22,10 +22,10 @@ from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.guard import check_state, check_terms
-from jaxunshear.training.loop import first_state
-from jaxunshear.training.step import State, make_step, optimiser_of
-from jaxunshear.training.tasks import Task, posenet_task, unshear_task
+from jaxunshear.training.finite_check import check_state, check_terms
+from jaxunshear.training.step import State, make_optimiser, make_step
+from jaxunshear.training.tasks import Task, make_posenet_task, make_unshear_task
+from jaxunshear.training.trainer import make_first_state
 from verification.network_images import Batch
 from verification.stability_networks import Found
 
@@ -45,9 +45,9 @@ class Programs(NamedTuple):
 
 def task_of(net: Net, training: Training) -> Task:
     return (
-        posenet_task(net, training, TARGETS)
+        make_posenet_task(net, training, TARGETS)
         if isinstance(net, PoseNet)
-        else unshear_task(net, training)
+        else make_unshear_task(net, training)
     )
 
 
@@ -70,12 +70,12 @@ def _programs(net: Net, training: Training) -> Programs:
         state: State, batch: Batch, rate: float, weight: float
     ) -> tuple[State, dict[str, jax.Array]]:
         weighed = replace(task, weights=task.weights | {"patch": weight})
-        optimiser = optimiser_of(replace(training, learning_rate=rate), STEPS, 1)
+        optimiser = make_optimiser(replace(training, learning_rate=rate), STEPS, 1)
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
 
-    optimiser = optimiser_of(training, STEPS, 1)
+    optimiser = make_optimiser(training, STEPS, 1)
     infer_ = jax.jit(lambda variables, images: infer(net, variables, images))
-    return Programs(first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
+    return Programs(make_first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
 
 
 def walk(

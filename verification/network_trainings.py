@@ -19,7 +19,7 @@ from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.settings.registry import ENTANGLED
 from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import train as train_network
+from jaxunshear.training.trainer import train as train_network
 from verification.network_images import KINDS, Batch, as_floats, pairs, poses, spoilt, with_nan
 from verification.network_steps import (
     SAVED_EVERY,

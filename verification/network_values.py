@@ -68,14 +68,14 @@ def _losses() -> Iterator[NetworkCase]:
 def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
     """All losses of images and of poses that come out of a sigmoid, and their slopes by its logits."""
     side, target = logits.shape[1], jnp.asarray(images)
-    counts = losses.coverage(
-        losses.random_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10
+    counts = losses.count_crop_coverage(
+        losses.sample_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10
     )
     terms: dict[str, Callable[[jax.Array], jax.Array]] = {
-        "supervised": lambda x: losses.supervised(x, target),
-        "reconstruction": lambda x: losses.reconstruction(x, target),
-        "patch": lambda x: losses.patch(x, target, counts),
-        "pose": lambda x: losses.pose(
+        "supervised": lambda x: losses.compute_supervised_loss(x, target),
+        "reconstruction": lambda x: losses.compute_reconstruction_loss(x, target),
+        "patch": lambda x: losses.compute_patch_loss(x, target, counts),
+        "pose": lambda x: losses.compute_pose_loss(
             x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.list_output_weights(TARGETS)
         ),
     }

@@ -130,7 +130,7 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
             if missing
             else "several lines",
         )
-    kept = checkpoint.latest(folder)
+    kept = checkpoint.find_latest_step(folder)
     if kept is not None:
         try:
             broken = not_finite(checkpoint.load_best(folder))

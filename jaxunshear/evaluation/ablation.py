@@ -26,8 +26,8 @@ from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples
-from jaxunshear.training.origin import check_origin
 
 BATCH = 32
 FIELDS = ("canonical", "sheared")

@@ -59,8 +59,8 @@ from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
 from jaxunshear.storage import write_bytes
 from jaxunshear.training.checkpoint import check_finished
-from jaxunshear.training.examples import open_examples, stored_of
-from jaxunshear.training.origin import check_origin
+from jaxunshear.training.data_origin import check_origin
+from jaxunshear.training.examples import open_examples, open_recorded_set
 
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
@@ -172,7 +172,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
 
 def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     """On the test split of a recorded set."""
-    stored = stored_of(experiment, data_dir)
+    stored = open_recorded_set(experiment, data_dir)
     targets = stored.targets(experiment.targets)
     test = recorded.what_to_test(experiment, stored, targets, run_dir, data_dir)
     readers = readers_of(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}

@@ -37,8 +37,8 @@ from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import Examples, open_examples
-from jaxunshear.training.origin import check_origin
 
 LEAST_CEILING = 0.1  # R2 from the input: below it a quantity cannot be seen, and has no ceiling
 SEED = 0

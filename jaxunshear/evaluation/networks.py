@@ -20,7 +20,7 @@ from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED,
 from jaxunshear.settings.targets import Targets
 from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
-from jaxunshear.training.examples import Pins
+from jaxunshear.training.examples import PinLayout
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
@@ -29,7 +29,7 @@ def load(
     run_dir: Path,
     names: Sequence[str],
     taps: np.ndarray | None = None,
-    pins: Pins | None = None,
+    pins: PinLayout | None = None,
 ) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
 
@@ -85,7 +85,7 @@ def run_of(
 
 
 def pin_run_of(
-    nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: Pins
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: PinLayout
 ) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
     """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
     pins as PoseNet is to read them, where all is compared with others.

@@ -13,7 +13,7 @@ from jaxunshear.evenly import evenly
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.targets import SIMULATED, Target, Targets, of_ranges, true_values
-from jaxunshear.training.examples import Examples, stored_of
+from jaxunshear.training.examples import Examples, open_recorded_set
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
@@ -73,7 +73,7 @@ def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
     """All of a pose that the data vary."""
     if isinstance(experiment.paired, PairedData):
         return [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
-    return list(stored_of(experiment, data_dir).targets(()))
+    return list(open_recorded_set(experiment, data_dir).targets(()))
 
 
 def slides_of_batch(slides: Targets, batch: Batch) -> Known:

@@ -29,7 +29,7 @@ from jaxunshear.results.run import Results, Tables, TestData
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import POSENET, POSENETS
 from jaxunshear.settings.targets import Targets, names_of, true_values
-from jaxunshear.training.examples import pairs_of, pins_of
+from jaxunshear.training.examples import open_pairs, read_pin_layout
 
 Row = TypeVar("Row")
 KEPT = 72  # slides whose pins are found, and from which the montage is chosen
@@ -62,7 +62,7 @@ def what_to_test(
     slides = None
     if stored.count("slides", "test"):
         slides = (
-            pairs_of(experiment, stored, targets, run_dir, data_dir)
+            open_pairs(experiment, stored, targets, run_dir, data_dir)
             if paired and data_dir
             else stored.slides()
         )
@@ -75,7 +75,7 @@ def what_to_test(
 
 def networks_of(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
     """The networks of a run, for contacts of a recorded set. Raises UserError where one is missing."""
-    pins = pins_of(stored.frame) if over_pins(experiment) else None
+    pins = read_pin_layout(stored.frame) if over_pins(experiment) else None
     return load(run_dir, experiment.networks, None, pins)
 
 

@@ -29,7 +29,7 @@ from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.storage import read_object
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
-from jaxunshear.training.start import check_unseen
+from jaxunshear.training.initial_weights import check_unseen
 
 
 def score_recordings(

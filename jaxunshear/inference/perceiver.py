@@ -52,7 +52,7 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json, read_object
-from jaxunshear.training.checkpoint import holds_model
+from jaxunshear.training.checkpoint import has_model
 from jaxunshear.training.examples import FRAME
 
 AS_RECORDED, UNSHEARED, LEARNT = (
@@ -134,7 +134,7 @@ def perceiver(
     """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
     in the images that are to be read; networks over simulated pins need it. Raises UserError."""
     keep_freed_memory()
-    wanted = [name for name in NETWORKS if holds_model(model / name)]
+    wanted = [name for name in NETWORKS if has_model(model / name)]
     if not isinstance(experiment.paired, Recorded):
         wanted = [name for name in wanted if name != POSENET_SHEARED]
     if not wanted:

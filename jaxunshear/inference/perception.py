@@ -36,8 +36,8 @@ from jaxunshear.settings.registry import (
 from jaxunshear.settings.targets import Targets, names_of
 from jaxunshear.training.checkpoint import (
     check_finished,
-    digest_of,
-    holds_model,
+    compute_weights_digest,
+    has_model,
     load_best,
     read_net,
     read_targets,
@@ -68,7 +68,7 @@ Images = TypeVar("Images", np.ndarray, Array)
 def ways_of(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
     return tuple(
-        way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)
+        way for way, networks in WAYS.items() if all(has_model(model / name) for name in networks)
     )
 
 
@@ -87,7 +87,7 @@ def trained(
 
 def unshearing_of(model: Path) -> tuple[str, ...]:
     """The trained networks in a folder that unshear."""
-    return tuple(name for name in UNSHEARING if holds_model(model / name))
+    return tuple(name for name in UNSHEARING if has_model(model / name))
 
 
 def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> dict[str, Perceive]:
@@ -103,7 +103,7 @@ def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
     """Of the networks of each of `ways`; that of the true pose has none. Raises `UserError` where a network is missing."""
     parts = {way: WAYS.get(way, ()) for way in ways}
     own = {
-        name: digest_of(model / name)
+        name: compute_weights_digest(model / name)
         for name in dict.fromkeys(name for names in parts.values() for name in names)
     }
     return {way: " ".join(own[name] for name in names) for way, names in parts.items()}

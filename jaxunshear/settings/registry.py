@@ -1,6 +1,6 @@
 """The networks that an experiment can train: one table, which all that treats them apart asks.
 
-A network of another name needs an entry here, the settings that build it in `training/building.py`, and a colour in `style.py`.
+A network of another name needs an entry here, the settings that build it in `training/task_factory.py`, and a colour in `style.py`.
 """
 
 from dataclasses import dataclass

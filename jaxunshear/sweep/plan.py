@@ -18,7 +18,7 @@ from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_object
 from jaxunshear.sweep.rows import Row, training_part
 from jaxunshear.sweep.tasks import TASK, Order, Task, outcome_file, read_outcome
-from jaxunshear.training.origin import check_origin
+from jaxunshear.training.data_origin import check_origin
 
 FINISHED = "summary.json"  # of a training
 NOT_FOR_DATA = (

@@ -25,7 +25,7 @@ from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
 from jaxunshear.sweep.scores import Measured, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
-from jaxunshear.training.start import start_folder
+from jaxunshear.training.initial_weights import start_folder
 
 Thing = TypeVar("Thing")
 

@@ -175,9 +175,9 @@ def _reuse(source: Path, target: Path) -> None:
 
 def _check_checkpoints(source: Path) -> None:
     """Refuses to copy a training that is lost or damaged: its own folder is the one to delete, not that of the copy."""
-    from jaxunshear.training.checkpoint import holds_model, load_best
+    from jaxunshear.training.checkpoint import has_model, load_best
 
-    if not holds_model(source):
+    if not has_model(source):
         raise UserError(
             f"{source} has lost its checkpoints: delete that folder, then run the same command"
         )

@@ -80,14 +80,14 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def latest(folder: Path) -> int | None:
+def find_latest_step(folder: Path) -> int | None:
     """Step of the latest checkpoint in `folder`; None without one."""
     return max(_steps(folder), default=None)
 
 
-def kept(folder: Path) -> list[int]:
+def list_kept_steps(folder: Path) -> list[int]:
     """Steps of the latest checkpoint in `folder` and, where it is another, of the best. Raises UserError."""
-    step = latest(folder)
+    step = find_latest_step(folder)
     return [] if step is None else list(dict.fromkeys((step, _record(folder, step)["best_step"])))
 
 
@@ -109,9 +109,9 @@ def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     return jax.tree.unflatten(jax.tree.structure(like), leaves), record
 
 
-def holds_model(folder: Path) -> bool:
+def has_model(folder: Path) -> bool:
     """Whether `folder` holds a network that `load_best` can read."""
-    return (Path(folder) / WEIGHTS).exists() or latest(folder) is not None
+    return (Path(folder) / WEIGHTS).exists() or find_latest_step(folder) is not None
 
 
 def check_finished(folder: Path) -> None:
@@ -135,7 +135,7 @@ def load_best(folder: Path) -> Json:
     """Variables (averaged weights and statistics) of the best checkpoint by validation loss, or those released. Raises UserError."""
     if (Path(folder) / WEIGHTS).exists():
         return _tree(_read_weights(Path(folder) / WEIGHTS))
-    step = latest(folder)
+    step = find_latest_step(folder)
     if step is None:
         raise UserError(
             f"{folder} holds no trained model (no checkpoints): train first, or name another folder"
@@ -149,7 +149,7 @@ def load_best(folder: Path) -> Json:
     return _tree(kept)
 
 
-def digest_of(folder: Path) -> str:
+def compute_weights_digest(folder: Path) -> str:
     """Of the variables that `load_best` gives: equal ones have equal digests. Raises UserError."""
     return _digest(list_leaves(load_best(folder)))
 

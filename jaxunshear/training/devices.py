@@ -43,7 +43,7 @@ class Devices(NamedTuple):
         }
 
 
-def devices_for(batch: int) -> Devices:
+def get_devices(batch: int) -> Devices:
     """Those that the environment asks for. Raises UserError where there are fewer, or where `batch` cannot be split over them."""
     there = jax.devices()
     count = devices_asked() or len(there)

@@ -38,7 +38,7 @@ READ_AT_ONCE = 128
 FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preprocessing.Frame`
 
 
-class Pins(NamedTuple):
+class PinLayout(NamedTuple):
     """What networks over pins must know of a sensor's images."""
 
     rest: np.ndarray  # (P, 2) px: the mean place over training taps
@@ -49,7 +49,7 @@ class Pins(NamedTuple):
 class Examples(NamedTuple):
     reader: Reader
     targets: Targets
-    pins: Pins
+    pins: PinLayout
     epoch: int  # examples that count as one epoch: where few slides are labelled, as many as if all were
     taps: Reader | None = None  # recorded ones with labels, where there are any
     slides: Targets = ()  # what the data vary of slides
@@ -58,25 +58,29 @@ class Examples(NamedTuple):
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
     """Raises UserError where the data set, or the renderer that its pairs take, is missing or damaged."""
     if recorded_of(experiment) is None:
-        return _simulated(experiment, network, data_dir)
-    stored = stored_of(experiment, data_dir)
+        return _open_simulated_examples(experiment, network, data_dir)
+    stored = open_recorded_set(experiment, data_dir)
     targets = stored.targets(experiment.targets)
     epoch = stored.count("slides", "train")
     if network in OF_TAPS:
         reader, epoch = stored.taps(), stored.count("taps", "train")
     elif network == POSENET_SHEARED:
-        reader = stored.slides(_drag(experiment, stored, data_dir), not over_pins(experiment))
+        reader = stored.slides(
+            _make_slide_simulator(experiment, stored, data_dir), not over_pins(experiment)
+        )
         if stored.settings.direct_taps == "recorded":
             epoch += stored.count("taps", "train")
     else:
-        reader = pairs_of(experiment, stored, targets, run_dir, data_dir)
+        reader = open_pairs(experiment, stored, targets, run_dir, data_dir)
     if stored.settings.pairing == "simulated":
         epoch = stored.count("taps", "train")
     taps = stored.taps() if stored.count("taps", "train") else None
-    return Examples(reader, targets, pins_of(stored.frame), epoch, taps, stored.slide_targets())
+    return Examples(
+        reader, targets, read_pin_layout(stored.frame), epoch, taps, stored.slide_targets()
+    )
 
 
-def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
+def open_recorded_set(experiment: Experiment, data_dir: Path) -> RecordedSet:
     """The recorded set of an experiment. Raises UserError."""
     recorded = recorded_of(experiment)
     if recorded is None:
@@ -84,14 +88,14 @@ def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
     return open_recorded(recorded, experiment.sensor, data_dir, experiment.seed)
 
 
-def pairs_of(
+def open_pairs(
     experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path
 ) -> Reader:
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
     its posenet_sheared where the settings ask for that."""
     settings = stored.settings
     render = _render(run_dir / RENDERER) if settings.pairing in RENDERED else None
-    drag = _drag(experiment, stored, data_dir)
+    drag = _make_slide_simulator(experiment, stored, data_dir)
     read = (
         _read(run_dir / POSENET_SHEARED, over_pins(experiment))
         if settings.unlabelled == "read"
@@ -100,37 +104,39 @@ def pairs_of(
     return stored.pairs(targets, render, not over_pins(experiment), read, drag)
 
 
-def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> SlideSimulator | None:
+def _make_slide_simulator(
+    experiment: Experiment, stored: RecordedSet, data_dir: Path
+) -> SlideSimulator | None:
     if stored.settings.pairing != "simulated":
         return None
-    from jaxunshear.training.dragged import drag_of
+    from jaxunshear.training.simulated_slides import make_slide_simulator
 
-    return drag_of(stored, experiment.sensor, data_dir)
+    return make_slide_simulator(stored, experiment.sensor, data_dir)
 
 
-def pins_of(frame: Json) -> Pins:
-    return Pins(
+def read_pin_layout(frame: Json) -> PinLayout:
+    return PinLayout(
         np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"])
     )
 
 
-def all_trained(reader: Reader, *fields: str) -> Batch:
+def read_all_training(reader: Reader, *fields: str) -> Batch:
     """All training examples, in their order."""
     return reader.take("train", np.arange(reader.length("train")), fields)
 
 
-def spread_of(reader: Reader, field: str, rest: np.ndarray) -> float:
+def measure_pin_spread(reader: Reader, field: str, rest: np.ndarray) -> float:
     """Root mean square px by which the pins of training examples have moved."""
-    pins = all_trained(reader, field)[field]
+    pins = read_all_training(reader, field)[field]
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
 
 
 def _mean_place(reader: Reader, field: str) -> np.ndarray:
     """(P, 2) px: where pins stand in the mean of training taps, as of recordings, whose untouched pins nobody recorded."""
-    return all_trained(reader, field)[field].mean(axis=0, dtype=np.float64)
+    return read_all_training(reader, field)[field].mean(axis=0, dtype=np.float64)
 
 
-def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples:
+def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Path) -> Examples:
     settings = learnt_from(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
     reader = open_simulated(settings, experiment.sensor, data_dir)
@@ -142,7 +148,7 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
     targets = of_ranges(experiment.targets, settings.ranges)
     slides = felt_of(settings.ranges) if isinstance(settings, PairedData) else ()
     return Examples(
-        reader, targets, Pins(rest, radius, size), reader.length("train"), slides=slides
+        reader, targets, PinLayout(rest, radius, size), reader.length("train"), slides=slides
     )
 
 
@@ -154,7 +160,7 @@ def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Pa
 
 def _render(folder: Path) -> TapRenderer:
     """The trained renderer in `folder` as a function of poses (N, 6). Raises UserError."""
-    net, variables, targets = _trained(folder, "pairs that are rendered")
+    net, variables, targets = _load_trained(folder, "pairs that are rendered")
     run = jax.jit(partial(pin_networks.render_pins, net, variables))
 
     def render(poses: np.ndarray) -> np.ndarray:
@@ -168,7 +174,7 @@ def _render(folder: Path) -> TapRenderer:
 def _read(folder: Path, pins: bool) -> PoseEstimator:
     """The trained PoseNet in `folder`, over pins or images, as a function of both: poses (N, 6), 0 in columns that it does not know.
     Raises UserError."""
-    net, variables, targets = _trained(folder, "slides without labels that are read")
+    net, variables, targets = _load_trained(folder, "slides without labels that are read")
     predict = partial((pin_networks if pins else posenet).predict, net, variables)
     run = jax.jit(lambda seen: posenet.unscale_outputs(predict(seen), targets))
 
@@ -183,7 +189,7 @@ def _read(folder: Path, pins: bool) -> PoseEstimator:
     return read
 
 
-def _trained(folder: Path, what: str) -> tuple[Net, Variables, Targets]:
+def _load_trained(folder: Path, what: str) -> tuple[Net, Variables, Targets]:
     """Settings, variables and targets of a trained network. Raises UserError: `what` needs it."""
     if not (folder / SUMMARY).exists():
         raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")

@@ -1,7 +1,7 @@
 """The paper's losses (section 3.3) as named terms per example; `step.py` weighs and adds them.
 
-One sum gives every module the gradient the paper lists for it: E sees all terms, DC `supervised` and `patch`, DS
-`reconstruction`, since no other path leads from a term to a module.
+One sum gives every module the gradient the paper lists for it: E sees all terms, DC `compute_supervised_loss` and `compute_patch_loss`, DS
+`compute_reconstruction_loss`, since no other path leads from a term to a module.
 """
 
 import jax
@@ -12,21 +12,21 @@ from jaxtyping import Float, Int
 from jaxunshear.model.weights import Variables, list_leaves
 
 
-def supervised(
+def compute_supervised_loss(
     canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
 ) -> Float[Array, "B"]:
     """L_sup: mean squared difference of images in [0, 1]."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
 
 
-def reconstruction(
+def compute_reconstruction_loss(
     sheared: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
 ) -> Float[Array, "B"]:
     """L_rec: the same, of the sheared image."""
-    return supervised(sheared, target)
+    return compute_supervised_loss(sheared, target)
 
 
-def patch(
+def compute_patch_loss(
     canonical: Float[Array, "B S S 1"],
     target: Float[Array, "B S S 1"],
     counts: Float[Array, "B S S"],
@@ -36,7 +36,7 @@ def patch(
     return jnp.sum(counts * difference, (1, 2)) / jnp.sum(counts, (1, 2))
 
 
-def coverage(
+def count_crop_coverage(
     corners: Int[Array, "B crops 2"], size: int, side: int
 ) -> Float[Array, "B {size} {size}"]:
     """How many crops of `side` pixels cover each pixel, by the crops' corners (row, column).
@@ -52,53 +52,53 @@ def coverage(
     return jnp.einsum("bkr,bkc->brc", rows, columns, precision="highest")
 
 
-def random_corners(
+def sample_corners(
     key: Array, images: int, crops: int, size: int, side: int
 ) -> Int[Array, "{images} {crops} 2"]:
     """Uniform upper left corners of crops that lie in the image."""
     return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
 
 
-def pose(
+def compute_pose_loss(
     outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
 ) -> Float[Array, "B"]:
     """PoseNet's L2 loss: weighted mean squared difference of outputs and targets."""
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
-def absolute_pose(
+def compute_absolute_pose_loss(
     outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
 ) -> Float[Array, "B"]:
     """The same with absolute differences, which a few contacts that are hard to read bend less: of networks over pins."""
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
-def slide(z_s: Float[Array, "B G"], wanted: Float[Array, "B K"]) -> Float[Array, "B"]:
+def compute_slide_loss(z_s: Float[Array, "B G"], target: Float[Array, "B K"]) -> Float[Array, "B"]:
     """Mean squared difference of the first numbers of z_s and the slide, from -1 to 1 over its range; 0 where it is NaN: not known."""
-    known = jnp.isfinite(wanted)
-    off = jnp.where(known, z_s[:, : wanted.shape[1]] - jnp.where(known, wanted, 0), 0)
+    known = jnp.isfinite(target)
+    off = jnp.where(known, z_s[:, : target.shape[1]] - jnp.where(known, target, 0), 0)
     return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
 
 
-def regularisation(
+def compute_regularisation(
     params: Variables, l1: float, l2: float, kernels: str = "sum"
 ) -> Float[Array, ""]:
     """l1 sum |w| + l2 sum w^2 over each kernel (no biases, no normalisation), or their "mean"; added up over all of
     them. A weight of zero computes nothing."""
     over = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
     total = jnp.zeros(())
-    for kernel in kernels_of(params).values():
+    for kernel in list_kernels(params).values():
         total += l1 * over(jnp.abs(kernel)) if l1 else 0.0
         total += l2 * over(kernel**2) if l2 else 0.0
     return total
 
 
-def kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
+def measure_kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
     """The root of the mean square of each kernel's weights, by its dotted name: 0.02 in fresh networks."""
-    return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in kernels_of(params).items()}
+    return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in list_kernels(params).items()}
 
 
-def kernels_of(params: Variables) -> dict[str, Array]:
+def list_kernels(params: Variables) -> dict[str, Array]:
     """The kernels of convolution and dense layers, by dotted name."""
     leaves = list_leaves(params)
     return {

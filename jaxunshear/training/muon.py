@@ -21,7 +21,7 @@ ITERATIONS = 5
 MOMENTUM = 0.95
 # of an update at learning rate 1, near Adam's, so that both take the same rates (Liu et al. 2025, section 2.2)
 RMS = 0.2
-READ_OUT = 8  # kernels with fewer outputs
+MAX_READOUT_WIDTH = 8  # kernels with fewer outputs
 
 
 def muon(
@@ -38,13 +38,13 @@ def muon(
     )
 
 
-def orthogonal(x: Array) -> Array:
+def orthogonalise(x: Array) -> Array:
     """Newton-Schulz: U f(S) V' of x = U S V' (m, n), where f brings all but tiny singular values near one.
 
     An iteration maps x to x P with a polynomial P of x'x, so the iterations run on (n, n) alone and x is multiplied once.
     """
     if x.shape[0] < x.shape[1]:
-        return orthogonal(x.T).T
+        return orthogonalise(x.T).T
     x = x / (jnp.linalg.norm(x) + 1e-8)
     gram = _product(x.T, x)
     factors = jnp.eye(len(gram), dtype=x.dtype)
@@ -60,12 +60,14 @@ def orthogonal(x: Array) -> Array:
 def _kernel_update(kernel: Array) -> Array:
     """Of a convolution (k, k, C, N) or a dense layer (C, N): the rows are all that an output reads."""
     matrix = kernel.reshape(-1, kernel.shape[-1])
-    return RMS * max(matrix.shape) ** 0.5 * orthogonal(matrix).reshape(kernel.shape)
+    return RMS * max(matrix.shape) ** 0.5 * orthogonalise(matrix).reshape(kernel.shape)
 
 
 def _labels(params: Variables) -> Variables:
     def label(path: tuple, leaf: Array) -> str:
-        inner = path[-1].key == "kernel" and leaf.shape[-2] > 1 and leaf.shape[-1] >= READ_OUT
+        inner = (
+            path[-1].key == "kernel" and leaf.shape[-2] > 1 and leaf.shape[-1] >= MAX_READOUT_WIDTH
+        )
         return "muon" if inner else "adam"
 
     return jax.tree_util.tree_map_with_path(label, params)

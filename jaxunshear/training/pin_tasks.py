@@ -20,21 +20,21 @@ from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+from jaxunshear.training.rotation import ANGLES, Rotations, rotate_outputs, rotate_pins
 from jaxunshear.training.tasks import (
     Batch,
     Task,
     Tree,
-    code_terms,
-    pose_error_terms,
-    supervise,
-    watcher,
-    weighed,
-    weights_of,
+    compute_code_terms,
+    compute_pose_error_terms,
+    list_loss_weights,
+    make_pose_supervision,
+    supervise_both_slides,
+    weight_terms,
 )
-from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
-def pin_unshear_task(
+def make_pin_unshear_task(
     net: PinUnshear,
     training: Training,
     targets: Targets,
@@ -51,15 +51,15 @@ def pin_unshear_task(
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
     the partner. Raises UserError where it is lacking. `slides` are what z_s is taught of the slide, and need their fields in the batches.
     """
-    watch = watcher(training, teacher, targets, losses.absolute_pose)
+    watch = make_pose_supervision(training, teacher, targets, losses.compute_absolute_pose_loss)
 
     def named_of(variables: Tree, batch: Batch, found: Reconstruction) -> dict[str, Array]:
         off = partial(pin_networks.compute_pin_distance, variables=variables)
-        named = {"supervised": supervise(found, batch["canonical_pins"], off)}
+        named = {"supervised": supervise_both_slides(found, batch["canonical_pins"], off)}
         if watch:
             named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
-        return weighed(
-            named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
+        return weight_terms(
+            named | compute_code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
         )
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Reconstruction:
@@ -100,23 +100,23 @@ def pin_unshear_task(
         targets,
         init,
         terms,
-        weights_of(training),
+        list_loss_weights(training),
         validate,
         "supervised",
         slides,
     )
 
 
-def pin_posenet_task(
+def make_pin_posenet_task(
     net: PinPoseNet,
     training: Training,
     targets: Targets,
     rest: ArrayLike,
     spread: float,
-    turns: Turns | None = None,
+    rotations: Rotations | None = None,
     render: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `turns` are needed for `net.turned` alone.
+    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `rotations` are needed for `net.turned` alone.
 
     `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from recorded taps: then as many rendered taps, at poses
     drawn anew, teach as recorded contacts. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
@@ -126,29 +126,33 @@ def pin_posenet_task(
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         pins = pin_networks.add_noise(net, batch["pins"], key)
         wanted, angle = posenet.scale_poses(batch, targets), jnp.zeros(())
-        if turns is not None:
+        if rotations is not None:
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
             pins, wanted, angle = (
-                turned(turns, k, pins),
-                turned_outputs(turns, k, wanted, targets),
-                turns.radians[k],
+                rotate_pins(rotations, k, pins),
+                rotate_outputs(rotations, k, wanted, targets),
+                rotations.radians[k],
             )
-        loss = losses.absolute_pose(
+        loss = losses.compute_absolute_pose_loss(
             pin_networks.predict(net, variables, pins, angle), wanted, weights
         )
-        named = weighed({"pose": loss}, batch)
+        named = weight_terms({"pose": loss}, batch)
         if render is not None:
             drawn = posenet.sample_outputs(targets, len(pins), jax.random.fold_in(key, 3))
             rendered = pin_networks.add_noise(net, render(drawn), jax.random.fold_in(key, 4))
-            named["rendered"] = losses.absolute_pose(
+            named["rendered"] = losses.compute_absolute_pose_loss(
                 pin_networks.predict(net, variables, rendered), drawn, weights
             )
         return named, variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = pin_networks.predict(net, variables, batch["pins"])
-        loss = losses.absolute_pose(outputs, posenet.scale_poses(batch, targets), weights)
-        return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
+        loss = losses.compute_absolute_pose_loss(
+            outputs, posenet.scale_poses(batch, targets), weights
+        )
+        return weight_terms(
+            {"pose": loss} | compute_pose_error_terms(outputs, batch, targets), batch
+        )
 
     init = partial(pin_networks.init, net, rest, spread, outputs=posenet.count_outputs(targets))
     return Task(
@@ -156,7 +160,7 @@ def pin_posenet_task(
     )
 
 
-def renderer_task(
+def make_renderer_task(
     net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float
 ) -> Task:
     """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
@@ -166,7 +170,7 @@ def renderer_task(
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         drawn = pin_networks.render_pins(net, variables, posenet.scale_poses(batch, targets))
-        return weighed(
+        return weight_terms(
             {"pins": pin_networks.compute_pin_distance(drawn, batch["pins"], variables)}, batch
         )
 

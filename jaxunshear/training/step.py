@@ -28,7 +28,7 @@ class State(NamedTuple):
     ]  # moving averages of both: the variables that are validated, kept and used
 
 
-def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
+def make_schedule(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
     """Step -> learning rate. Raises UserError for an unknown schedule."""
     first = training.learning_rate
     if training.schedule == "cosine":
@@ -42,7 +42,7 @@ def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> opt
     )
 
 
-def optimiser_of(
+def make_optimiser(
     training: Training, steps: int, steps_per_epoch: float
 ) -> optax.GradientTransformation:
     """Adam or Muon with the schedule of `training`. Raises UserError for another name."""
@@ -50,11 +50,11 @@ def optimiser_of(
     if training.optimiser not in kinds:
         raise UserError(f'optimiser: "{training.optimiser}" is unknown; use "adam" or "muon"')
     return kinds[training.optimiser](
-        learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2
+        make_schedule(training, steps, steps_per_epoch), training.beta1, training.beta2
     )
 
 
-def fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
+def init_state(variables: Tree, optimiser: optax.GradientTransformation) -> State:
     """The state before the first step."""
     params, batch_stats = variables["params"], variables["batch_stats"]
     average = {"params": params, "batch_stats": batch_stats}
@@ -73,7 +73,7 @@ def make_step(
             {"params": params, "batch_stats": batch_stats}, batch, step_key
         )
         metrics = {name: jnp.mean(values) for name, values in terms.items()}
-        kernels = losses.regularisation(params, training.l1, training.l2, training.kernels)
+        kernels = losses.compute_regularisation(params, training.l1, training.l2, training.kernels)
         total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
         return total, (metrics | {"regularisation": kernels}, batch_stats)
 

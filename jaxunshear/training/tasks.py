@@ -38,10 +38,10 @@ class Task:
     weights: dict[str, float]
     validate: Callable[[Tree, Batch], dict[str, Array]]
     rank: str  # the validation term that the best model is chosen by
-    slides: Targets = ()  # what z_s is taught of the slide
+    slide_targets: Targets = ()  # what z_s is taught of the slide
 
 
-def unshear_task(
+def make_unshear_task(
     net: networks.UnshearNet | networks.UNet,
     training: Training,
     teacher: Callable[[Array], Array] | None = None,
@@ -58,12 +58,14 @@ def unshear_task(
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     _check_crops(net, training)
-    watch = watcher(training, teacher, targets, losses.pose)
+    watch = make_pose_supervision(training, teacher, targets, losses.compute_pose_loss)
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: ModuleType = unet if kind == "unet" else unshearnet
     module.check(net)
-    decoded = partial(_decoded, net, training)
-    of_codes = partial(code_terms, fields=("sheared", SWAPPED_IMAGE), off=_off_image, slides=slides)
+    decoded = partial(_decode, net, training)
+    of_codes = partial(
+        compute_code_terms, fields=("sheared", SWAPPED_IMAGE), distance=_off_image, slides=slides
+    )
     init = partial(module.init, net)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
@@ -71,17 +73,17 @@ def unshear_task(
         canonical = batch["canonical"]
         found, batch_stats = decoded(variables, batch)
         image = jax.nn.sigmoid(found.canonical)
-        named = {"supervised": supervise(found, canonical, _off_image)}
+        named = {"supervised": supervise_both_slides(found, canonical, _off_image)}
         if training.patch_weight:
-            corners = losses.random_corners(
+            corners = losses.sample_corners(
                 key, len(image), training.crops, net.size, training.crop_px
             )
-            named["patch"] = losses.patch(
-                image, canonical, losses.coverage(corners, net.size, training.crop_px)
+            named["patch"] = losses.compute_patch_loss(
+                image, canonical, losses.count_crop_coverage(corners, net.size, training.crop_px)
             )
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        return weighed(named | of_codes(found, batch=batch), batch), batch_stats
+        return weight_terms(named | of_codes(found, batch=batch), batch), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         batch = _as_floats(batch)
@@ -99,14 +101,16 @@ def unshear_task(
             image, named = jax.nn.sigmoid(found.canonical), of_codes(found, batch=batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
+        return weight_terms(
+            {"supervised": losses.compute_supervised_loss(image, canonical)} | named, batch
+        )
 
     return Task(
-        kind, net, targets, init, terms, weights_of(training), validate, "supervised", slides
+        kind, net, targets, init, terms, list_loss_weights(training), validate, "supervised", slides
     )
 
 
-def _decoded(
+def _decode(
     net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, batch: Batch
 ) -> tuple[Reconstruction, Tree]:
     if isinstance(net, networks.UNet):
@@ -121,44 +125,46 @@ def _decoded(
     return unshearnet.reconstruct(net, variables, batch["sheared"], alike, other)
 
 
-def supervise(
-    found: Reconstruction, canonical: Array, off: Callable[[Array, Array], Array]
+def supervise_both_slides(
+    found: Reconstruction, canonical: Array, distance: Callable[[Array, Array], Array]
 ) -> Array:
     """Return L_sup (B,) of the slide, averaged with its partner's where codes of one pose should agree.
 
-    `off` is the distance of what DC reconstructs from the tap (B,).
+    `distance` is the distance of what DC reconstructs from the tap (B,).
     """
-    own = off(found.canonical, canonical)
-    return own if found.same_pose is None else 0.5 * (own + off(found.same_pose, canonical))
+    own = distance(found.canonical, canonical)
+    return own if found.same_pose is None else 0.5 * (own + distance(found.same_pose, canonical))
 
 
-def code_terms(
+def compute_code_terms(
     found: Reconstruction,
     fields: tuple[str, str],
-    off: Callable[[Array, Array], Array],
+    distance: Callable[[Array, Array], Array],
     batch: Batch,
     slides: Targets,
 ) -> dict[str, Array]:
     """What DS makes of codes, and what these should be, (B,) each. `fields` of a batch: the slide, and what exchanged codes should draw;
-    `off`: how far what DS draws lies from such a field (B,)."""
+    `distance`: how far what DS draws lies from such a field (B,)."""
     named = {}
     if found.sheared is not None:
-        named["reconstruction"] = off(found.sheared, batch[fields[0]])
+        named["reconstruction"] = distance(found.sheared, batch[fields[0]])
     if found.counterfactual is not None:
-        named["swap"] = off(found.counterfactual, batch[fields[1]])
+        named["swap"] = distance(found.counterfactual, batch[fields[1]])
     if found.disagreement is not None:
         named["agreement"] = found.disagreement
     if slides and found.z_s is not None:
         wanted = 2 * posenet.scale_poses(batch, slides) - 1
-        named["slide"] = losses.slide(found.z_s.reshape(found.z_s.shape[0], -1), wanted)
+        named["slide"] = losses.compute_slide_loss(
+            found.z_s.reshape(found.z_s.shape[0], -1), wanted
+        )
     return named
 
 
 def _off_image(logits: Array, wanted: Array) -> Array:
-    return losses.reconstruction(jax.nn.sigmoid(logits), wanted)
+    return losses.compute_reconstruction_loss(jax.nn.sigmoid(logits), wanted)
 
 
-def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
+def make_posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
     """Of PoseNet; batches {"image"} uint8 (B, S, S, 1) and the fields of the `targets`, float32. Raises UserError without targets."""
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
@@ -168,20 +174,20 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
         images = _unit(batch["image"])
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         return {
-            "pose": losses.pose(outputs, posenet.scale_poses(batch, targets), weights)
+            "pose": losses.compute_pose_loss(outputs, posenet.scale_poses(batch, targets), weights)
         }, batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
-        loss = losses.pose(outputs, posenet.scale_poses(batch, targets), weights)
-        return {"pose": loss} | pose_error_terms(outputs, batch, targets)
+        loss = losses.compute_pose_loss(outputs, posenet.scale_poses(batch, targets), weights)
+        return {"pose": loss} | compute_pose_error_terms(outputs, batch, targets)
 
     posenet.check_net(net)
     init = partial(posenet.init, net, posenet.count_outputs(targets))
     return Task("posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
 
 
-def weights_of(training: Training) -> dict[str, float]:
+def list_loss_weights(training: Training) -> dict[str, float]:
     """Of the terms of all networks that unshear."""
     return {
         "supervised": 1.0,
@@ -207,7 +213,7 @@ def _check_crops(net: networks.UnshearNet | networks.UNet, training: Training) -
         )
 
 
-def watcher(
+def make_pose_supervision(
     training: Training,
     teacher: Callable[[Array], Array] | None,
     targets: Targets,
@@ -236,7 +242,7 @@ def watcher(
     return watched
 
 
-def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
+def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.unscale_outputs(outputs, targets), true_values(targets, batch)
     apart = {name: true[name] - got[name] for name in got}
@@ -246,7 +252,7 @@ def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str
     }
 
 
-def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
+def weight_terms(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
     """Terms (B,) times what each example counts: its weight, and nothing where its pins are not sure; where the batch says so."""
     for field in ("weight", "sure"):
         if field in batch:

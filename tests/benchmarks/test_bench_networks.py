@@ -14,8 +14,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
-from jaxunshear.training.losses import regularisation
-from jaxunshear.training.tasks import unshear_task
+from jaxunshear.training.losses import compute_regularisation
+from jaxunshear.training.tasks import make_unshear_task
 
 POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)
 SMALL = UnshearNet(size=32, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
@@ -127,21 +127,23 @@ def test_the_twin_computes_the_same(net):
     )
 
     training = Training(patch_weight=0.0, l1=1e-4, l2=1e-3, reconstruction_weight=0.5)
-    task = unshear_task(net, training)
+    task = make_unshear_task(net, training)
 
     def loss(params):
         full = {"params": params, "batch_stats": variables["batch_stats"]}
         terms, _ = task.terms(full, {"canonical": canonical, "sheared": sheared}, jax.random.key(0))
-        return sum(task.weights[k] * jnp.mean(v) for k, v in terms.items()) + regularisation(
-            params, 1e-4, 1e-3
-        )
+        return sum(
+            task.weights[k] * jnp.mean(v) for k, v in terms.items()
+        ) + compute_regularisation(params, 1e-4, 1e-3)
 
     value, slopes = jax.value_and_grad(loss)(variables["params"])
     twin.train()
     with torch.no_grad():
         means = torch_twin.losses(twin, dataclasses.replace(training, kernels="mean"), *theirs)
     params = variables["params"]
-    heavier = regularisation(params, 1e-4, 1e-3) - regularisation(params, 1e-4, 1e-3, "mean")
+    heavier = compute_regularisation(params, 1e-4, 1e-3) - compute_regularisation(
+        params, 1e-4, 1e-3, "mean"
+    )
     assert float(means) == pytest.approx(float(value - heavier), rel=1e-4)
     found = torch_twin.losses(twin, training, *theirs)
     found.backward()

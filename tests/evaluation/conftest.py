@@ -12,7 +12,7 @@ from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 
 @pytest.fixture(scope="session")
@@ -34,7 +34,7 @@ def trained(tmp_path_factory):
         "posenet_sheared": ("posenet", partial(posenet.init, outputs=5), pose_net),
     }
     for name, (kind, init, settings) in nets.items():
-        variables = jax.jit(partial(init, settings), compiler_options=run_once())(
+        variables = jax.jit(partial(init, settings), compiler_options=get_compile_options())(
             key=jax.random.key(0)
         )
         variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {

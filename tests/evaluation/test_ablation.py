@@ -15,9 +15,9 @@ from jaxunshear.model import unshearnet
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.training.checkpoint import save, write_settings, write_weights
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
-init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
+init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 
 

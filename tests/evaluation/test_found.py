@@ -20,7 +20,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import of_ranges
-from jaxunshear.training.examples import Pins
+from jaxunshear.training.examples import PinLayout
 from tests.report.conftest import made_up_gathered
 
 SETTINGS = PairedData()
@@ -92,7 +92,7 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
         for name, net in nets.items()
     }
     run = partial(
-        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.rest, 1.6, SIZE))),
+        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), PinLayout(LATTICE.rest, 1.6, SIZE))),
         variables,
     )
     tap = LATTICE.rest[None].astype(np.float32)

@@ -15,13 +15,13 @@ from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS, NETWORKS
 from jaxunshear.settings.targets import names_of, of_ranges
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
 TARGETS = of_ranges((), Ranges())
 QUANTITIES = names_of(TARGETS)
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
-init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
+init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
 swapped = jax.jit(draw_cells, static_argnums=0)
 
 

@@ -19,7 +19,7 @@ from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import examples
-from jaxunshear.training.origin import origin_of
+from jaxunshear.training.data_origin import describe_origin
 
 SIZE, COUNT = 32, 6
 STAGE = importlib.import_module("jaxunshear.evaluation.evaluate")  # the module, not its function
@@ -98,7 +98,7 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
     folder = shutil.copytree(trained, tmp_path / "run")
     for network in ALL_NETWORKS:
         path = folder / network / "model.json"
-        write_json(path, read_json(path) | {"origin": origin_of(experiment, network)})
+        write_json(path, read_json(path) | {"origin": describe_origin(experiment, network)})
     return folder
 
 

@@ -14,7 +14,7 @@ from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.training.checkpoint import digest_of
+from jaxunshear.training.checkpoint import compute_weights_digest
 from tests.faults.corruption import bits
 from tests.faults.outcome import digest
 from tests.faults.places import PINS, RECORDED, ROOT, TINY, Places
@@ -49,7 +49,7 @@ def jobs(places: Places) -> dict[str, Job]:
         shutil.copytree(run, work / "other")
 
     def trained(work: Path) -> object:
-        return digest_of(work / "tiny" / "posenet")
+        return compute_weights_digest(work / "tiny" / "posenet")
 
     def scored(name: str) -> Callable[[Path], object]:
         return lambda work: reproducible(read(work / name / "results.json", Results, "again"))

@@ -170,12 +170,12 @@ def collect_run(folder: Path, data: Path) -> dict[str, Any]:
 
 def _collect_batch(experiment: Any, network: str, data: Path, folder: Path) -> dict[str, Any]:
     from jaxunshear.settings.experiment import training_of
-    from jaxunshear.training.building import task_of
     from jaxunshear.training.examples import open_examples
+    from jaxunshear.training.task_factory import make_task
 
     training = training_of(experiment, network)
     examples = open_examples(experiment, network, data, folder)
-    _, fields = task_of(experiment, network, examples, folder)
+    _, fields = make_task(experiment, network, examples, folder)
     read = examples.reader.train_batches
     batch = next(iter(read(training.batch, experiment.seed, training.shift, fields)(0)))
     return {_to_words(FIELDS, name): summarise([values]) for name, values in batch.items()}

@@ -25,7 +25,7 @@ from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
@@ -44,7 +44,7 @@ EXPERIMENT = Experiment(
 
 def init(module, net, seed):
     shape = (posenet.count_outputs(TARGETS),) if module is posenet else ()
-    fresh = jax.jit(partial(module.init, net, *shape), compiler_options=run_once())
+    fresh = jax.jit(partial(module.init, net, *shape), compiler_options=get_compile_options())
     return fresh(jax.random.key(seed))
 
 

@@ -25,7 +25,7 @@ from jaxunshear.settings.registry import UNSHEARING
 from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
 POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
@@ -44,9 +44,9 @@ def kept(folder, kind, net, variables, targets):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    make = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
+    make = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
     kept(folder / "disentangled", "unshear", NET, make(NET, jax.random.key(0)), ())
-    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=get_compile_options())
     kept(folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS)
     return folder
 

@@ -10,7 +10,7 @@ from jaxunshear.model import posenet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet
 from jaxunshear.settings.targets import of_ranges
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 NET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
 TARGETS = of_ranges((), Ranges())
@@ -57,7 +57,7 @@ def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, 
     "net", [NET, pytest.param(PoseNet(), marks=pytest.mark.long)], ids=["small", "demo"]
 )
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
-    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=get_compile_options())
     variables = init(net, posenet.count_outputs(TARGETS), jax.random.key(0))
     images = jax.random.uniform(jax.random.key(1), (3, net.size, net.size, 1))
     predict = jax.jit(lambda v, x: posenet.predict(net, v, x))

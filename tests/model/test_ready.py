@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)
 POSE = PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8)
@@ -33,7 +33,9 @@ def predict(variables, images):
     ids=["unshear", "posenet"],
 )
 def test_ready_networks_answer_alike_and_take_images_alone(run, init, net):
-    variables = jax.jit(init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
+    variables = jax.jit(init, static_argnums=0, compiler_options=get_compile_options())(
+        net, jax.random.key(0)
+    )
     images = np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
     prepared, plain = jit_for_inference(run, variables), jax.jit(run)
     np.testing.assert_allclose(prepared(images), plain(variables, images), rtol=1e-5, atol=1e-6)

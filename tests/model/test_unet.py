@@ -11,10 +11,10 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.model import unet, unshearnet
 from jaxunshear.settings.networks import UNet, UnshearNet
-from jaxunshear.training.loop import run_once
+from jaxunshear.training.trainer import get_compile_options
 
 NET = UNet(size=32, widths=(4, 6, 8))
-init = jax.jit(unet.init, static_argnums=0, compiler_options=run_once())
+init = jax.jit(unet.init, static_argnums=0, compiler_options=get_compile_options())
 
 
 def images(count=3, size=32):

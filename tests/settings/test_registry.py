@@ -19,7 +19,7 @@ from jaxunshear.settings.registry import (
     Network,
 )
 from jaxunshear.style import COLOURS
-from jaxunshear.training.building import unshear_net
+from jaxunshear.training.task_factory import make_unshear_net
 
 PACKAGE = Path(jaxunshear.__file__).parent
 ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # `training.checkpoint.NETS`
@@ -34,7 +34,7 @@ def test_every_network_is_in_the_table():
 
 
 def test_those_that_unshear_are_built_and_titled():
-    assert len({unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(
+    assert len({make_unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(
         UNSHEARING
     )
     assert all(

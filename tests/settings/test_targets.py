@@ -28,7 +28,7 @@ from jaxunshear.settings.targets import (
     to_json,
     true_values,
 )
-from jaxunshear.training.tasks import pose_error_terms
+from jaxunshear.training.tasks import compute_pose_error_terms
 
 USUAL = of_ranges((), Ranges())
 SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_mm")
@@ -298,7 +298,7 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     )
     outputs, batch = posenet.scale_poses({"pose": answers}, targets), {"pose": labels}
     np.testing.assert_allclose(
-        pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3
+        compute_pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3
     )
     read = {
         name: np.asarray(value) for name, value in posenet.unscale_outputs(outputs, targets).items()
@@ -316,9 +316,9 @@ def test_errors_of_lengths_do_not_wrap():
     outputs = posenet.scale_poses({"pose": np.full((1, 6), -190, np.float32)}, targets)
     assert (
         float(
-            pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][
-                0
-            ]
+            compute_pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)[
+                "x_mm"
+            ][0]
         )
         == 380
     )

@@ -17,7 +17,7 @@ from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.sweep import Sweep, check
 from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
-from jaxunshear.training.origin import origin_of
+from jaxunshear.training.data_origin import describe_origin
 
 BASE = Experiment(name="plain", claim="none")
 PLAIN = Sweep(name="plain", claim="none", base=BASE)
@@ -150,7 +150,7 @@ def test_the_reference_is_the_cell_of_the_bases_own_values():
 @pytest.fixture
 def asked(monkeypatch, tmp_path):
     """What `run_stages` asks of a training: its arguments, but for the folder."""
-    from jaxunshear.training import examples, loop
+    from jaxunshear.training import examples, trainer
 
     def asked_of(experiment: Experiment, network: str) -> dict:
         calls = []
@@ -173,7 +173,7 @@ def asked(monkeypatch, tmp_path):
             list(batches(0))
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
-            return loop.Summary(
+            return trainer.Summary(
                 steps=1,
                 parameters=1,
                 best_step=1,
@@ -183,7 +183,7 @@ def asked(monkeypatch, tmp_path):
             )
 
         monkeypatch.setattr(examples, "open_set", lambda *words: calls.append(words) or Reader())
-        monkeypatch.setattr(loop, "train", train)
+        monkeypatch.setattr(trainer, "train", train)
         run.run_stages(
             experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none"
         )
@@ -285,7 +285,7 @@ def test_recorded_taps_teach_the_same_whatever_is_made_of_slides(change):
     for network in (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled"):
         same = network not in concerned
         assert (training_part(base, network) == training_part(other, network)) == same, network
-        assert (origin_of(base, network) == origin_of(other, network)) == same, network
+        assert (describe_origin(base, network) == describe_origin(other, network)) == same, network
 
 
 @pytest.mark.parametrize(

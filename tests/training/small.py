@@ -48,14 +48,14 @@ def endless(make, start: int, pause: float = 0.0) -> Iterator[dict[str, np.ndarr
 
 
 def train(folder: Path, pause: float = 0.0):
-    from jaxunshear.training import loop
-    from jaxunshear.training.tasks import unshear_task
+    from jaxunshear.training import trainer
+    from jaxunshear.training.tasks import make_unshear_task
 
     def validation():
         return iter([pair(1000, 4), pair(1001, 3)])
 
-    task = unshear_task(NET, TRAINING)
-    return loop.train(
+    task = make_unshear_task(NET, TRAINING)
+    return trainer.train(
         task,
         TRAINING,
         lambda start: endless(pair, start, pause),

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from jaxunshear.training.ahead import ahead
+from jaxunshear.training.prefetch import prefetch
 
 
 def test_in_order_and_one_ahead_in_a_thread_of_their_own():
@@ -17,7 +17,7 @@ def test_in_order_and_one_ahead_in_a_thread_of_their_own():
         threads.add(threading.get_ident())
         return -number
 
-    with contextlib.closing(ahead(itertools.count(), put)) as stream:
+    with contextlib.closing(prefetch(itertools.count(), put)) as stream:
         assert list(itertools.islice(stream, 5)) == [0, -1, -2, -3, -4]
     assert (
         drawn == [0, 1, 2, 3, 4, 5] and len(threads) == 1 and threading.get_ident() not in threads
@@ -26,7 +26,7 @@ def test_in_order_and_one_ahead_in_a_thread_of_their_own():
 
 
 def test_what_drawing_raises_comes_after_the_batches_before_it():
-    stream = ahead((1 / (3 - number) for number in itertools.count()), float)
+    stream = prefetch((1 / (3 - number) for number in itertools.count()), float)
     assert [next(stream) for _ in range(3)] == [1 / 3, 1 / 2, 1.0]
     with pytest.raises(ZeroDivisionError):
         next(stream)

@@ -30,7 +30,7 @@ def folder(tmp_path):
 
 
 def test_there_and_back(folder):
-    assert checkpoint.latest(folder) == 5
+    assert checkpoint.find_latest_step(folder) == 5
     state, record = checkpoint.restore(folder, 5, STATE)
     assert record["best_step"] == 5
     np.testing.assert_array_equal(
@@ -52,10 +52,10 @@ def test_the_latest_and_the_best_are_kept(folder):
 
 
 def test_what_is_kept_is_reported_latest_first(folder):
-    assert checkpoint.kept(folder / "nothing") == []
-    assert checkpoint.kept(folder) == [5]
+    assert checkpoint.list_kept_steps(folder / "nothing") == []
+    assert checkpoint.list_kept_steps(folder) == [5]
     checkpoint.save(folder, 7, STATE, RECORD)
-    assert checkpoint.kept(folder) == [7, 5]
+    assert checkpoint.list_kept_steps(folder) == [7, 5]
 
 
 def files(folder):

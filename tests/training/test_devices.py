@@ -10,26 +10,26 @@ import pytest
 
 from jaxunshear import environment
 from jaxunshear.errors import UserError
-from jaxunshear.training.devices import devices_for
+from jaxunshear.training.devices import get_devices
 
 SCRIPT = """
 import sys, dataclasses, os
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import small
-from jaxunshear.training import loop
+from jaxunshear.training import trainer
 small.TRAINING = dataclasses.replace(small.TRAINING, epochs=50.0, validate_every=20)
 for count in ("1", "2"):
     os.environ["JAXUNSHEAR_DEVICES"] = count
     small.train(Path(sys.argv[2]) / count)
-from jaxunshear.training.devices import devices_for
-batch = devices_for(4).with_batch(small.pair(0, 4) | {"odd": small.dots(0, 3)})
+from jaxunshear.training.devices import get_devices
+batch = get_devices(4).with_batch(small.pair(0, 4) | {"odd": small.dots(0, 3)})
 assert [shard.data.shape[0] for shard in batch["sheared"].addressable_shards] == [2, 2]
 assert [shard.data.shape[0] for shard in batch["odd"].addressable_shards] == [3, 3]
 """
 UNEVEN = """
-from jaxunshear.training.devices import devices_for
-devices_for(3)
+from jaxunshear.training.devices import get_devices
+get_devices(3)
 """
 
 
@@ -76,7 +76,7 @@ def test_two_devices_train_as_one(tmp_path):
 def test_what_cannot_be_is_one_line(monkeypatch, asked, line):
     monkeypatch.setenv(environment.DEVICE_COUNT, asked)
     with pytest.raises(UserError, match=f"JAXUNSHEAR_DEVICES={asked}: {line}"):
-        devices_for(4)
+        get_devices(4)
 
 
 def test_an_uneven_batch_is_refused(monkeypatch):
@@ -86,4 +86,4 @@ def test_an_uneven_batch_is_refused(monkeypatch):
 
 def test_all_of_one_is_one(monkeypatch):
     monkeypatch.setenv(environment.DEVICE_COUNT, "all")
-    assert devices_for(3) == (1, None)
+    assert get_devices(3) == (1, None)

@@ -7,7 +7,7 @@ from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.training import dragged
+from jaxunshear.training import simulated_slides
 
 PINS, SIZE = 7, 32
 REST = np.stack([16 + 8 * np.cos(np.arange(PINS)), 16 + 8 * np.sin(np.arange(PINS))], -1).astype(
@@ -69,33 +69,46 @@ def simulator():
 
 
 def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
-    reader = stored.pairs((), drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3))
+    reader = stored.pairs(
+        (), drag=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)
+    )
     # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
-    assert reader.length("train") == 4 * dragged.DRAWN
+    assert reader.length("train") == 4 * simulated_slides.SLIDES_PER_MOTION
     pairs = next(reader.split("train", 100))
     taps = stored.labelled_taps("train")
     for pins, pose in zip(pairs["canonical_pins"], pairs["pose"], strict=True):
         own = int(np.argmin(np.abs(taps["pins"] - pins).sum((1, 2))))
         np.testing.assert_array_equal(taps["pose"][own], pose)
     assert len(set(pairs["pose_id"].tolist())) == len(pairs["pose"])  # none is paired anew
-    assert np.abs(pairs["move"][:, :2]).max() <= dragged.SLIDE_MM and not pairs["move"][:, 2].any()
+    assert (
+        np.abs(pairs["move"][:, :2]).max() <= simulated_slides.SLIDE_MM
+        and not pairs["move"][:, 2].any()
+    )
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
     assert "canonical" not in next(
         stored.pairs(
-            (), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)
+            (),
+            images=False,
+            drag=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3),
         ).split("train", 1)
     )
 
 
 def test_slides_are_simulated_once_and_go_on_after_a_kill(stored, simulator, tmp_path):
-    first = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("train")
+    first = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
+        "train"
+    )
     assert simulator.asked == [3, 3, 3, 3]  # two files of training, two of validation
     (files,) = {path.parent for path in tmp_path.rglob("train/00001.npz")}
     (files / "00001.npz").unlink()
-    again = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("train")
+    again = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
+        "train"
+    )
     assert simulator.asked[4:] == [3]
     for name, values in first.items():
         np.testing.assert_array_equal(values, again[name])
-    other = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("validation")
+    other = simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)(
+        "validation"
+    )
     assert not np.array_equal(first["move"], other["move"])

@@ -7,8 +7,8 @@ import pytest
 
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
-from jaxunshear.training import drawing
-from jaxunshear.training.drawing import FOLLOW, drawing_of
+from jaxunshear.training import domain_randomisation
+from jaxunshear.training.domain_randomisation import MOTION_FACTOR, make_randomisation
 
 FLAT = compute_pin_lattice(TACTIP_127)
 REST = 48 + 36 * FLAT / np.linalg.norm(FLAT, axis=-1).max()
@@ -41,13 +41,13 @@ def wrapped(degrees):
 
 def test_no_share_is_the_simulator_itself():
     given = batch()
-    drawn = drawing_of(REST, 0.0)(given, jax.random.key(1))
+    drawn = make_randomisation(REST, 0.0)(given, jax.random.key(1))
     assert all(np.array_equal(drawn[name], given[name]) for name in given)
 
 
 @pytest.mark.parametrize("jit", [False, True])
 def test_the_edges_direction_turns_with_the_pins(jit):
-    given, draw = batch(), drawing_of(REST, 1.0)
+    given, draw = batch(), make_randomisation(REST, 1.0)
     turned = (jax.jit(draw) if jit else draw)(given, jax.random.key(3))
     by = np.asarray(turned["edge"][:, 1] - given["edge"][:, 1])
     assert (
@@ -65,7 +65,10 @@ def test_the_edges_direction_turns_with_the_pins(jit):
 
 
 def test_a_slide_drags_further_or_less_and_its_tap_stays_one():
-    given, draw = batch(), drawing_of(REST, 1.0, turned_deg=0.0, shifted=0.0)
+    given, draw = (
+        batch(),
+        make_randomisation(REST, 1.0, rotation_std_deg=0.0, shift_std_spacings=0.0),
+    )
 
     def length(b):
         return np.linalg.norm(np.asarray(b["sheared_pins"] - b["canonical_pins"]), axis=(1, 2))
@@ -73,7 +76,11 @@ def test_a_slide_drags_further_or_less_and_its_tap_stays_one():
     times = np.concatenate(
         [length(draw(given, jax.random.key(i))) / length(given) for i in range(20)]
     )
-    assert times.min() > 0.9 * FOLLOW[0] and times.max() < 1.1 * FOLLOW[1] and np.ptp(times) > 1
+    assert (
+        times.min() > 0.9 * MOTION_FACTOR[0]
+        and times.max() < 1.1 * MOTION_FACTOR[1]
+        and np.ptp(times) > 1
+    )
     assert np.median(times) == pytest.approx(
         1, abs=0.15
     )  # as many fall short of the simulator as go farther
@@ -89,12 +96,14 @@ def test_a_slide_drags_further_or_less_and_its_tap_stays_one():
 
 
 def test_the_camera_moves_slides_and_not_the_taps_they_are_unsheared_to():
-    given, draw = batch(64), drawing_of(REST, 1.0)
+    given, draw = batch(64), make_randomisation(REST, 1.0)
     drawn = draw(given, jax.random.key(5))
     mean = np.asarray(drawn["sheared_pins"] - drawn["canonical_pins"]).mean(axis=1)
     still = np.asarray(given["sheared_pins"] - given["canonical_pins"]).mean(axis=1)
     spacing = 36 / TACTIP_127.rings
-    assert 0.5 < mean.std() / np.hypot(still.std() * 1.5, drawing.SHIFTED * spacing) < 2
+    assert (
+        0.5 < mean.std() / np.hypot(still.std() * 1.5, domain_randomisation.SHIFTED * spacing) < 2
+    )
     np.testing.assert_allclose(
         np.asarray(drawn["canonical_pins"]).mean(axis=1).std(),
         np.asarray(given["canonical_pins"]).mean(axis=1).std(),

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxunshear.report.history import read_lines
 from jaxunshear.training.events import open_events, scalars
-from jaxunshear.training.step import learning_rate
+from jaxunshear.training.step import make_schedule
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -40,7 +40,7 @@ def points(folder):
 def test_a_training_writes_what_its_log_says(tmp_path):
     small.train(tmp_path)
     lines, found = read_lines(tmp_path / "log.jsonl"), points(tmp_path)
-    rate = learning_rate(small.TRAINING, 12, 4)
+    rate = make_schedule(small.TRAINING, 12, 4)
     assert len(lines) == 3 and found.keys() == {*scalars(lines[0]), "learning_rate"}
     for line in lines:
         for tag, value in (

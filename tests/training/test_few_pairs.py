@@ -12,15 +12,15 @@ from jaxunshear.dataset.reader import Reader, SetReader
 from jaxunshear.settings.experiment import PINS, Experiment, training_of
 from jaxunshear.settings.fields import override
 from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.training.examples import Examples, Pins
+from jaxunshear.training.examples import Examples, PinLayout
 from jaxunshear.training.few_pairs import (
     ANOTHER,
     ONE,
     TAPS,
-    chosen,
-    few_pairs,
-    with_alike,
-    with_taps,
+    add_same_pose_slides,
+    add_taps,
+    choose_poses,
+    select_few_pairs,
 )
 
 STIMULUS, POSE = (
@@ -54,21 +54,21 @@ def rows(split="train"):
 
 @pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.1, 2), (0.25, 5), (1.0, 20)])
 def test_a_share_is_of_full_poses_and_exact(share, count):
-    mask = chosen(STIMULUS, POSE, share, 0)
+    mask = choose_poses(STIMULUS, POSE, share, 0)
     assert len(poses(mask)) == count and mask.sum() == 4 * count
-    assert poses(mask) <= poses(chosen(STIMULUS, POSE, 2 * share, 0))
+    assert poses(mask) <= poses(choose_poses(STIMULUS, POSE, 2 * share, 0))
     order = np.random.default_rng(0).permutation(80)
-    np.testing.assert_array_equal(chosen(STIMULUS[order], POSE[order], share, 0), mask[order])
+    np.testing.assert_array_equal(choose_poses(STIMULUS[order], POSE[order], share, 0), mask[order])
 
 
 def test_seeds_draw_other_poses():
-    assert len({frozenset(poses(chosen(STIMULUS, POSE, 0.1, seed))) for seed in range(8)}) > 4
+    assert len({frozenset(poses(choose_poses(STIMULUS, POSE, 0.1, seed))) for seed in range(8)}) > 4
 
 
 def examples(load=rows):
     stored = SetReader(SimpleNamespace(preprocess=SimpleNamespace(size=8)), None, {"counts": {}})
     Reader.__init__(stored, load, 8)
-    return Examples(stored, (), Pins(np.zeros((3, 2), np.float32), 1.0, 8), 80)
+    return Examples(stored, (), PinLayout(np.zeros((3, 2), np.float32), 1.0, 8), 80)
 
 
 def numbered(start=0):
@@ -77,8 +77,8 @@ def numbered(start=0):
 
 
 def test_training_and_validation_have_the_share_and_the_test_has_all():
-    few = few_pairs(examples(), 0.1, 3)
-    mask = chosen(STIMULUS, POSE, 0.1, 3)
+    few = select_few_pairs(examples(), 0.1, 3)
+    mask = choose_poses(STIMULUS, POSE, 0.1, 3)
     for split in ("train", "validation"):
         assert few.reader.length(split) == 8
         np.testing.assert_array_equal(
@@ -109,7 +109,7 @@ def test_taps_beside_pairs_follow_from_seed_and_step_alone():
         },
         8,
     )
-    batches = with_taps(numbered, taps, 5, 7)
+    batches = add_taps(numbered, taps, 5, 7)
     first = list(islice(batches(), 16))
     assert [int(batch["step"][0]) for batch in first] == list(range(16))
     np.testing.assert_array_equal(next(batches(11))[TAPS], first[11][TAPS])
@@ -117,11 +117,11 @@ def test_taps_beside_pairs_follow_from_seed_and_step_alone():
     assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(
         range(80)
     )  # each once an epoch
-    assert np.any(next(with_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
+    assert np.any(next(add_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
 
 
 def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
-    batches = with_alike(numbered, examples(), 30, 7)
+    batches = add_same_pose_slides(numbered, examples(), 30, 7)
     first = list(islice(batches(), 60))
     one, another = (
         np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int)
@@ -135,7 +135,7 @@ def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
 
 def test_the_only_slide_of_a_pose_is_its_own_other():
     alone = {"stimulus": STIMULUS, "pose_id": np.arange(80), "sheared_pins": rows()["sheared_pins"]}
-    batch = next(with_alike(numbered, examples(lambda split: alone), 9, 0)())
+    batch = next(add_same_pose_slides(numbered, examples(lambda split: alone), 9, 0)())
     np.testing.assert_array_equal(batch[ONE], batch[ANOTHER])
 
 

@@ -20,9 +20,9 @@ from jaxunshear.model import unshearnet
 from jaxunshear.report.history import read_lines
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.training import Training
-from jaxunshear.training import checkpoint, loop, losses
-from jaxunshear.training.step import learning_rate
-from jaxunshear.training.tasks import posenet_task, unshear_task
+from jaxunshear.training import checkpoint, losses, trainer
+from jaxunshear.training.step import make_schedule
+from jaxunshear.training.tasks import make_posenet_task, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -63,8 +63,8 @@ def straight(tmp_path_factory):
 
 
 def unshear(folder, batches=None, validation=None, net=small.NET, training=small.TRAINING):
-    return loop.train(
-        unshear_task(net, training),
+    return trainer.train(
+        make_unshear_task(net, training),
         training,
         batches or (lambda start: small.endless(small.pair, start)),
         validation or (lambda: iter([small.pair(1000, 4), small.pair(1001, 3)])),
@@ -92,7 +92,7 @@ def test_summary_log_and_settings(straight):
         "gradient",
     }
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
-    kernels = losses.kernels_of(checkpoint.load_best(folder)["params"])
+    kernels = losses.list_kernels(checkpoint.load_best(folder)["params"])
     assert set(log[0]["kernels"]) == set(kernels) and all(
         size > 0 for size in log[0]["kernels"].values()
     )
@@ -165,7 +165,7 @@ def broken_from(step):
 def test_nan_in_a_batch_stops_with_step_and_term_and_keeps_the_last_good_checkpoint(tmp_path):
     with pytest.raises(UserError, match=r"patch, supervised not finite at step 7.*step 4 is kept"):
         unshear(tmp_path, broken_from(6))
-    assert checkpoint.latest(tmp_path) == 4
+    assert checkpoint.find_latest_step(tmp_path) == 4
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(checkpoint.load_best(tmp_path)))
     unshear(tmp_path, broken_from(10**9))  # with the data repaired it goes on
     assert (tmp_path / "summary.json").exists()
@@ -203,7 +203,11 @@ def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_pa
     )
     with pytest.raises(Stop):
         unshear(tmp_path / "sound", lambda start: stopped(small.pair, start, 6), training=DIVERGING)
-    assert checkpoint.latest(tmp_path / "diverged") == checkpoint.latest(tmp_path / "sound") == 4
+    assert (
+        checkpoint.find_latest_step(tmp_path / "diverged")
+        == checkpoint.find_latest_step(tmp_path / "sound")
+        == 4
+    )
     assert bits(tmp_path / "diverged") == bits(tmp_path / "sound")
     variables = checkpoint.load_best(tmp_path / "diverged")
     images = jnp.asarray(small.dots(0, 2) / 255, jnp.float32)
@@ -220,7 +224,9 @@ def test_weights_thrown_away_by_the_step_before_a_checkpoint_are_not_kept(tmp_pa
         UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"
     ):
         unshear(tmp_path, training=overflowing)
-    assert checkpoint.latest(tmp_path) == 4 and [line["step"] for line in lines(tmp_path)] == [4]
+    assert checkpoint.find_latest_step(tmp_path) == 4 and [
+        line["step"] for line in lines(tmp_path)
+    ] == [4]
 
 
 def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
@@ -239,7 +245,7 @@ def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
 def test_nan_in_the_step_before_a_checkpoint_is_not_kept(tmp_path):
     with pytest.raises(UserError, match="not finite at step 8"):
         unshear(tmp_path, broken_from(7))
-    assert checkpoint.latest(tmp_path) == 4
+    assert checkpoint.find_latest_step(tmp_path) == 4
 
 
 def test_nan_in_validation_ranks_last(tmp_path):
@@ -284,8 +290,8 @@ def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, wo
 
 
 def test_posenet_trains_and_reports_errors_in_units(tmp_path):
-    summary = loop.train(
-        posenet_task(small.POSENET, small.TRAINING, small.TARGETS),
+    summary = trainer.train(
+        make_posenet_task(small.POSENET, small.TRAINING, small.TARGETS),
         small.TRAINING,
         lambda start: small.endless(small.pose, start),
         lambda: iter([small.pose(1000, 4), small.pose(1001, 2)]),
@@ -311,16 +317,16 @@ def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
             batch["pose"][0, 0] = np.nan
             yield batch
 
-    task = posenet_task(small.POSENET, small.TRAINING, small.TARGETS)
+    task = make_posenet_task(small.POSENET, small.TRAINING, small.TARGETS)
     with pytest.raises(UserError, match="pose not finite at step 1"):
-        loop.train(task, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, epoch_images=16)
+        trainer.train(task, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, epoch_images=16)
 
 
 def test_schedules():
-    cosine = learning_rate(Training(learning_rate=1.0), 100, 10)
+    cosine = make_schedule(Training(learning_rate=1.0), 100, 10)
     np.testing.assert_allclose([cosine(0), cosine(50), cosine(100)], [1, 0.5, 0], atol=1e-6)
     paper = Training(learning_rate=1e-4, schedule="steps", drops=((40, 0.2), (80, 0.1)))
-    steps = learning_rate(paper, 1000, 10)
+    steps = make_schedule(paper, 1000, 10)
     np.testing.assert_allclose(
         [steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6
     )
@@ -345,8 +351,8 @@ def test_overfits_four_images(tmp_path):
         while True:
             yield four
 
-    loop.train(
-        unshear_task(net, training),
+    trainer.train(
+        make_unshear_task(net, training),
         training,
         same,
         lambda: iter([four]),

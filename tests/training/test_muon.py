@@ -13,10 +13,10 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.training import Training
-from jaxunshear.training import loop
-from jaxunshear.training.muon import muon, orthogonal
-from jaxunshear.training.step import optimiser_of
-from jaxunshear.training.tasks import unshear_task
+from jaxunshear.training import trainer
+from jaxunshear.training.muon import muon, orthogonalise
+from jaxunshear.training.step import make_optimiser
+from jaxunshear.training.tasks import make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -65,7 +65,7 @@ def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
     s = s / np.linalg.norm(s)
     for _ in range(5):
         s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
-    got = (jax.jit(orthogonal) if jit else orthogonal)(jnp.asarray(x, jnp.float32))
+    got = (jax.jit(orthogonalise) if jit else orthogonalise)(jnp.asarray(x, jnp.float32))
     np.testing.assert_allclose(
         got, u * s @ v, atol=1e-4
     )  # of entries near 0.3; tiny singular values are lost first
@@ -73,20 +73,20 @@ def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
 
 def test_orthogonal_brings_singular_values_near_one():
     x = np.random.default_rng(2).normal(size=(300, 20)) @ np.diag(np.geomspace(1, 0.02, 20))
-    s = np.linalg.svd(np.asarray(orthogonal(jnp.asarray(x, jnp.float32))), compute_uv=False)
+    s = np.linalg.svd(np.asarray(orthogonalise(jnp.asarray(x, jnp.float32))), compute_uv=False)
     assert s.min() > 0.6 and s.max() < 1.25
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-4, 1e4, 1e15])
 def test_orthogonal_is_finite_at_any_scale(scale):
     x = jnp.asarray(np.random.default_rng(3).normal(size=(30, 5)) * scale, jnp.float32)
-    assert jnp.isfinite(orthogonal(x)).all()
+    assert jnp.isfinite(orthogonalise(x)).all()
 
 
 def test_orthogonal_of_low_rank_and_of_nothing():
     x = jnp.outer(jnp.arange(1.0, 31.0), jnp.ones(8))
-    assert np.linalg.matrix_rank(np.asarray(orthogonal(x)), tol=1e-3) == 1
-    assert (orthogonal(jnp.zeros((30, 8))) == 0).all()
+    assert np.linalg.matrix_rank(np.asarray(orthogonalise(x)), tol=1e-3) == 1
+    assert (orthogonalise(jnp.zeros((30, 8))) == 0).all()
 
 
 def test_updates_of_inner_kernels_are_jordan_s(params):
@@ -162,7 +162,7 @@ def test_updates_are_about_as_large_as_adam_s(params):
 
 def test_an_unknown_optimiser_is_refused():
     with pytest.raises(UserError, match='optimiser: "sgd" is unknown; use "adam" or "muon"'):
-        optimiser_of(Training(optimiser="sgd"), 10, 5)
+        make_optimiser(Training(optimiser="sgd"), 10, 5)
 
 
 @pytest.mark.long
@@ -176,8 +176,8 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
                     raise KeyboardInterrupt
                 yield batch
 
-        task = unshear_task(NET, training)
-        return loop.train(
+        task = make_unshear_task(NET, training)
+        return trainer.train(
             task,
             training,
             batches,

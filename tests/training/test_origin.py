@@ -8,13 +8,13 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.storage import write_json
-from jaxunshear.training.origin import check_origin, origin_of
+from jaxunshear.training.data_origin import check_origin, describe_origin
 
 SIMULATED = Experiment(name="small", claim="none", networks=("disentangled",))
 
 
 def test_a_network_of_other_data_is_refused(tmp_path):
-    own = origin_of(SIMULATED, "disentangled")
+    own = describe_origin(SIMULATED, "disentangled")
     write_json(tmp_path / "disentangled" / "model.json", {"origin": own})
     check_origin(SIMULATED, "disentangled", tmp_path)
     other = replace(SIMULATED, paired=PairedData(seed=7))

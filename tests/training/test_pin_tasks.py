@@ -13,7 +13,11 @@ from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.settings.targets import felt_of, of_labels
 from jaxunshear.settings.training import Training
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
+from jaxunshear.training.pin_tasks import (
+    make_pin_posenet_task,
+    make_pin_unshear_task,
+    make_renderer_task,
+)
 
 SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
 RNG = np.random.default_rng(0)
@@ -38,7 +42,7 @@ def teacher(pins):
 
 
 def test_every_part_is_taught_by_its_own_losses():
-    task = pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
     variables = task.init(KEY)
 
     def reached(term):
@@ -58,7 +62,7 @@ def test_every_part_is_taught_by_its_own_losses():
 
 def test_taps_without_a_slide_come_out_as_they_went_in():
     net = PinUnshear(**SMALL)
-    task = pin_unshear_task(net, Training(tap_weight=0.5), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(net, Training(tap_weight=0.5), TARGETS, REST, 1.0)
     variables, taps = task.init(KEY), batch(3)["canonical_pins"][:2]
     assert task.weights["tap"] == 0.5 and "tap" not in task.terms(variables, batch(), KEY)[0]
 
@@ -83,7 +87,7 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
 
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
-    task = pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
     variables, pins, other = (
         task.init(KEY),
         batch(3)["sheared_pins"][:2],
@@ -102,7 +106,7 @@ def test_two_slides_to_one_pose_are_unsheared_alike():
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
     """With a renderer that PoseNet inverts nothing is left to learn of its taps, and without one they are no term."""
     net = PinPoseNet(**SMALL)
-    plain = pin_posenet_task(net, Training(), TARGETS, REST, 1.0)
+    plain = make_pin_posenet_task(net, Training(), TARGETS, REST, 1.0)
     variables = plain.init(KEY)
     assert set(plain.terms(variables, batch(), KEY)[0]) == {"pose"}
     seen = []
@@ -111,7 +115,7 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
         seen.append(outputs)
         return REST + jnp.zeros((len(outputs), 1, 1)).at[:, 0, 0].set(outputs[:, 0])[..., :1]
 
-    task = pin_posenet_task(net, Training(), TARGETS, REST, 1.0, render=render)
+    task = make_pin_posenet_task(net, Training(), TARGETS, REST, 1.0, render=render)
     named = task.terms(variables, batch(), KEY)[0]
     read = predict(net, variables, render(seen[0]))
     np.testing.assert_allclose(
@@ -125,7 +129,7 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
 @pytest.mark.parametrize("target", ["tap", "label"])
 def test_a_teacher_asks_for_the_true_pose_or_the_partners(target):
     training = Training(pose_weight=1.0, pose_target=target)
-    task = pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0, teacher)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0, teacher)
     variables, given = task.init(KEY), batch()
     first = task.validate(variables, given)["pose"]
     other = task.validate(variables, given | {"canonical_pins": given["canonical_pins"] + 3})[
@@ -136,11 +140,11 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(target):
         target == "label"
     )
     with pytest.raises(UserError, match="pose_weight: a PoseNet is needed"):
-        pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0)
+        make_pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0)
 
 
 def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
-    task = pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
     variables = task.init(KEY)
     sure = np.array([1, 0, 1, 1, 0, 1])
     weight = np.float32([2, 2, 1, 0, 1, 1])
@@ -160,7 +164,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
     poses[:, 1] = np.linspace(-3, 3, 64)
     given = {"pins": REST + poses[:, 1, None, None] / 3 * direction, "pose": poses}
     targets = of_labels((), poses)
-    for kind, make in ((PinRenderer, renderer_task), (PinPoseNet, pin_posenet_task)):
+    for kind, make in ((PinRenderer, make_renderer_task), (PinPoseNet, make_pin_posenet_task)):
         task = make(kind(**SMALL | {"hidden": 32}), Training(), targets, REST, 1.0)
         variables = task.init(KEY)
         optimiser = optax.adam(1e-2)
@@ -185,7 +189,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     slides = felt_of(Ranges(move_mm=2.0, twist_deg=5.0))
     net = PinUnshear(**SMALL | {"shear_code": 4}, apart=True)
-    task = pin_unshear_task(net, Training(slide_weight=3.0), TARGETS, REST, 1.0, slides=slides)
+    task = make_pin_unshear_task(net, Training(slide_weight=3.0), TARGETS, REST, 1.0, slides=slides)
     variables, given = task.init(KEY), batch()
     z_s = np.asarray(encode(net, variables, given["sheared_pins"])[1])
     given["felt"] = z_s[:, :3] * np.array([2.0, 2.0, 5.0], np.float32)
@@ -210,7 +214,7 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
 
 def test_exchanged_codes_are_taught_where_partners_are_given():
     training = Training(swap_weight=2.0, agreement_weight=0.5)
-    task = pin_unshear_task(PinUnshear(**SMALL, apart=True), training, TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(PinUnshear(**SMALL, apart=True), training, TARGETS, REST, 1.0)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     # without partners a slide's pose code is to agree with its tap's
@@ -236,7 +240,7 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
         ("agreement_weight", "agreement"),
         ("swap_weight", "swap"),
     ):  # nothing is drawn that has no weight
-        alone = pin_unshear_task(
+        alone = make_pin_unshear_task(
             PinUnshear(**SMALL, apart=True), Training(**{weight: 0.5}), TARGETS, REST, 1.0
         )
         assert set(alone.terms(variables, given | partners, KEY)[0]) == {

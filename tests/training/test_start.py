@@ -17,9 +17,15 @@ from jaxunshear.settings.configs import fingerprint
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment, further_tests
 from jaxunshear.storage import write_json
-from jaxunshear.training import checkpoint, loop
-from jaxunshear.training.start import Start, begin_from, check_unseen, data_of, start_folder
-from jaxunshear.training.tasks import unshear_task
+from jaxunshear.training import checkpoint, trainer
+from jaxunshear.training.initial_weights import (
+    InitialWeights,
+    begin_from,
+    check_unseen,
+    data_of,
+    start_folder,
+)
+from jaxunshear.training.tasks import make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -125,8 +131,8 @@ def trained(folder, start):
     training = replace(
         small.TRAINING, epochs=0.25, learning_rate=1e-12, averaging=0.0, l1=0.0, l2=0.0
     )
-    return loop.train(
-        unshear_task(small.NET, training),
+    return trainer.train(
+        make_unshear_task(small.NET, training),
         training,
         lambda first: small.endless(small.pair, first),
         lambda: iter([small.pair(1000, 4)]),
@@ -145,7 +151,7 @@ def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
         kind: {m: v for m, v in parts.items() if m not in ("shear", "DS")}
         for kind, parts in there.items()
     }
-    trained(tmp_path / "started", Start(released, "of these"))
+    trained(tmp_path / "started", InitialWeights(released, "of these"))
     trained(tmp_path / "fresh", None)
     found, fresh = (
         checkpoint.load_best(tmp_path / name)["params"] for name in ("started", "fresh")
@@ -164,4 +170,4 @@ def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     assert json.loads((tmp_path / "started" / "model.json").read_text())["start"] == "of these"
     assert "start" not in json.loads((tmp_path / "fresh" / "model.json").read_text())
     with pytest.raises(UserError, match="start = of these, now others"):
-        trained(tmp_path / "started", Start(released, "others"))
+        trained(tmp_path / "started", InitialWeights(released, "others"))

@@ -18,7 +18,7 @@ from jaxunshear.settings.networks import UNet
 from jaxunshear.settings.targets import felt_of
 from jaxunshear.settings.training import labelled
 from jaxunshear.training import losses
-from jaxunshear.training.tasks import unshear_task, watcher
+from jaxunshear.training.tasks import make_pose_supervision, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -61,7 +61,7 @@ def with_poses(batch):
 
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
-    task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
+    task, batch = make_unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     variables = jax.jit(task.init)(jax.random.key(0))
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     named = jax.jit(task.validate)(variables, batch)
@@ -70,14 +70,14 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
         unsheared(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255),
         jax.jit(teacher),
     )
-    expected = losses.pose(read(image), read(canonical), WEIGHTS)
+    expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     assert float(expected.min()) > 0
     np.testing.assert_allclose(named["pose"], expected, rtol=1e-5)
     assert task.weights["pose"] == 0.5
 
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
-    task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
+    task, batch = make_unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part))
@@ -91,7 +91,7 @@ def test_a_perfect_image_has_no_gradient(teacher):
     """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
     canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
 
-    watched = watcher(WATCHED, teacher, small.TARGETS, losses.pose)
+    watched = make_pose_supervision(WATCHED, teacher, small.TARGETS, losses.compute_pose_loss)
     gradient = jax.grad(lambda image: jnp.sum(watched(image, canonical, {})))
     np.testing.assert_array_equal(gradient(canonical), 0)
     assert float(jnp.abs(gradient(canonical[::-1])).max()) > 0
@@ -101,7 +101,7 @@ def test_without_weight_the_teacher_is_never_asked():
     def asked(images):
         raise AssertionError("asked")
 
-    task = unshear_task(small.NET, small.TRAINING, asked)
+    task = make_unshear_task(small.NET, small.TRAINING, asked)
     variables = jax.jit(task.init)(jax.random.key(0))
     assert (
         "pose" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
@@ -110,12 +110,12 @@ def test_without_weight_the_teacher_is_never_asked():
 
 
 def test_a_u_net_can_be_taught_too(teacher):
-    task, batch = unshear_task(UNET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
+    task, batch = make_unshear_task(UNET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     variables, read = jax.jit(task.init)(jax.random.key(0)), jax.jit(teacher)
     unsheared = jax.jit(unet.unshear, static_argnums=0)
     image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
-    expected = losses.pose(read(image), read(canonical), WEIGHTS)
+    expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
     )
@@ -123,7 +123,7 @@ def test_a_u_net_can_be_taught_too(teacher):
 
 def test_a_weight_without_a_teacher_is_refused():
     with pytest.raises(UserError, match="pose_weight"):
-        unshear_task(small.NET, WATCHED)
+        make_unshear_task(small.NET, WATCHED)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_weight_without_a_teacher_is_refused():
 )
 def test_against_labels_the_tap_does_not_enter(teacher, net):
     task, batch = (
-        unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS),
+        make_unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS),
         with_poses(small.pair(3, 4)),
     )
     variables = jax.jit(task.init)(jax.random.key(0))
@@ -139,7 +139,7 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
         net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
     )
     targets = posenet.scale_poses(batch, small.TARGETS)
-    expected = losses.pose(jax.jit(teacher)(image), targets, WEIGHTS)
+    expected = losses.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
     )
@@ -157,7 +157,7 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
 @pytest.mark.parametrize("training", [WATCHED, AGAINST_LABELS], ids=["tap", "label"])
 def test_a_teacher_without_targets_is_refused(teacher, training):
     with pytest.raises(UserError, match="pose_weight: no pose targets are known"):
-        unshear_task(small.NET, training, teacher)
+        make_unshear_task(small.NET, training, teacher)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     net = replace(small.NET, apart=True)
     slides = felt_of(Ranges(move_mm=2.0))
     training = replace(small.TRAINING, swap_weight=2.0, agreement_weight=0.5, slide_weight=3.0)
-    task = unshear_task(net, training, slides=slides)
+    task = make_unshear_task(net, training, slides=slides)
     variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)
     same = given | {
         "other": given["sheared"],
@@ -194,7 +194,7 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     tap = replace(
         training, swap_weight=0.0
     )  # where poses share no slides, that of a slide and that of its tap
-    alone = unshear_task(net, tap, slides=slides).terms(
+    alone = make_unshear_task(net, tap, slides=slides).terms(
         variables, given | {"felt": same["felt"]}, jax.random.key(2)
     )[0]
     assert "swap" not in alone

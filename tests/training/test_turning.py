@@ -9,7 +9,13 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.model.posenet import scale_poses
 from jaxunshear.settings.targets import of_labels
-from jaxunshear.training.turning import ANGLES, sense_of, turned, turned_outputs, turns_of
+from jaxunshear.training.rotation import (
+    ANGLES,
+    find_rotation_sense,
+    make_rotations,
+    rotate_outputs,
+    rotate_pins,
+)
 
 MIDDLE = np.array([60.0, 64.0])
 
@@ -46,9 +52,9 @@ def contacts(count, sense):
 
 @pytest.mark.parametrize("jit", [False, True])
 def test_a_sixth_of_a_turn_takes_every_pin_to_another(jit):
-    turns, k = turns_of(REST, 1), ANGLES // 6
+    turns, k = make_rotations(REST, 1), ANGLES // 6
     pins = REST + RNG.normal(0, 1, (2, *REST.shape))
-    got = (jax.jit(turned) if jit else turned)(turns, k, jnp.asarray(pins))
+    got = (jax.jit(rotate_pins) if jit else rotate_pins)(turns, k, jnp.asarray(pins))
     rotation = np.asarray(turns.rotation[k], np.float64)
     lands = np.argmin(
         np.linalg.norm((MIDDLE + (REST - MIDDLE) @ rotation.T)[:, None] - REST, axis=-1), axis=1
@@ -60,13 +66,13 @@ def test_a_sixth_of_a_turn_takes_every_pin_to_another(jit):
 
 def test_no_turn_changes_nothing():
     pins = jnp.asarray(REST + RNG.normal(0, 1, (2, *REST.shape)), jnp.float32)
-    np.testing.assert_allclose(turned(turns_of(REST, 1), 0, pins), pins, atol=1e-4)
+    np.testing.assert_allclose(rotate_pins(make_rotations(REST, 1), 0, pins), pins, atol=1e-4)
 
 
 @pytest.mark.parametrize("k", [1, 5, 17])
 def test_a_turned_touch_is_the_touch_of_a_turned_edge(k):
     turned_by = 360 * k / ANGLES
-    got = turned(turns_of(REST, 1), k, jnp.asarray(touched(20, 1.5)[None]))[0]
+    got = rotate_pins(make_rotations(REST, 1), k, jnp.asarray(touched(20, 1.5)[None]))[0]
     wanted = touched(20 + turned_by, 1.5)
     assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.05 * np.sqrt(np.mean((wanted - REST) ** 2))
 
@@ -76,9 +82,9 @@ def test_pins_that_are_not_seen_count_as_untouched():
     pins[0, 5] = np.nan
     still = pins.copy()
     still[0, 5] = REST[5]
-    turns = turns_of(REST, 1)
+    turns = make_rotations(REST, 1)
     np.testing.assert_array_equal(
-        turned(turns, 3, jnp.asarray(pins)), turned(turns, 3, jnp.asarray(still))
+        rotate_pins(turns, 3, jnp.asarray(pins)), rotate_pins(turns, 3, jnp.asarray(still))
     )
 
 
@@ -91,19 +97,19 @@ def test_the_twist_turns_and_nothing_else(sense):
     after[:, 5] += sense * 360 * k / ANGLES
     wanted = scale_poses({"pose": jnp.asarray(after, jnp.float32)}, targets)
     np.testing.assert_allclose(
-        turned_outputs(turns_of(REST, sense), k, outputs, targets), wanted, atol=1e-5
+        rotate_outputs(make_rotations(REST, sense), k, outputs, targets), wanted, atol=1e-5
     )
 
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_the_sense_is_found_in_the_recordings(sense):
     pins, poses = contacts(600, sense)
-    assert sense_of(REST, pins, poses, of_labels((), poses)) == sense
+    assert find_rotation_sense(REST, pins, poses, of_labels((), poses)) == sense
 
 
 def test_touches_that_do_not_turn_with_their_label_are_refused():
     pins, poses = contacts(600, 1)
     with pytest.raises(UserError, match="turned touches do not resemble recorded ones"):
-        sense_of(REST, pins[RNG.permutation(600)], poses, of_labels((), poses))
+        find_rotation_sense(REST, pins[RNG.permutation(600)], poses, of_labels((), poses))
     with pytest.raises(UserError, match="asks for Rz_deg over the full circle"):
-        sense_of(REST, pins, poses, of_labels(("y_mm", "Rz_deg:range"), poses))
+        find_rotation_sense(REST, pins, poses, of_labels(("y_mm", "Rz_deg:range"), poses))

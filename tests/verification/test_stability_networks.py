@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.training import checkpoint, losses
-from jaxunshear.training.guard import check_state
+from jaxunshear.training.finite_check import check_state
 from verification import network_steps, network_trainings, network_values, stability
 from verification import stability_networks as judge
 from verification.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
@@ -229,7 +229,9 @@ def test_a_root_of_what_is_not_positive_is_caught(
     monkeypatch, compiled_anew, less, case, outcome, said
 ):
     monkeypatch.setattr(
-        losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less)
+        losses,
+        "compute_supervised_loss",
+        lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less),
     )
     row = judge.examine(case)
     assert not row.holds and row.outcome == outcome and said in row.said

@@ -18,7 +18,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
 from jaxunshear.storage import Json
-from jaxunshear.training.checkpoint import holds_model
+from jaxunshear.training.checkpoint import has_model
 
 Run = Callable[[np.ndarray], Json]
 Prepared = Callable[[np.ndarray], np.ndarray]
@@ -55,8 +55,8 @@ class Parts(NamedTuple):
 
 def parts_of(model: Path, experiment: Experiment) -> Parts:
     """From the folder of a finished run or of released weights. Raises UserError."""
-    reader = next((name for name in (POSENET, POSENET_SHEARED) if holds_model(model / name)), "")
-    pairs = holds_model(model / DISENTANGLED)
+    reader = next((name for name in (POSENET, POSENET_SHEARED) if has_model(model / name)), "")
+    pairs = has_model(model / DISENTANGLED)
     nets, variables, targets = trained(model, filter(None, (DISENTANGLED if pairs else "", reader)))
     parts = {name: Part(net, jax.device_get(variables[name])) for name, net in nets.items()}
     if not parts:

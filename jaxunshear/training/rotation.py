@@ -1,8 +1,8 @@
 """Recorded pins as they would have moved, had the sensor been turned about its axis: examples that nobody had to record.
 
-turns = turns_of(rest, sense)                         # rest (P, 2) px
-pins = turned(turns, k, pins)                         # (B, P, 2) px, turned by the k-th angle
-outputs = turned_outputs(turns, k, outputs, targets)  # the pose that goes with it
+turns = make_rotations(rest, sense)                         # rest (P, 2) px
+pins = rotate_pins(turns, k, pins)                         # (B, P, 2) px, turned by the k-th angle
+outputs = rotate_outputs(turns, k, outputs, targets)  # the pose that goes with it
 
 A dome is nearly the same all round, its camera and its housing are not. So the network is given how far each example was turned, and
 what it reads off pins as they are is corrected by examples as they are.
@@ -25,12 +25,12 @@ from jaxunshear.settings.targets import Targets
 
 TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg
-AROUND = 40  # pins that the motion between them is interpolated from
-TRIED = 200  # taps that are turned to find the sense
-ALIKE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still resemble them
+SPLINE_NEIGHBOURS = 40  # pins that the motion between them is interpolated from
+TRIED_TAPS = 200  # taps that are turned to find the sense
+MAX_MOTION_DIFFERENCE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still resemble them
 
 
-class Turns(NamedTuple):
+class Rotations(NamedTuple):
     """Angle k turns the pins' motions by k circles over ANGLES, and the label by as much times `sense`."""
 
     rest: Array  # (P, 2) px
@@ -40,31 +40,33 @@ class Turns(NamedTuple):
     sense: int  # 1 or -1
 
 
-def turns_of(rest: Float[np.ndarray, "P 2"], sense: int) -> Turns:
+def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int) -> Rotations:
     """Of pins that stand untouched at `rest` px: thin-plate splines between them."""
     rest = np.asarray(rest, np.float64)
     radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
     rotation = rotation_2d(radians)
-    spline = RBFInterpolator(rest, np.eye(len(rest)), neighbors=min(AROUND, len(rest)))
+    spline = RBFInterpolator(rest, np.eye(len(rest)), neighbors=min(SPLINE_NEIGHBOURS, len(rest)))
     middle = rest.mean(axis=0)
     mixed = np.stack([spline((rest - middle) @ each + middle) for each in rotation])
     single = partial(jnp.asarray, dtype=jnp.float32)
-    return Turns(single(rest), single(mixed), single(rotation), single(radians), sense)
+    return Rotations(single(rest), single(mixed), single(rotation), single(radians), sense)
 
 
-def turned(turns: Turns, k: ArrayLike, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
+def rotate_pins(
+    rotations: Rotations, k: ArrayLike, pins: Float[Array, "B P 2"]
+) -> Float[Array, "B P 2"]:
     """Pins px after a turn by angle `k`; pins that are not seen count as untouched."""
-    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest[None], 0)
-    return turns.rest[None] + jnp.einsum(
-        "pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k]
+    motion = jnp.where(jnp.isfinite(pins), pins - rotations.rest[None], 0)
+    return rotations.rest[None] + jnp.einsum(
+        "pq,bqi,ji->bpj", rotations.mixed[k], motion, rotations.rotation[k]
     )
 
 
-def turned_outputs(
-    turns: Turns, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets
+def rotate_outputs(
+    rotations: Rotations, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets
 ) -> Float[Array, "B K"]:
     """PoseNet's outputs in [0, 1] of the pose after that turn: of all targets only the twist changes."""
-    angle, column, columns = turns.sense * turns.radians[k], 0, []
+    angle, column, columns = rotations.sense * rotations.radians[k], 0, []
     for target in targets:
         here = outputs[:, column : column + target.outputs]
         if target.name == TWIST:
@@ -79,7 +81,7 @@ def turned_outputs(
     return jnp.concatenate(columns, -1)
 
 
-def sense_of(
+def find_rotation_sense(
     rest: Float[np.ndarray, "P 2"],
     pins: Float[np.ndarray, "N P 2"],
     poses: Float[np.ndarray, "N 6"],
@@ -94,23 +96,25 @@ def sense_of(
         raise UserError(
             f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0"
         )
-    rows = np.random.default_rng(0).choice(len(pins), min(TRIED, len(pins)), replace=False)
+    rows = np.random.default_rng(0).choice(len(pins), min(TRIED_TAPS, len(pins)), replace=False)
     motion = np.where(np.isfinite(pins), pins - rest, 0)
     apart = {}
     for sense in (1, -1):
-        turns = turns_of(rest, sense)
+        turns = make_rotations(rest, sense)
         scores = []
         for k in (ANGLES // 6, ANGLES // 4):
             wanted = poses[rows].copy()
             wanted[:, 5] += sense * 360 * k / ANGLES
             near, _ = pairing.find_nearest(targets, wanted, poses)
-            difference = np.asarray(turned(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
+            difference = (
+                np.asarray(rotate_pins(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
+            )
             scores.append(
                 np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2))
             )
         apart[sense] = float(np.median(scores))
     sense = min(apart, key=apart.__getitem__)
-    if not apart[sense] < ALIKE:
+    if not apart[sense] < MAX_MOTION_DIFFERENCE:
         raise UserError(
             f"pins.turned: turned touches do not resemble recorded ones (they differ by {apart[sense]:.2f} of their motion): "
             "leave it at 0"

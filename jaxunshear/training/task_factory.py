@@ -43,14 +43,14 @@ from jaxunshear.settings.training import Training, labelled
 from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
-from jaxunshear.training.drawing import drawing_of
-from jaxunshear.training.examples import Examples, all_trained, spread_of
-from jaxunshear.training.origin import check_origin
+from jaxunshear.training.data_origin import check_origin
+from jaxunshear.training.domain_randomisation import make_randomisation
+from jaxunshear.training.examples import Examples, measure_pin_spread, read_all_training
+from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
 from jaxunshear.training.tasks import Batch, Task, Tree
-from jaxunshear.training.turning import Turns, sense_of, turns_of
 
 
-def task_of(
+def make_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path
 ) -> tuple[Task, tuple[str, ...]]:
     """What `network` learns, and the fields of a batch that this takes."""
@@ -63,21 +63,21 @@ def task_of(
         ("weight",) if recorded_of(experiment) and REGISTRY[network].does == "unshears" else ()
     )
     if network == RENDERER or over_pins(experiment):
-        task, fields = _over_pins(experiment, network, examples, folder, weighed)
+        task, fields = _make_pin_task(experiment, network, examples, folder, weighed)
         share = 0.0 if recorded_of(experiment) else experiment.pins.turned
-        return _drawn(task, examples, share) if share else task, fields
+        return _augment_task(task, examples, share) if share else task, fields
     if network in POSENETS:
         seen = "image" if network in OF_TAPS else "sheared"
-        return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
+        return tasks.make_posenet_task(experiment.posenet, training, targets), (seen, *labels)
     teacher = (
-        partial(posenet.predict, *_of_taps(experiment, TEACHER, folder))
+        partial(posenet.predict, *_load_tap_network(experiment, TEACHER, folder))
         if training.pose_weight
         else None
     )
-    net = unshear_net(experiment.unshear, network)
+    net = make_unshear_net(experiment.unshear, network)
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
     slides = _slides(examples, room) if room else ()
-    task = tasks.unshear_task(net, training, teacher, targets, slides)
+    task = tasks.make_unshear_task(net, training, teacher, targets, slides)
     partners = _partners(experiment, training, OTHER_IMAGE, SWAPPED_IMAGE) if room else ()
     named = (
         "canonical",
@@ -90,7 +90,7 @@ def task_of(
     return task, tuple(dict.fromkeys(named))
 
 
-def _over_pins(
+def _make_pin_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
 ) -> tuple[Task, tuple[str, ...]]:
     training, targets, labels = (
@@ -99,37 +99,41 @@ def _over_pins(
         fields_of(examples.targets),
     )
     field = "pins" if network in OF_TAPS else "sheared_pins"
-    known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
+    known = (
+        targets,
+        examples.pins.rest,
+        measure_pin_spread(examples.reader, field, examples.pins.rest),
+    )
     pins, recorded = without_direct(without_turns(experiment.pins)), recorded_of(experiment)
     net, plain = asdict(pins), asdict(without_pin_codes(pins))
     sure = ("sure",) if recorded else ()  # simulated pins are all known
     if network == RENDERER:
-        return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), (
+        return pin_tasks.make_renderer_task(PinRenderer(**plain), training, *known), (
             "pins",
             *sure,
             *labels,
         )
     if network in POSENETS:
         turned = experiment.pins.turned if network not in OF_TAPS and recorded else 0.0
-        turns = _turns(examples) if turned else None
+        turns = _make_rotations(examples) if turned else None
         convolved = () if network in OF_TAPS else experiment.pins.direct_convolved
         reader = PinPoseNet(**plain | {"turned": turned, "convolved": convolved})
         rendered = RENDERER in trained(experiment)
         if network not in OF_TAPS:
             rendered = recorded is not None and recorded.direct_taps == "rendered"
         render = (
-            partial(pin_networks.render_pins, *_of_taps(experiment, RENDERER, folder))
+            partial(pin_networks.render_pins, *_load_tap_network(experiment, RENDERER, folder))
             if rendered
             else None
         )
-        return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (
+        return pin_tasks.make_pin_posenet_task(reader, training, *known, turns, render), (
             field,
             *sure,
             *labels,
         )
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
     teacher = (
-        partial(pin_networks.predict, *_of_taps(experiment, TEACHER, folder))
+        partial(pin_networks.predict, *_load_tap_network(experiment, TEACHER, folder))
         if training.pose_weight
         else None
     )
@@ -145,7 +149,7 @@ def _over_pins(
     taught = training.slide_weight and network == DISENTANGLED
     slides = _slides(examples, codes.shear_code) if taught else ()
     named = tuple(dict.fromkeys((*named, *fields_of(slides))))
-    return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
+    return pin_tasks.make_pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
 def _partners(
@@ -172,9 +176,9 @@ def _slides(examples: Examples, size: int) -> Targets:
     return examples.slides[:size]
 
 
-def _drawn(task: Task, examples: Examples, share: float) -> Task:
+def _augment_task(task: Task, examples: Examples, share: float) -> Task:
     """The same task on simulated pins that are drawn as another sensor would show them."""
-    draw = drawing_of(examples.pins.rest, share)
+    draw = make_randomisation(examples.pins.rest, share)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         return task.terms(variables, draw(batch, jax.random.fold_in(key, 2)), key)
@@ -182,7 +186,7 @@ def _drawn(task: Task, examples: Examples, share: float) -> Task:
     return dataclasses.replace(task, terms=terms)
 
 
-def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
+def make_unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     """The settings of one of the networks that unshear, all derived from `net`."""
     return _NETS[network](dataclasses.replace(net, disentangled=True))
 
@@ -195,7 +199,7 @@ _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
 }
 
 
-def renamed(batch: Json) -> Json:
+def rename_inputs(batch: Json) -> Json:
     """Trainings that read poses name their input "image", or "pins"."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch
@@ -204,7 +208,7 @@ def renamed(batch: Json) -> Json:
     }
 
 
-def first(
+def take_first(
     split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]
 ) -> Callable[[], Iterator[Batch]]:
     """The first `count` validation examples, in batches."""
@@ -215,25 +219,25 @@ def first(
         for examples in split("validation", batch, fields):
             examples = {name: values[: count - taken] for name, values in examples.items()}
             taken += len(examples[fields[0]])
-            yield renamed(examples)
+            yield rename_inputs(examples)
             if taken >= count:
                 return
 
     return batches
 
 
-def _turns(examples: Examples) -> Turns:
+def _make_rotations(examples: Examples) -> Rotations:
     """Raises UserError where the taps that the sensor has recorded do not turn with their labels."""
     taps = examples.taps or examples.reader
     field = "pins" if examples.taps else "sheared_pins"
-    known = all_trained(taps, field, "pose")
-    return turns_of(
+    known = read_all_training(taps, field, "pose")
+    return make_rotations(
         examples.pins.rest,
-        sense_of(examples.pins.rest, known[field], known["pose"], examples.targets),
+        find_rotation_sense(examples.pins.rest, known[field], known["pose"], examples.targets),
     )
 
 
-def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
+def _load_tap_network(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
     """Settings and variables of a network that another learns from. Raises UserError."""
     path = folder / network
     if not (path / "summary.json").exists():

@@ -17,7 +17,7 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.step import State
 from jaxunshear.training.tasks import Batch
 
-NAMED = 8  # examples in the line
+MAX_NAMED = 8  # examples in the line
 
 
 def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
@@ -40,22 +40,22 @@ def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
 def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
     """The line that names the step, the term, the batch and how to get it again, what is kept, and what to do."""
     number = step - 1
-    reported, hint = _inspected(batch)
+    reported, hint = _inspect_batch(batch)
     return UserError(
         f"training {folder} stopped: {what} not finite at step {step}, of batch {number} (batches({number}) begins with it "
-        f"again) {reported}; {_kept(folder)}; {hint}"
+        f"again) {reported}; {_describe_kept(folder)}; {hint}"
     )
 
 
-def _inspected(batch: Batch) -> tuple[str, str]:
+def _inspect_batch(batch: Batch) -> tuple[str, str]:
     """What is to be said of the batch, and the remedy."""
     arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
     wrong = []
     for name, array in arrays.items():
         rows = np.flatnonzero(~np.isfinite(array).reshape(len(array), -1).all(1)).tolist()
         if rows:
-            more = ", ..." if len(rows) > NAMED else ""
-            wrong.append(f"{name} of examples {', '.join(map(str, rows[:NAMED]))}{more}")
+            more = ", ..." if len(rows) > MAX_NAMED else ""
+            wrong.append(f"{name} of examples {', '.join(map(str, rows[:MAX_NAMED]))}{more}")
     if wrong:
         return (
             f"with NaN or infinity in {'; '.join(wrong)}",
@@ -69,8 +69,8 @@ def _inspected(batch: Batch) -> tuple[str, str]:
     return f"whose numbers are {least:g} to {most:g}", hint
 
 
-def _kept(folder: Path) -> str:
-    steps = checkpoint.kept(folder)
+def _describe_kept(folder: Path) -> str:
+    steps = checkpoint.list_kept_steps(folder)
     if not steps:
         return "no checkpoint was written yet"
     return f"the checkpoint of step {' and the better one of step '.join(map(str, steps))} is kept"

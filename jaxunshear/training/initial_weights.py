@@ -21,7 +21,7 @@ from jaxunshear.settings.stored import OTHERS
 from jaxunshear.storage import Json, read_object
 
 
-class Start(NamedTuple):
+class InitialWeights(NamedTuple):
     variables: Json
     digest: str  # of these weights, kept in model.json
 

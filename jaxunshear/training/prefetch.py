@@ -12,7 +12,7 @@ Drawn = TypeVar("Drawn")
 Put = TypeVar("Put")
 
 
-def ahead(batches: Iterator[Drawn], put: Callable[[Drawn], Put]) -> Generator[Put, None, None]:
+def prefetch(batches: Iterator[Drawn], put: Callable[[Drawn], Put]) -> Generator[Put, None, None]:
     """`put(batch)` of every batch of an endless iterator, in its order; close it to end the thread. Raises what these raise."""
 
     def draw() -> Put:

@@ -1,6 +1,6 @@
 """Simulated pins as another sensor, camera and day would show them: networks that learn from these work on real skin.
 
-draw = drawing_of(rest, share)       # rest in px
+draw = make_randomisation(rest, share)       # rest in px
 batch = draw(batch, key)             # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
 
 The dome is the same all round, so each batch is turned about its axis by one angle, and the edge's direction with it.
@@ -19,11 +19,11 @@ from jaxtyping import Float
 from jaxunshear.angles import rotate_2d, wrap_degrees
 from jaxunshear.image.lattice import measure_spacing
 from jaxunshear.storage import Json
-from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
+from jaxunshear.training.rotation import ANGLES, Rotations, make_rotations, rotate_pins
 
 # Times the simulated motion of a slide, evenly in its logarithm. Skin that slips is dragged in proportion to its friction,
 # we think: 0.2 to 0.8, as of rubber on plastic, is half to twice the fitted 0.39. No recorded slide decides this range.
-FOLLOW = (0.5, 2.0)
+MOTION_FACTOR = (0.5, 2.0)
 TURNED_DEG, SHIFTED = (
     4.0,
     0.065,
@@ -32,27 +32,27 @@ TURNED_DEG, SHIFTED = (
 Batch = Json
 
 
-def drawing_of(
+def make_randomisation(
     rest: Float[np.ndarray, "P 2"],
     share: float,
-    turned_deg: float = TURNED_DEG,
-    shifted: float = SHIFTED,
+    rotation_std_deg: float = TURNED_DEG,
+    shift_std_spacings: float = SHIFTED,
 ) -> Callable[[Batch, Array], Batch]:
     """Draws `share` of all batches anew; the others are as the simulator gave them. The camera's place has standard deviations of
-    `turned_deg`, and of `shifted` spacings of the pins."""
-    turns, spacing_px = turns_of(rest, 1), measure_spacing(rest)
+    `rotation_std_deg`, and of `shift_std_spacings` spacings of the pins."""
+    turns, spacing_px = make_rotations(rest, 1), measure_spacing(rest)
 
     def draw(batch: Batch, key: Array) -> Batch:
         chance, angle, follow, camera = jax.random.split(key, 4)
         k = jax.random.randint(angle, (), 0, ANGLES)
-        drawn = batch | _turned(turns, k, batch)
+        drawn = batch | _rotate_batch(turns, k, batch)
         if "sheared_pins" in drawn and "canonical_pins" in drawn:
             tap, slide = drawn["canonical_pins"], drawn["sheared_pins"]
-            times = jax.random.uniform(follow, (len(tap), 1, 1), tap.dtype, *np.log(FOLLOW))
+            times = jax.random.uniform(follow, (len(tap), 1, 1), tap.dtype, *np.log(MOTION_FACTOR))
             drawn["sheared_pins"] = tap + jnp.exp(times) * (slide - tap)
         seen = "sheared_pins" if "sheared_pins" in drawn else "pins"
-        drawn[seen] = _before_camera(
-            turns.rest, drawn[seen], turned_deg, shifted * spacing_px, camera
+        drawn[seen] = _randomise_camera(
+            turns.rest, drawn[seen], rotation_std_deg, shift_std_spacings * spacing_px, camera
         )
         some = jax.random.uniform(chance) < share
         return {name: jnp.where(some, drawn[name], value) for name, value in batch.items()}
@@ -60,16 +60,16 @@ def drawing_of(
     return draw
 
 
-def _turned(turns: Turns, k: Array, batch: Batch) -> Batch:
+def _rotate_batch(turns: Rotations, k: Array, batch: Batch) -> Batch:
     """All pins of a batch turned by angle `k`, and the edge's direction, degrees in (-180, 180]."""
-    after = {name: turned(turns, k, batch[name]) for name in batch if name.endswith("pins")}
+    after = {name: rotate_pins(turns, k, batch[name]) for name in batch if name.endswith("pins")}
     if "edge" in batch:
         degrees = batch["edge"][:, 1] + jnp.degrees(turns.radians[k])
         after["edge"] = jnp.stack([batch["edge"][:, 0], wrap_degrees(degrees)], -1)
     return after
 
 
-def _before_camera(
+def _randomise_camera(
     rest: Array, pins: Array, turned_deg: float, shift_px: float, key: Array
 ) -> Array:
     """Pins (B, P, 2) px of sensors that stand turned and shifted before their camera, each by its own."""

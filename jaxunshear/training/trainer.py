@@ -36,21 +36,21 @@ from jaxunshear.settings.training import Training
 from jaxunshear.source import read_source
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
-from jaxunshear.training.ahead import ahead
-from jaxunshear.training.devices import Devices, devices_for
+from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.events import open_events
-from jaxunshear.training.guard import check_state, check_terms
-from jaxunshear.training.losses import kernel_sizes
-from jaxunshear.training.start import Start, begin_from
-from jaxunshear.training.step import State, fresh, learning_rate, make_step, optimiser_of
+from jaxunshear.training.finite_check import check_state, check_terms
+from jaxunshear.training.initial_weights import InitialWeights, begin_from
+from jaxunshear.training.losses import measure_kernel_sizes
+from jaxunshear.training.prefetch import prefetch
+from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
 from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
 Validation = Callable[[], Iterator[Batch]]
-AGAIN = "delete it to go on from the latest checkpoint"
+RESUME_REMEDY = "delete it to go on from the latest checkpoint"
 
 
-class _Length(NamedTuple):
+class TrainingLength(NamedTuple):
     """Of a training."""
 
     steps: int
@@ -59,7 +59,7 @@ class _Length(NamedTuple):
 
 
 @dataclass
-class _Reached:
+class TrainingProgress:
     """How far a training has come: what a checkpoint keeps beside its state."""
 
     step: int = 0
@@ -81,12 +81,12 @@ def train(
     epoch_images: int,
     origin: object = None,
     data: Sequence[str] = (),
-    start: Start | None = None,
+    start: InitialWeights | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
 
     Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
-    `data` the digests of all that was learnt (`training/start.py`); a folder trained from other origins or with other settings is
+    `data` the digests of all that was learnt (`training/initial_weights.py`); a folder trained from other origins or with other settings is
     refused.
     `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
@@ -94,27 +94,31 @@ def train(
     folder = Path(folder)
     asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
     asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
-    asked |= {"data": data} | ({"slides": to_json(task.slides)} if task.slides else {})
+    asked |= {"data": data} | (
+        {"slides": to_json(task.slide_targets)} if task.slide_targets else {}
+    )
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
-        return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
-    devices = devices_for(training.batch)
+        return stored.read(folder / checkpoint.SUMMARY, Summary, RESUME_REMEDY)
+    devices = get_devices(training.batch)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
-    length = _Length(
+    length = TrainingLength(
         max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch
     )
-    optimiser = optimiser_of(training, length.steps, steps_per_epoch)
+    optimiser = make_optimiser(training, length.steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
-    state, reached = _restored(folder, first_state(task, optimiser, key_init, start), task.rank)
+    state, reached = _restore_latest(
+        folder, make_first_state(task, optimiser, key_init, start), task.rank
+    )
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
-    rate = learning_rate(training, length.steps, steps_per_epoch)
+    rate = make_schedule(training, length.steps, steps_per_epoch)
     with (
         compiled_kernels.use_form("xla") if devices.mesh else contextlib.nullcontext()
     ):  # what is compiled cannot be split
         with (
-            contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream,
+            contextlib.closing(prefetch(iter(batches(reached.step)), devices.with_batch)) as stream,
             open_events(folder, reached.step, rate) as log,
         ):
             state = _run(
@@ -131,30 +135,35 @@ def train(
                 log,
             )
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
-        return _ended(task, parameters, reached, length, folder, devices)
+        return _finish(task, parameters, reached, length, folder, devices)
 
 
-def first_state(
-    task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None = None
+def make_first_state(
+    task: Task,
+    optimiser: optax.GradientTransformation,
+    key: Array,
+    start: InitialWeights | None = None,
 ) -> State:
     """Before the first step."""
 
     def first(key: Array, given: Tree) -> State:
         variables = task.init(key)
-        return fresh(begin_from(variables, given) if start else variables, optimiser)
+        return init_state(begin_from(variables, given) if start else variables, optimiser)
 
-    return jax.jit(first, compiler_options=run_once())(key, start.variables if start else None)
+    return jax.jit(first, compiler_options=get_compile_options())(
+        key, start.variables if start else None
+    )
 
 
-def _restored(folder: Path, state: State, rank: str) -> tuple[State, _Reached]:
+def _restore_latest(folder: Path, state: State, rank: str) -> tuple[State, TrainingProgress]:
     """The latest checkpoint's; where there is none, `state` as it is and nothing reached."""
-    step = checkpoint.latest(folder)
+    step = checkpoint.find_latest_step(folder)
     if not step:
-        return state, _Reached()
+        return state, TrainingProgress()
     state, record = checkpoint.restore(folder, step, state)
     history, best_step = record["history"], record["best_step"]
-    best_loss = min(_ranked(line["validation"][rank]) for line in history)
-    return state, _Reached(
+    best_loss = min(_rank_loss(line["validation"][rank]) for line in history)
+    return state, TrainingProgress(
         step, history, best_step, best_loss, record["train_seconds"], record["compile_seconds"]
     )
 
@@ -162,8 +171,8 @@ def _restored(folder: Path, state: State, rank: str) -> tuple[State, _Reached]:
 def _run(
     step: Callable[[State, Batch], tuple[State, dict[str, Array]]],
     state: State,
-    reached: _Reached,
-    length: _Length,
+    training_progress: TrainingProgress,
+    length: TrainingLength,
     task: Task,
     training: Training,
     stream: Iterator[Batch],
@@ -172,21 +181,23 @@ def _run(
     devices: Devices,
     log: Callable[[Json], None],
 ) -> State:
-    """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
+    """All steps that are left, with their checkpoints. Returns the last state; `training_progress` goes along."""
     state, batch = devices.with_state(state), next(stream)
     began = time.perf_counter()
     compiled = (
         jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
     )
-    validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
-    reached.compile_seconds += time.perf_counter() - began
+    validate, measure = jax.jit(task.validate), jax.jit(measure_kernel_sizes)
+    training_progress.compile_seconds += time.perf_counter() - began
 
     with Progress(
-        f"train {folder.name}", length.steps * length.batch, done=reached.step * length.batch
+        f"train {folder.name}",
+        length.steps * length.batch,
+        done=training_progress.step * length.batch,
     ) as progress:
         began = time.perf_counter()
         waiting: list[tuple[int, dict[str, Array], Batch]] = []
-        for done in range(reached.step + 1, length.steps + 1):
+        for done in range(training_progress.step + 1, length.steps + 1):
             state, metrics = compiled(state, batch)
             waiting.append((done, metrics, batch))
             if done < length.steps:
@@ -198,48 +209,67 @@ def _run(
             progress.advance(length.batch)
             if not at_checkpoint:
                 continue
-            reached.step, reached.seconds = done, reached.seconds + time.perf_counter() - began
+            training_progress.step, training_progress.seconds = (
+                done,
+                training_progress.seconds + time.perf_counter() - began,
+            )
             check_state(state, done, ready[2], folder)
             scores = _mean_terms(validate, state.average, validation())
             sizes = {name: float(size) for name, size in measure(state.params).items()}
             _keep(
                 state,
-                reached,
+                training_progress,
                 length,
                 {"train": last, "validation": scores, "kernels": sizes},
                 task.rank,
                 folder,
             )
-            log(reached.history[-1])
+            log(training_progress.history[-1])
             began = time.perf_counter()
     return state
 
 
 def _keep(
-    state: State, reached: _Reached, length: _Length, scores: Json, rank: str, folder: Path
+    state: State,
+    training_progress: TrainingProgress,
+    length: TrainingLength,
+    scores: Json,
+    rank: str,
+    folder: Path,
 ) -> None:
     """A line of the history and a checkpoint that holds it."""
-    loss = _ranked(scores["validation"][rank])
-    if reached.best_step == 0 or loss < reached.best_loss:
-        reached.best_step, reached.best_loss = reached.step, loss
+    loss = _rank_loss(scores["validation"][rank])
+    if training_progress.best_step == 0 or loss < training_progress.best_loss:
+        training_progress.best_step, training_progress.best_loss = training_progress.step, loss
     counts = {
-        "step": reached.step,
-        "epoch": reached.step / length.steps_per_epoch,
-        "images": reached.step * length.batch,
-        "train_seconds": reached.seconds,
+        "step": training_progress.step,
+        "epoch": training_progress.step / length.steps_per_epoch,
+        "images": training_progress.step * length.batch,
+        "train_seconds": training_progress.seconds,
     }
-    reached.history.append(counts | scores)
-    times = {"train_seconds": reached.seconds, "compile_seconds": reached.compile_seconds}
-    record = {"history": reached.history, "best_step": reached.best_step} | times
-    checkpoint.save(folder, reached.step, state, record)
-    _write_log(folder, reached.history)
+    training_progress.history.append(counts | scores)
+    times = {
+        "train_seconds": training_progress.seconds,
+        "compile_seconds": training_progress.compile_seconds,
+    }
+    record = {
+        "history": training_progress.history,
+        "best_step": training_progress.best_step,
+    } | times
+    checkpoint.save(folder, training_progress.step, state, record)
+    _write_log(folder, training_progress.history)
 
 
-def _ended(
-    task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path, devices: Devices
+def _finish(
+    task: Task,
+    parameters: int,
+    training_progress: TrainingProgress,
+    length: TrainingLength,
+    folder: Path,
+    devices: Devices,
 ) -> Summary:
     """Raises UserError where no validation loss was finite."""
-    if math.isinf(reached.best_loss):
+    if math.isinf(training_progress.best_loss):
         hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
         raise UserError(
             f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}"
@@ -250,11 +280,11 @@ def _ended(
         steps=length.steps,
         images=images,
         parameters=parameters,
-        best_step=reached.best_step,
-        best_loss=reached.best_loss,
-        train_seconds=reached.seconds,
-        compile_seconds=reached.compile_seconds,
-        images_per_second=images / reached.seconds,
+        best_step=training_progress.best_step,
+        best_loss=training_progress.best_loss,
+        train_seconds=training_progress.seconds,
+        compile_seconds=training_progress.compile_seconds,
+        images_per_second=images / training_progress.seconds,
         trained_on=replace(
             describe_machine(),
             kernels=layer_choice.describe_layers(),
@@ -266,7 +296,7 @@ def _ended(
     return summary
 
 
-def run_once() -> dict[str, int] | None:
+def get_compile_options() -> dict[str, int] | None:
     """Options to compile first states with: random numbers for every kernel are much code, which took a CPU longer to optimise than
     the step. The bits are the same."""
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
@@ -296,7 +326,7 @@ def _mean_terms(
     return {name: total / count if math.isfinite(total) else None for name, total in sums.items()}
 
 
-def _ranked(loss: float | None) -> float:
+def _rank_loss(loss: float | None) -> float:
     """A loss that was not finite ranks last."""
     return math.inf if loss is None else loss
 

@@ -1,6 +1,6 @@
 """Training slides that nobody recorded: recorded taps, dragged as the simulator says. For `paired.pairing` "simulated".
 
-drag = drag_of(stored, data_dir)
+drag = make_slide_simulator(stored, data_dir)
 drag("train")   # {"row", "sheared_pins", "move"}: DRAWN slides to each labelled tap of the split
 
 What the simulator cannot know is drawn widely about what was fitted: friction, how far the pins follow, and how the sensor is turned and
@@ -27,23 +27,23 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import write_npz
-from jaxunshear.training.drawing import SHIFTED, TURNED_DEG
+from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
-FOLLOW = (
+MOTION_FACTOR = (
     0.5,
     2.5,
 )  # times the simulated motion; chosen with recorded slides in sight (docs/your-own-recordings.md, 9)
-DRAWN = 4  # slides to each tap, of one simulated motion
+SLIDES_PER_MOTION = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides
 # poses (N, 6), slides (N, 6), frictions (N,) -> how far pins are dragged (N, P, 2) px, and (N,) whether that is known
 Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def drag_of(
+def make_slide_simulator(
     stored: RecordedSet,
     sensor: Sensor,
     data_dir: Path,
@@ -69,7 +69,7 @@ def drag_of(
 
     def drag(split: str) -> Batch:
         rest = np.array(stored.frame["place_px"])
-        return _drawn(
+        return _vary_slides(
             _taps(stored, split), *motions[split], rest, stored.frame["spacing_px"], split
         )
 
@@ -131,7 +131,7 @@ def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -
     write_npz(path, {"row": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine})
 
 
-def _drawn(
+def _vary_slides(
     taps: Taps,
     row: np.ndarray,
     motion: np.ndarray,
@@ -142,8 +142,8 @@ def _drawn(
 ) -> Batch:
     """DRAWN slides of each motion."""
     generator = np.random.default_rng([VERSION, *split.encode()])
-    again = np.tile(np.arange(len(row)), DRAWN)
-    follow = generator.uniform(*FOLLOW, len(again))[:, None, None]
+    again = np.tile(np.arange(len(row)), SLIDES_PER_MOTION)
+    follow = generator.uniform(*MOTION_FACTOR, len(again))[:, None, None]
     angle = np.radians(TURNED_DEG) * generator.standard_normal(len(again))
     moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ rotation_2d(-angle)
     moved += SHIFTED * spacing_px * generator.standard_normal((len(again), 1, 2))

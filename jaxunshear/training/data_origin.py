@@ -10,7 +10,7 @@ from jaxunshear.settings.registry import OF_TAPS, POSENETS
 from jaxunshear.storage import Json, read_object
 
 
-def origin_of(experiment: Experiment, network: str) -> Json:
+def describe_origin(experiment: Experiment, network: str) -> Json:
     """The description of the data set that `network` is to learn from, and of what is made of it."""
     settings = learnt_from(experiment, network)
     described = describe(settings, experiment.sensor)
@@ -32,7 +32,7 @@ def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
     data, or where its model.json cannot be read."""
     folder = Path(run_dir) / network
     stored = read_object(folder / "model.json").get("origin") or {}
-    changed = differences(stored, origin_of(experiment, network))
+    changed = differences(stored, describe_origin(experiment, network))
     if changed:
         raise UserError(
             f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"
