@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from benchmarks.steps import dots, step_of, variables_of
-from jaxunshear.evaluation.networks import run_of
+from jaxunshear.evaluation.network_outputs import make_image_run
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import compiled_kernels
@@ -145,7 +145,7 @@ def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, W
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
     def way(names: tuple[str, ...]) -> Way:
-        run = run_of({name: nets[name] for name in names}, dict.fromkeys(names, targets))
+        run = make_image_run({name: nets[name] for name in names}, dict.fromkeys(names, targets))
         return Way(run, ({name: values[name] for name in names}, None, images, images))
 
     return (

@@ -12,8 +12,8 @@ from typing import Any
 from docs import simulator_tables
 from docs.provenance import NOTE, ROOT, note
 from docs.reading import USED, as_line, runs_of, swept, take, with_interval, with_range
-from jaxunshear.evaluation.exchange import EXCHANGED, OWN
-from jaxunshear.evaluation.paper import PAPER
+from jaxunshear.evaluation.code_exchange import EXCHANGED, OWN
+from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import CellResult, Figure

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.folders import names_apart
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
@@ -53,7 +53,7 @@ class Run(NamedTuple):
     @property
     def network(self) -> str:
         """Return the network that the run is about; "sheared" where nothing is unsheared."""
-        return shown_kind(self.results.ms_ssim or self.results.pose_mae)
+        return choose_main_kind(self.results.ms_ssim or self.results.pose_mae)
 
 
 class Score(NamedTuple):

@@ -225,7 +225,7 @@ def print_summary(results: Results, folder: Path) -> None:
     if not results.simulated:
         _print_recorded(results, folder)
         return
-    from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
     from jaxunshear.report import words
     from jaxunshear.table import plain_table
@@ -241,7 +241,7 @@ def print_summary(results: Results, folder: Path) -> None:
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
     print(plain_table(rows, ("", name, *words.targets(results))))
-    for row in measurements(replace(results, tests={})).rows:
+    for row in build_measurements(replace(results, tests={})).rows:
         if row.bar is not None:
             met = "met" if row.ok else "MISSED"
             print(f"{row.name} {row.value} {row.unit} (bar {row.sense} {row.bar}: {met})")
@@ -250,12 +250,14 @@ def print_summary(results: Results, folder: Path) -> None:
 
 def _print_recorded(results: Results, folder: Path) -> None:
     """Recordings have any targets: a table for a person, and the file that holds the rest."""
-    from jaxunshear.evaluation.score import shown_kind
-    from jaxunshear.evaluation.unseen import table
+    from jaxunshear.evaluation.other_recordings import format_table
+    from jaxunshear.evaluation.score import choose_main_kind
 
-    print(table(results))
+    print(format_table(results))
     if similar := results.ms_ssim:
-        felt, unsheared = (similar[kind]["overall"] for kind in ("sheared", shown_kind(similar)))
+        felt, unsheared = (
+            similar[kind]["overall"] for kind in ("sheared", choose_main_kind(similar))
+        )
         print(
             f"{results.metric['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared"
         )

@@ -22,7 +22,7 @@ from PIL import Image
 from jaxunshear import run
 from jaxunshear.dataset import generation
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.locks import locked
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment
@@ -144,14 +144,14 @@ def test_leakage_of_networks_over_images(finished, command):
 
 
 def test_a_second_run_keeps_all_work_and_all_numbers(finished):
-    before = reproducible(results(finished))
+    before = select_reproducible(results(finished))
     trained = {
         path: path.stat().st_mtime_ns
         for path in (finished / "runs" / "tiny").glob("*/summary.json")
     }
     assert len(trained) == 3
     assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
-    assert reproducible(results(finished)) == before
+    assert select_reproducible(results(finished)) == before
     assert trained == {path: path.stat().st_mtime_ns for path in trained}
 
 
@@ -415,7 +415,7 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
     last = subprocess.run(run_command(tmp_path), capture_output=True, text=True)
     assert last.returncode == 0, last.stderr
     assert kills >= 2
-    assert reproducible(results(tmp_path)) == reproducible(results(finished))
+    assert select_reproducible(results(tmp_path)) == select_reproducible(results(finished))
 
 
 def test_a_refusal_before_any_work_binds_nobody(tmp_path):

@@ -23,7 +23,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.evaluation import ablation, exchange, leakage, leakage_table
+    from jaxunshear.evaluation import code_exchange, code_swap_test, leakage, leakage_table
     from jaxunshear.settings.stored import from_json
     from jaxunshear.storage import read_object, write_bytes, write_json
 
@@ -36,14 +36,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import leakage_figure
 
-        results = leakage.leakage(experiment, arguments.run, arguments.data, command)
-        drawn = exchange.exchanged(experiment, arguments.run, arguments.data)
+        results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
+        drawn = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
         write_bytes(arguments.run / "leakage.png", leakage_figure(results, drawn))
-        print(leakage_table.table(results))
+        print(leakage_table.format_table(results))
         print(arguments.run / "leakage.png")
     else:
-        results = ablation.ablate(experiment, arguments.run, arguments.data, command)
-        print(ablation.table(results["rows"]))
+        results = code_swap_test.ablate(experiment, arguments.run, arguments.data, command)
+        print(code_swap_test.format_table(results["rows"]))
     if arguments.json:
         write_json(arguments.json, results)
     return 0

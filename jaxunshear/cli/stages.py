@@ -123,10 +123,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         spread=spread,
     )
     if results and getattr(arguments, "json", None):
-        from jaxunshear.evaluation.measurements import measurements
+        from jaxunshear.evaluation.measurements import build_measurements
         from jaxunshear.results.stored import write
 
-        write(arguments.json, measurements(results))
+        write(arguments.json, build_measurements(results))
     return 0
 
 
@@ -200,9 +200,9 @@ def _finished(arguments: argparse.Namespace) -> Experiment:
 
 
 def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
-    from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.measurements import build_measurements
+    from jaxunshear.evaluation.other_recordings import format_table, score_recordings
     from jaxunshear.evaluation.transfer import score_transfer
-    from jaxunshear.evaluation.unseen import score_recordings, table
     from jaxunshear.results.stored import write
 
     if recorded_of(experiment):
@@ -211,6 +211,6 @@ def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) 
         )
     else:
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
-    print(table(results))
+    print(format_table(results))
     if arguments.json:
-        write(arguments.json, measurements(results))
+        write(arguments.json, build_measurements(results))

@@ -16,7 +16,7 @@ from jaxunshear.dataset import fresh
 from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts, untouched_images
 from jaxunshear.downstream.geometry import Way, read_at, ways_of
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.spread import intervals
+from jaxunshear.evaluation.bootstrap import compute_intervals
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference.perception import Unshear, lattice_of, unshearers, unshearing_of
@@ -138,7 +138,7 @@ def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndar
     each = {"correlation": correlation(height, true)}
     if kind != UNTOUCHED:
         each["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
-    spans = intervals(each, np.flatnonzero(matched), SEED)
+    spans = compute_intervals(each, np.flatnonzero(matched), SEED)
     found: Json = {name: float(values.mean()) for name, values in each.items()}
     found |= {f"{name}_interval": span for name, span in spans.items()}
     return found | ({"largest_mm": float(np.abs(height).max())} if kind == UNTOUCHED else {})

@@ -1,6 +1,6 @@
 """What can be said of a sheared image without a network that unshears: pure functions of images (B, S, S, 1) in [0, 1].
 
->>> baseline_images(training_taps(batches), tap, sheared)["nearest_tap"]
+>>> make_baseline_images(collect_training_taps(batches), tap, sheared)["nearest_tap"]
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,11 +12,11 @@ from jax import Array
 
 from jaxunshear.evenly import evenly
 
-MOST_TAPS = 2000  # of the training split are searched, evenly chosen
-REACH = 0.25  # of the image's side: how far a translation may go
+MAX_TAPS = 2000  # of the training split are searched, evenly chosen
+MAX_SHIFT = 0.25  # of the image's side: how far a translation may go
 
 
-def training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
+def collect_training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
     """One tap of every pose, at most MOST_TAPS of them: (M, S, S, 1) uint8. Batches hold canonical, stimulus and pose_id."""
     taps: dict[tuple[int, int], np.ndarray] = {}
     for batch in batches:
@@ -25,33 +25,33 @@ def training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
         ):
             taps.setdefault((int(stimulus), int(pose)), tap)
     every = list(taps.values())
-    return np.stack([every[index] for index in evenly(len(every), MOST_TAPS)])
+    return np.stack([every[index] for index in evenly(len(every), MAX_TAPS)])
 
 
-def baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:
+def make_baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:
     """By name of `score.BASELINES`; taps (M, S, S, 1) uint8 of the training split. Only "translated" uses the tap."""
     known = taps.astype(sheared.dtype) / 255
     return {
         "mean_tap": jnp.broadcast_to(known.mean(0), sheared.shape),
-        "nearest_tap": nearest(known, sheared),
-        "translated": jax.vmap(translated)(sheared, tap),
+        "nearest_tap": find_nearest_images(known, sheared),
+        "translated": jax.vmap(translate_to_target)(sheared, tap),
     }
 
 
-def nearest(known: Array, images: Array) -> Array:
-    """For every image that of `known` (M, S, S, 1) which differs least from it, by mean squared difference."""
-    flat, rows = (x.reshape(len(x), -1) for x in (known, images))
+def find_nearest_images(candidates: Array, images: Array) -> Array:
+    """For every image that of `candidates` (M, S, S, 1) which differs least from it, by mean squared difference."""
+    flat, rows = (x.reshape(len(x), -1) for x in (candidates, images))
     away = jnp.sum(flat**2, 1) - 2 * jnp.matmul(
         rows, flat.T, precision="highest"
     )  # up to the image's own square
-    return known[jnp.argmin(away, 1)]
+    return candidates[jnp.argmin(away, 1)]
 
 
-def translated(image: Array, target: Array) -> Array:
+def translate_to_target(image: Array, target: Array) -> Array:
     """`image` (S, S, 1) moved by the integer shift, at most REACH of its side, that brings it nearest to `target` in mean squared
     difference; black flows in. No translation can do better: this one knows the answer."""
     size = image.shape[0]
-    most = int(REACH * size)
+    most = int(MAX_SHIFT * size)
     shape = (2 * size, 2 * size)
 
     def correlated(a: Array, b: Array) -> Array:

@@ -11,12 +11,12 @@ from jaxunshear.model import pin_networks, unshearnet
 from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
 
-AT_ONCE = 64
+ENCODE_BATCH = 64
 
 Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
 
 
-def encoder_of(net: Net, variables: Variables) -> Encode | None:
+def make_encoder(net: Net, variables: Variables) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
     if isinstance(net, PinUnshear) and net.shear_code:
         run = jax.jit(partial(pin_networks.encode, net))
@@ -31,8 +31,8 @@ def encoder_of(net: Net, variables: Variables) -> Encode | None:
 
     def encode(seen: np.ndarray) -> dict[str, np.ndarray]:
         parts = []
-        for start in range(0, len(seen), AT_ONCE):
-            rows = np.arange(start, start + AT_ONCE) % len(seen)
+        for start in range(0, len(seen), ENCODE_BATCH):
+            rows = np.arange(start, start + ENCODE_BATCH) % len(seen)
             parts.append(jax.device_get(run(variables, seen[rows])))
         joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
         return {
@@ -43,7 +43,7 @@ def encoder_of(net: Net, variables: Variables) -> Encode | None:
     return encode
 
 
-def untrained(net: Net, variables: Variables, seed: int) -> Variables:
+def init_untrained(net: Net, variables: Variables, seed: int) -> Variables:
     """Fresh variables of the network."""
     key = jax.random.key(seed)
     if isinstance(net, PinUnshear):

@@ -1,6 +1,6 @@
 """The paper's tables for one run, on its held-out poses: networks and data in, `results.json` and `montage.npz` out.
 
-The way through: `networks.load` (what the networks say) -> `gather` (one number an image) -> `results_of` (tables).
+The way through: `network_outputs.load_run` (what the networks say) -> `collect_scores` (one number an image) -> `build_results` (tables).
 """
 
 import dataclasses
@@ -17,28 +17,46 @@ import numpy as np
 from jaxunshear.dataset.generation import read_metadata
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import recorded
-from jaxunshear.evaluation.baselines import training_taps
-from jaxunshear.evaluation.found import FOUND, INPUTS, batches_of, found_pairs
-from jaxunshear.evaluation.gather import BATCH, FIELDS, IMAGES, PINS, Gathered, gather
-from jaxunshear.evaluation.measurements import BARS, rounded
-from jaxunshear.evaluation.networks import load
-from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.pins import pin_errors
-from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
-from jaxunshear.evaluation.score import chance, shown_kind
-from jaxunshear.evaluation.smooth import SMOOTH, WHAT, edge_angles, marked
-from jaxunshear.evaluation.speed import ms_per_image
-from jaxunshear.evaluation.spread import numbered_poses
-from jaxunshear.evaluation.summary import (
-    CONTACT_FIELDS,
-    contact_quality,
-    pose_by_size,
-    tables,
-    typical,
-    with_readers,
+from jaxunshear.evaluation import recorded_evaluation
+from jaxunshear.evaluation.baselines import collect_training_taps
+from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
+from jaxunshear.evaluation.detected_pins import DETECTED, INPUTS, detect_pairs, iterate_batches
+from jaxunshear.evaluation.inference_time import measure_ms_per_image
+from jaxunshear.evaluation.measurements import BARS, round_values
+from jaxunshear.evaluation.network_outputs import load_run
+from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.pin_errors import measure_pin_errors
+from jaxunshear.evaluation.pose_estimators import (
+    PIN_PLACES,
+    PIXELS,
+    fit_estimators,
+    make_batch_estimators,
+    score_detected_pins,
 )
-from jaxunshear.evaluation.within import coverage, half_widths
+from jaxunshear.evaluation.result_tables import (
+    CONTACT_FIELDS,
+    add_estimators,
+    build_tables,
+    select_typical,
+    summarise_contact_quality,
+    tabulate_by_size,
+)
+from jaxunshear.evaluation.score import choose_main_kind, compute_chance_errors
+from jaxunshear.evaluation.score_collection import (
+    BATCH,
+    FIELDS,
+    IMAGES,
+    PINS,
+    CollectedScores,
+    collect_scores,
+)
+from jaxunshear.evaluation.unambiguous_edges import (
+    SMOOTH,
+    SMOOTH_NOTE,
+    mark_smooth,
+    score_edge_angles,
+)
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
@@ -62,10 +80,12 @@ from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples, open_recorded_set
 
-KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
+KEPT_CONTACTS = (
+    72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
+)
 BOOTSTRAP_SEED = 0
-Scored = tuple[
-    Results, Gathered | None, dict[str, Gathered], tuple[str, ...]
+ScoredRun = tuple[
+    Results, CollectedScores | None, dict[str, CollectedScores], tuple[str, ...]
 ]  # results, scores, further ones, stimuli
 
 
@@ -84,28 +104,28 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         check_finished(run_dir / network)
         check_origin(experiment, network, run_dir)
     if recorded_of(experiment):
-        results, gathered, further, names = _recorded(experiment, run_dir, data_dir)
+        results, gathered, further, names = _evaluate_recorded(experiment, run_dir, data_dir)
     else:
-        results, gathered, further, names = _simulated(experiment, run_dir, data_dir)
+        results, gathered, further, names = _evaluate_simulated(experiment, run_dir, data_dir)
     results = replace(
         results,
-        ms_per_image=ms_per_image(run_dir, experiment.networks),
+        ms_per_image=measure_ms_per_image(run_dir, experiment.networks),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
         **read_trained(run_dir, experiment.networks),
         **describe_provenance(command),
     )
-    results = rounded(results)
+    results = round_values(results)
     if gathered is not None:
-        write_bytes(run_dir / "scores.npz", every_score(gathered))
+        write_bytes(run_dir / "scores.npz", encode_scores(gathered))
         if names:
-            write_bytes(run_dir / "montage.npz", montage(names, gathered))
+            write_bytes(run_dir / "montage.npz", encode_montage(names, gathered))
     for name, found in further.items():
-        write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
+        write_bytes(run_dir / f"scores-{name}.npz", encode_scores(found))
     write(run_dir / "results.json", results)
     return results
 
 
-def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
+def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> ScoredRun:
     """On the test split of the simulated pairs, and on further tests."""
     paired, _ = simulated_of(experiment, "this")
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
@@ -119,42 +139,57 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     taps = (
         None
         if over
-        else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
+        else collect_training_taps(
+            pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id"))
+        )
     )
-    run = load(run_dir, experiment.networks, taps, examples.pins if over else None)
+    run = load_run(run_dir, experiment.networks, taps, examples.pins if over else None)
     inputs = PINS if over else IMAGES
     lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
-    readers = readers_of(experiment, data_dir, run_dir)
-    reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
-    gathered = gather(
-        run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads
+    readers = fit_estimators(experiment, data_dir, run_dir)
+    reads = make_batch_estimators(
+        {name: reader for name, reader in readers.items() if over or name == PIXELS}
     )
-    gathered = marked(gathered, paired)
+    gathered = collect_scores(
+        run,
+        pairs.split("test", BATCH, FIELDS),
+        total,
+        KEPT_CONTACTS,
+        targets,
+        inputs=inputs,
+        readers=reads,
+    )
+    gathered = mark_smooth(gathered, paired)
     if PIN_PLACES in readers and not over:
         true = {
             name: value[gathered.kept]
             for name, value in true_values(targets, gathered.labels).items()
         }
         gathered = gathered._replace(
-            read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true)
+            read=score_detected_pins(readers[PIN_PLACES], lattice, gathered.images, true)
         )
     further = {}
     for name, settings in further_tests(experiment).items():
         reader = open_set(settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        tested = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)
-        further[name] = marked(tested, settings)
-    found = found_pairs(pairs, lattice, FIELDS) if over else None
+        tested = collect_scores(
+            run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads
+        )
+        further[name] = mark_smooth(tested, settings)
+    found = detect_pairs(pairs, lattice, FIELDS) if over else None
     if found:
         count, title = len(found.pairs["pose"]), "evaluate found pins"
-        tested = gather(
-            run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads
+        tested = collect_scores(
+            run, iterate_batches(found, BATCH), count, 0, targets, title, INPUTS, readers=reads
         )
-        further[FOUND] = marked(tested, paired)
-    results = results_of(experiment, gathered, further)
+        further[DETECTED] = mark_smooth(tested, paired)
+    results = build_results(experiment, gathered, further)
     if found:
-        tests = {**results.tests, FOUND: replace(results.tests[FOUND], followed=found.reported)}
+        tests = {
+            **results.tests,
+            DETECTED: replace(results.tests[DETECTED], followed=found.reported),
+        }
         results = replace(results, tests=tests)
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
     counts = replace(
@@ -170,21 +205,25 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     return replace(results, counts=counts), gathered, further, paired.names
 
 
-def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
+def _evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> ScoredRun:
     """On the test split of a recorded set."""
     stored = open_recorded_set(experiment, data_dir)
     targets = stored.targets(experiment.targets)
-    test = recorded.what_to_test(experiment, stored, targets, run_dir, data_dir)
-    readers = readers_of(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
-    run = recorded.networks_of(experiment, run_dir, stored)
-    slides, taps = recorded.gathered_of(experiment, run, test, targets, of_batches(readers))
-    results = recorded.results_of(experiment, stored, targets, slides, taps, test)
-    known = recorded.gathered_of(experiment, run, test, targets, split="validation")
-    widths = half_widths(recorded.errors_of(*known))
+    test = recorded_evaluation.choose_test(experiment, stored, targets, run_dir, data_dir)
+    readers = fit_estimators(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
+    run = recorded_evaluation.load_recorded_run(experiment, run_dir, stored)
+    slides, taps = recorded_evaluation.collect_recorded_scores(
+        experiment, run, test, targets, make_batch_estimators(readers)
+    )
+    results = recorded_evaluation.build_results(experiment, stored, targets, slides, taps, test)
+    known = recorded_evaluation.collect_recorded_scores(
+        experiment, run, test, targets, split="validation"
+    )
+    widths = compute_half_widths(recorded_evaluation.list_pose_errors(*known))
     results = replace(
         results,
         half_width=widths,
-        coverage=coverage(widths, recorded.errors_of(slides, taps)),
+        coverage=compute_coverage(widths, recorded_evaluation.list_pose_errors(slides, taps)),
         counts=replace(
             results.counts, reader_taps={name: reader.taps for name, reader in readers.items()}
         ),
@@ -192,10 +231,15 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     if slides is None:
         return results, taps, {}, ()
     further = {} if taps is None else {"taps": taps}
-    return results, recorded.as_montage(slides), further, ("recorded",) if test.paired else ()
+    return (
+        results,
+        recorded_evaluation.convert_montage_labels(slides),
+        further,
+        ("recorded",) if test.paired else (),
+    )
 
 
-def every_score(gathered: Gathered) -> bytes:
+def encode_scores(gathered: CollectedScores) -> bytes:
     """An npz of all scores by name, `stimulus`, `pose_id`, and SMOOTH if it is known, (N,) each."""
     buffer = io.BytesIO()
     labels = {
@@ -207,10 +251,10 @@ def every_score(gathered: Gathered) -> bytes:
     return buffer.getvalue()
 
 
-def results_of(
+def build_results(
     experiment: Experiment,
-    gathered: Gathered,
-    further: Mapping[str, Gathered] = MappingProxyType({}),
+    gathered: CollectedScores,
+    further: Mapping[str, CollectedScores] = MappingProxyType({}),
 ) -> Results:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
@@ -218,7 +262,7 @@ def results_of(
     scales = count_scales(size)
     targets = of_ranges(experiment.targets, paired.ranges)
     true = true_values(targets, labels)
-    tested = further_tests(experiment) | {FOUND: paired}
+    tested = further_tests(experiment) | {DETECTED: paired}
     return Results(
         experiment=experiment.name,
         claim=experiment.claim,
@@ -227,34 +271,34 @@ def results_of(
             "image_px": size,
             "scales": scales,
             "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides)",
-            "pose_smooth": WHAT,
+            "pose_smooth": SMOOTH_NOTE,
             "pose_ratio": "error over the error on sheared images",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "difference": "disentangled less this network, contact by contact",
             "swap": f"mean squared error, SSIM and {format_ms_ssim_name(scales)} of a decoder's image with its target",
             "pins": "root mean square distance of pins, by identity, from the tap's; mean over slides",
             "followed": "of test images: share whose pins were identified for sure, and how far these were from the true ones",
-            "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
+            "pin_error": f"matched centroids of {len(gathered.kept_rows)} images against the tap's true pins",
             "readers": "mean absolute error of kernel ridges that learnt from PoseNet's training taps: pixels: their images; pins: "
             "their true pins, to read those found, and known by name, in the images that pin_error is of",
         },
         **vars(_tables(paired, gathered)),
-        pin_error=pin_errors(
+        pin_error=measure_pin_errors(
             gathered.images,
             gathered.pins["canonical_pins"],
             gathered.pins["sheared_pins"],
             paired.camera.mm_across / size,
         ),
         tests={name: _further(tested[name], found) for name, found in further.items()},
-        baselines={"pose_chance": chance(true, targets)},
-        contact=contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
+        baselines={"pose_chance": compute_chance_errors(true, targets)},
+        contact=summarise_contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         counts=Counts(
-            test_poses=len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
+            test_poses=len(np.unique(number_poses(labels["stimulus"], labels["pose_id"]))),
             test_by_stimulus={
                 name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)
             },
             test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
-            pin_images=len(gathered.kept),
+            pin_images=len(gathered.kept_rows),
         ),
         bars={name: Bar(*bar) for name, bar in BARS.items()},
         paper=PAPER,
@@ -268,7 +312,7 @@ def results_of(
     )
 
 
-def _further(settings: PairedData, gathered: Gathered) -> Further:
+def _further(settings: PairedData, gathered: CollectedScores) -> Further:
     """The tables of a test of its own, with what it was made of."""
     return Further(
         stimuli=settings.names,
@@ -279,24 +323,24 @@ def _further(settings: PairedData, gathered: Gathered) -> Further:
     )
 
 
-def _tables(settings: PairedData, gathered: Gathered) -> Tables:
+def _tables(settings: PairedData, gathered: CollectedScores) -> Tables:
     """All that is reported of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
-    poses = numbered_poses(labels["stimulus"], labels["pose_id"])
-    read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
+    poses = number_poses(labels["stimulus"], labels["pose_id"])
+    read = [(gathered.scores, poses), (gathered.estimates, poses[gathered.kept_rows])]
     of_pins = {
         name.removeprefix("pins/"): s
         for name, s in gathered.scores.items()
         if name.startswith("pins/")
     }
-    found = tables(gathered.scores, settings.names, labels["stimulus"], poses, BOOTSTRAP_SEED)
+    found = build_tables(gathered.scores, settings.names, labels["stimulus"], poses, BOOTSTRAP_SEED)
     return replace(
-        with_readers(found, read, BOOTSTRAP_SEED),
+        add_estimators(found, read, BOOTSTRAP_SEED),
         pins={
             kind: {"rms_px": float(np.mean(score, dtype=np.float64))}
             for kind, score in of_pins.items()
         },
-        pose_by_depth=pose_by_size(
+        pose_by_depth=tabulate_by_size(
             gathered.scores,
             labels["pose"][:, 3],
             ranges.depth_min_mm,
@@ -304,19 +348,19 @@ def _tables(settings: PairedData, gathered: Gathered) -> Tables:
             poses,
             BOOTSTRAP_SEED,
         ),
-        pose_smooth=edge_angles(gathered, poses, BOOTSTRAP_SEED),
+        pose_smooth=score_edge_angles(gathered, poses, BOOTSTRAP_SEED),
     )
 
 
-def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
+def encode_montage(names: tuple[str, ...], gathered: CollectedScores) -> bytes:
     """An npz of a few contacts: for every stimulus one of low, one of middling and one of high similarity unsheared.
 
     Images (M, S, S) uint8 by kind, `stimulus` (M,) names, `pose` (M, 4 or 6), `move` (M, 2 or 3), and `ms_ssim_<kind>` (M,).
     """
-    stimulus = gathered.labels["stimulus"][gathered.kept]
-    judged = shown_kind(gathered.images)
-    shown = typical(gathered.scores[f"ms_ssim/{judged}"][gathered.kept], stimulus)
-    contacts = gathered.kept[shown]
+    stimulus = gathered.labels["stimulus"][gathered.kept_rows]
+    judged = choose_main_kind(gathered.images)
+    shown = select_typical(gathered.scores[f"ms_ssim/{judged}"][gathered.kept_rows], stimulus)
+    contacts = gathered.kept_rows[shown]
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,

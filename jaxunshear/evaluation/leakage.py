@@ -1,6 +1,6 @@
 """What each code holds that it should not: pose in the shear code, slide in the pose code, by probes on held-out poses.
 
-    results = leakage(experiment, Path("runs/demo"), Path("datasets"), command)
+    results = measure_leakage(experiment, Path("runs/demo"), Path("datasets"), command)
 
 Each quantity is probed by itself, by every family of `probes`; reported is the largest R2 over the
 families, which errs towards a leak. Its ceiling is the largest R2 that the same families reach from the
@@ -16,20 +16,20 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.codes import Encode, encoder_of, untrained
-from jaxunshear.evaluation.exchange import errors_of
+from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
+from jaxunshear.evaluation.code_exchange import measure_exchange_errors
+from jaxunshear.evaluation.codes import Encode, init_untrained, make_encoder
 from jaxunshear.evaluation.leakage_scores import compute_standard_scores, measure_independence
-from jaxunshear.evaluation.probed_slides import (
+from jaxunshear.evaluation.probe_data import (
     MOST_TESTED,
     PINS,
-    Split,
+    ProbeSplit,
+    compute_slides,
     read_splits,
-    slides_of_batch,
     take_labelled,
 )
 from jaxunshear.evaluation.probes import FAMILIES
-from jaxunshear.evaluation.slide import slides_read, slipping
-from jaxunshear.evaluation.spread import OVER, interval, redrawn_means
+from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.trained import read_trained
@@ -40,7 +40,7 @@ from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import Examples, open_examples
 
-LEAST_CEILING = 0.1  # R2 from the input: below it a quantity cannot be seen, and has no ceiling
+MIN_CEILING = 0.1  # R2 from the input: below it a quantity cannot be seen, and has no ceiling
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
@@ -59,7 +59,7 @@ class Estimate(NamedTuple):
         return self.families[self.family]
 
 
-def leakage(
+def measure_leakage(
     experiment: Experiment, run_dir: Path, data_dir: Path, command: str, controls: bool = True
 ) -> Json:
     """Probe the disentangled network in `run_dir`, over images or pins; write leakage.json there.
@@ -73,7 +73,7 @@ def leakage(
     check_finished(folder)
     net, variables = read_net(folder), load_best(folder)
     check_origin(experiment, DISENTANGLED, run_dir)
-    encode = encoder_of(net, variables)
+    encode = make_encoder(net, variables)
     if encode is None:
         raise UserError(
             f"{folder} holds no network with a shear code: there is nothing to leak from"
@@ -83,7 +83,7 @@ def leakage(
     codes = [encode(split.seen) for split in (train, test)]
     fresh = []
     if controls:
-        untrained_encode = encoder_of(net, untrained(net, variables, SEED))
+        untrained_encode = make_encoder(net, init_untrained(net, variables, SEED))
         assert untrained_encode is not None
         fresh = [untrained_encode(split.seen) for split in (train, test)]
     rows = _probe_all(codes, fresh, train, test, controls)
@@ -91,14 +91,14 @@ def leakage(
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
         "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
-        f"that the input's pins or a code give; brackets: 95 % over {OVER}",
+        f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}",
         "rows": rows,
         "summary": [
             _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)
         ],
         "independence": measure_independence(codes[1], test, rows),
         "scores": compute_standard_scores(codes, train, test, rows),
-        "exchanged": errors_of(net, variables, examples.reader),
+        "exchanged": measure_exchange_errors(net, variables, examples.reader),
         "slide": _slide(experiment, examples, encode, (train, test)),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
@@ -112,16 +112,16 @@ def leakage(
 
 
 def probe_quantity(
-    codes: Sequence[np.ndarray], known: np.ndarray, true: np.ndarray, groups: np.ndarray
+    codes: Sequence[np.ndarray], quantity: np.ndarray, true: np.ndarray, groups: np.ndarray
 ) -> Estimate:
     """Estimate one quantity from a code by every family; return the errors of the best.
 
-    `codes`: of training slides (N, F) and test slides (M, F); `known` (N, K) and `true` (M, K) are the
+    `codes`: of training slides (N, F) and test slides (M, F); `quantity` (N, K) and `true` (M, K) are the
     quantity, with two columns for an angle over the full circle; `groups` (N,) are training poses.
     """
     scatter = np.sum(np.square(true - true.mean(axis=0)), axis=1)
     squares = {
-        name: np.sum(np.square(probe(codes[0], known, codes[1], groups) - true), axis=1)
+        name: np.sum(np.square(probe(codes[0], quantity, codes[1], groups) - true), axis=1)
         for name, probe in FAMILIES.items()
     }
     families = {name: compute_r2(errors, scatter) for name, errors in squares.items()}
@@ -132,16 +132,16 @@ def probe_quantity(
 def _probe_all(
     codes: Sequence[Mapping[str, np.ndarray]],
     fresh: Sequence[Mapping[str, np.ndarray]],
-    train: Split,
-    test: Split,
+    train: ProbeSplit,
+    test: ProbeSplit,
     controls: bool,
 ) -> list[Json]:
     """Return a row for each quantity and code."""
     shuffled = np.random.default_rng(SEED).permutation(len(train.poses))
     rows = []
     for what in ("pose", "slide"):
-        for quantity, known in train.wanted[what].items():
-            true = test.wanted[what][quantity]
+        for quantity, known in train.quantities[what].items():
+            true = test.quantities[what][quantity]
             inputs = {"pins": (train.pins, test.pins)}
             inputs |= {code: (codes[0][code], codes[1][code]) for code in CODES}
             found = {
@@ -162,7 +162,7 @@ def _probe_all(
                     "r2 interval": _bootstrap_r2([estimate], test.poses),
                     "family": estimate.family,
                     "families": estimate.families,
-                    "ceiling": ceiling if ceiling >= LEAST_CEILING else None,
+                    "ceiling": ceiling if ceiling >= MIN_CEILING else None,
                     "estimate": estimate,
                 }
                 if controls:
@@ -195,18 +195,18 @@ def _summarise(rows: Sequence[Json], pair: tuple[str, str], poses: np.ndarray) -
 
 
 def _slide(
-    experiment: Experiment, examples: Examples, encode: Encode, splits: Sequence[Split]
+    experiment: Experiment, examples: Examples, encode: Encode, splits: Sequence[ProbeSplit]
 ) -> list[Json]:
     """What both codes together say of the slide, in mm and deg, and how surely."""
     train, test = splits
     batch = take_labelled(experiment, examples.reader, "validation", MOST_TESTED)
     seen = (train.seen, batch[PINS if over_pins(experiment) else "sheared"], test.seen)
     codes = [np.concatenate(list(encode(each).values()), axis=1) for each in seen]
-    wanted = [train.wanted["slide"], slides_of_batch(examples.slides, batch), test.wanted["slide"]]
+    wanted = [train.wanted["slide"], compute_slides(examples.slides, batch), test.wanted["slide"]]
     slipped = (
-        slipping(test.batch["stuck"], test.batch["slipping"]) if "stuck" in test.batch else None
+        is_slipping(test.batch["stuck"], test.batch["slipping"]) if "stuck" in test.batch else None
     )
-    return slides_read(codes, wanted, train.poses, test.poses, slipped)
+    return estimate_slides(codes, wanted, train.poses, test.poses, slipped)
 
 
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:
@@ -214,6 +214,6 @@ def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[floa
     redrawn = []
     for estimate in estimates:
         values = {"squares": estimate.squares, "scatter": estimate.scatter}
-        means = redrawn_means(values, poses, SEED)
+        means = resample_means(values, poses, SEED)
         redrawn.append(1 - means["squares"] / means["scatter"])
-    return interval(np.mean(redrawn, axis=0))
+    return compute_interval(np.mean(redrawn, axis=0))

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxunshear.evaluation.probed_slides import Split
+from jaxunshear.evaluation.probe_data import ProbeSplit
 from jaxunshear.evaluation.probes import fit_whitening
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
@@ -17,7 +17,7 @@ PLANTED = 0.01  # deviation of a planted leak, in shares of the code's widest di
 
 
 def measure_independence(
-    codes: Mapping[str, np.ndarray], test: Split, rows: Sequence[Json]
+    codes: Mapping[str, np.ndarray], test: ProbeSplit, rows: Sequence[Json]
 ) -> list[Json]:
     """Test each leak for independence, one slide at each pose: rows are independent draws.
 
@@ -32,7 +32,7 @@ def measure_independence(
     for row in rows:
         if not row["leak"] or row["ceiling"] is None:
             continue
-        code, quantity = codes[row["code"]], test.wanted[row["what"]][row["quantity"]][chosen]
+        code, quantity = codes[row["code"]], test.quantities[row["what"]][row["quantity"]][chosen]
         statistic, p = compute_hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
         hidden = PLANTED * code.std(axis=0).max() * quantity / max(quantity.std(), 1e-12)
         planted = np.concatenate([code[shuffled], hidden], axis=1)
@@ -45,7 +45,10 @@ def measure_independence(
 
 
 def compute_standard_scores(
-    codes: Sequence[Mapping[str, np.ndarray]], train: Split, test: Split, rows: Sequence[Json]
+    codes: Sequence[Mapping[str, np.ndarray]],
+    train: ProbeSplit,
+    test: ProbeSplit,
+    rows: Sequence[Json],
 ) -> dict[str, float]:
     """Return MIG, SAP and DCI by block over the quantities with a ceiling, on whitened codes."""
     asked = {(row["what"], row["quantity"]) for row in rows if row["ceiling"] is not None}

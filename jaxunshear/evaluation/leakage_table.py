@@ -3,17 +3,17 @@
 from jaxunshear.storage import Json
 
 UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of what DS draws, over images and over pins
-DRAWN = (*UNITS, "missed_per_image")
+DECODED_UNITS = (*UNITS, "missed_per_image")
 SLIDE = ("mae", "rmse", "coverage")
 
 
-def for_sweep(results: Json) -> list[Json]:
+def build_sweep_rows(results: Json) -> list[Json]:
     """Rows of a sweep's ablation."""
     rows = []
-    for part, errors in _exchanged(results):
+    for part, errors in _list_exchanged(results):
         for name, row in errors["drawn"].items():
             rows.append(
-                {"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DRAWN if n in row}
+                {"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DECODED_UNITS if n in row}
             )
     for row in results["summary"]:
         if row["quantities"]:
@@ -27,7 +27,7 @@ def for_sweep(results: Json) -> list[Json]:
     return rows
 
 
-def table(results: Json) -> str:
+def format_table(results: Json) -> str:
     """For people."""
     lines = [f"{'R2 of':24}  code [95 %]              strongest      ceiling  untrained  shuffled"]
     for row in results["rows"]:
@@ -55,7 +55,7 @@ def table(results: Json) -> str:
         )
     for name, value in results["scores"].items():
         lines.append(f"{name} by block: {value:.3f}")
-    for part, errors in _exchanged(results):
+    for part, errors in _list_exchanged(results):
         for name, row in errors["drawn"].items():
             low, high = row["interval"]
             value, unit = next((row[name], unit) for name, unit in UNITS.items() if name in row)
@@ -72,7 +72,7 @@ def table(results: Json) -> str:
     return "\n".join([*lines, results["metric"]])
 
 
-def _exchanged(results: Json) -> list[tuple[str, Json]]:
+def _list_exchanged(results: Json) -> list[tuple[str, Json]]:
     """What DS draws of exchanged codes, all of it and its parts, each with what its name ends in."""
     errors = results["exchanged"]
     return (

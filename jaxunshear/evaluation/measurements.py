@@ -29,7 +29,7 @@ TABLES = (
 UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 
-def measurements(results: Results) -> Measured:
+def build_measurements(results: Results) -> Measured:
     """The rows of a run's results, with the machine and the versions they were measured on and with."""
     rows = []
     for prefix, found, names in (
@@ -75,7 +75,7 @@ def _rows(
     ]
 
 
-def reproducible(results: Results) -> Json:
+def select_reproducible(results: Results) -> Json:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
     places = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
     return {name: value for name, value in plain(results).items() if name not in places}
@@ -95,14 +95,14 @@ def _unit(table: str, column: str) -> str:
     return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "1")
 
 
-def rounded(value: Any) -> Any:
+def round_values(value: Any) -> Any:
     """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return dataclasses.replace(value, **rounded(vars(value)))
+        return dataclasses.replace(value, **round_values(vars(value)))
     if isinstance(value, dict):
-        return {name: rounded(entry) for name, entry in value.items()}
+        return {name: round_values(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [rounded(entry) for entry in value]
+        return [round_values(entry) for entry in value]
     if isinstance(value, float):
         return float(f"{value:.6g}") if math.isfinite(value) else None
     return value

@@ -2,7 +2,7 @@
 
 >>> probe = FAMILIES["kernel ridge"]
 >>> estimates = probe(codes, quantity, others, groups)         # (N, F), (N, K), (M, F) -> (M, K)
->>> mean, deviation = gaussian(codes, wanted, others, groups)  # a network with its uncertainty
+>>> mean, deviation = fit_gaussian(codes, wanted, others, groups)  # a network with its uncertainty
 
 A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity that
 no family finds may still be there: report the strongest family, and compare it with what the same
@@ -26,7 +26,7 @@ from sklearn.linear_model import Ridge
 from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
-from jaxunshear.evaluation import ridge
+from jaxunshear.evaluation import kernel_ridge
 from jaxunshear.evenly import evenly
 
 HIDDEN, LAYERS = 128, 2
@@ -36,7 +36,7 @@ RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
 NEIGHBOURS = (5, 10, 20, 40, 80, 160)
 TREES = 300
 LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
-LEAST = 1e-12  # spread of a number that does not vary
+MIN_SPREAD = 1e-12  # spread of a number that does not vary
 NOISE_FLOOR = 1e-5  # of the widest direction's deviation: below it lies the rounding of float32
 MOST_DIRECTIONS = 256
 _State = tuple[VariableDict, optax.OptState]
@@ -59,7 +59,7 @@ def fit_whitening(codes: Codes) -> Whitening:
     codes = np.asarray(codes, np.float64)
     pca = PCA(min(MOST_DIRECTIONS, *codes.shape), random_state=0).fit(codes)
     deviations = np.sqrt(pca.explained_variance_)
-    kept = deviations > max(LEAST, NOISE_FLOOR * deviations[0])
+    kept = deviations > max(MIN_SPREAD, NOISE_FLOOR * deviations[0])
     return Whitening(pca.mean_, (pca.components_[kept] / deviations[kept, None]).T)
 
 
@@ -74,9 +74,11 @@ class MLP(nn.Module):
         return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)
 
 
-def fit_linear(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+def fit_linear(
+    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
+) -> np.ndarray:
     """Predict by ridge regression; held-out groups choose the ridge."""
-    data = _prepare(codes, wanted, others, groups)
+    data = _prepare(codes, targets, test_codes, groups)
     learnt = ~data.held_out
 
     def fit(r: float, x: np.ndarray, y: np.ndarray) -> Ridge:
@@ -91,31 +93,35 @@ def fit_linear(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarr
 
 
 def fit_kernel_ridge(
-    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> np.ndarray:
     """Predict by kernel ridge regression on codes as they are or whitened, whichever held-out groups prefer."""
-    data = _prepare(codes, wanted, others, groups)
-    choices = ((data.x, data.others), (np.asarray(codes, np.float64), others))
+    data = _prepare(codes, targets, test_codes, groups)
+    choices = ((data.x, data.others), (np.asarray(codes, np.float64), test_codes))
     learnt = np.flatnonzero(~data.held_out)
-    some, judged = learnt[evenly(len(learnt), ridge.TRIED_ON)], data.held_out
+    some, judged = learnt[evenly(len(learnt), kernel_ridge.TRIED_ON)], data.held_out
 
     def error(features: tuple[np.ndarray, np.ndarray]) -> float:
-        model = ridge.fitted(features[0][some], data.y[some])
-        return float(np.mean((ridge.answers(model, features[0][judged]) - data.y[judged]) ** 2))
+        model = kernel_ridge.fitted(features[0][some], data.y[some])
+        return float(
+            np.mean((kernel_ridge.answers(model, features[0][judged]) - data.y[judged]) ** 2)
+        )
 
     features, asked = min(choices, key=error)
-    return data.unscale(ridge.answers(ridge.fitted(features, data.y), asked))
+    return data.unscale(kernel_ridge.answers(kernel_ridge.fitted(features, data.y), asked))
 
 
-def fit_mlp(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+def fit_mlp(codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray) -> np.ndarray:
     """Predict by a network of two hidden layers, trained by AdamW; held-out groups stop it early."""
-    data = _prepare(codes, wanted, others, groups)
+    data = _prepare(codes, targets, test_codes, groups)
     return data.unscale(_train(data, gaussian=False))
 
 
-def fit_trees(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+def fit_trees(
+    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
+) -> np.ndarray:
     """Predict by gradient-boosted trees, a forest for each column; held-out groups stop it early."""
-    data = _prepare(codes, wanted, others, groups)
+    data = _prepare(codes, targets, test_codes, groups)
     # threads that wait for each other on busy cores take many times as long
     with threadpool_limits(1, "openmp"):
         columns = [_fit_forest(data, column) for column in data.y.T]
@@ -123,10 +129,10 @@ def fit_trees(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarra
 
 
 def fit_neighbours(
-    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> np.ndarray:
     """Predict by the mean of the nearest codes; held-out groups choose how many."""
-    data = _prepare(codes, wanted, others, groups)
+    data = _prepare(codes, targets, test_codes, groups)
 
     def error(count: int) -> float:
         nearest = KNeighborsRegressor(count).fit(data.x[~data.held_out], data.y[~data.held_out])
@@ -146,14 +152,14 @@ FAMILIES: dict[str, Probe] = {
 }
 
 
-def gaussian(
-    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+def fit_gaussian(
+    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predict mean and standard deviation of a normal distribution by the MLP's likelihood.
 
     The deviation is not calibrated.
     """
-    data = _prepare(codes, wanted, others, groups)
+    data = _prepare(codes, targets, test_codes, groups)
     mean, log_deviation = np.split(_train(data, gaussian=True), 2, axis=1)
     return data.unscale(mean), np.exp(log_deviation) * data.reach
 
@@ -193,12 +199,12 @@ def _prepare(
 ) -> _Data:
     whitening = fit_whitening(codes)
     centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
-    reach = np.where(reach > LEAST, reach, 1)
+    reach = np.where(reach > MIN_SPREAD, reach, 1)
     x, z = whitening.apply(codes), whitening.apply(others)
-    return _Data(x, (wanted - centre) / reach, z, hold_out(groups), centre, reach)
+    return _Data(x, (wanted - centre) / reach, z, mark_held_out(groups), centre, reach)
 
 
-def hold_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
+def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
     """Return which examples (N,) belong to every fifth group."""
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
 

@@ -14,10 +14,10 @@ from jaxunshear.settings.registry import DISENTANGLED, UNSHEARING
 from jaxunshear.settings.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
-LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
+DIRECT_KIND = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
-PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
-POSE_KINDS = ("tap", PARTNER, "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARING)
+TARGET_KIND = "partner"  # of a recorded slide: what a perfect network would unshear it to
+POSE_KINDS = ("tap", TARGET_KIND, "sheared", DIRECT_KIND, *BASELINES, *UNSHEARING)
 CELLS = (
     "DC(z_p)",
     "DC(z_s)",
@@ -40,32 +40,32 @@ class Outputs(NamedTuple):
     pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
 
 
-def target_of(cell: str) -> str:
+def get_cell_target(cell: str) -> str:
     """What the cell's decoder ought to draw: "tap" or "sheared"."""
     return "tap" if cell.startswith("DC") else "sheared"
 
 
-def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
+def make_cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
     """CELL_METRICS as functions of two batches of images of `size` px; MS-SSIM with as many scales as these carry, at most five."""
     scales = count_scales(size)
     return {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
 
 
-def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str, Array]:
+def score_images(images: dict[str, Array], cells: dict[str, Array]) -> dict[str, Array]:
     """Similarity of every kind but the tap with its tap, and of each cell with its target, each (B,). Can be jitted.
 
     Names: `ms_ssim/<kind>`, `swap/<cell>/<metric>`. As many MS-SSIM scales as the size carries, at most five.
     """
-    metrics = cell_metrics(images["tap"].shape[1])
+    metrics = make_cell_metrics(images["tap"].shape[1])
     kinds = [kind for kind in KINDS if kind in images and kind != "tap"]
     scores = {f"ms_ssim/{kind}": metrics["ms_ssim"](images[kind], images["tap"]) for kind in kinds}
     for cell, drawn in cells.items():
         for metric in CELL_METRICS:
-            scores[f"swap/{cell}/{metric}"] = metrics[metric](drawn, images[target_of(cell)])
+            scores[f"swap/{cell}/{metric}"] = metrics[metric](drawn, images[get_cell_target(cell)])
     return scores
 
 
-def pose_scores(
+def score_poses(
     poses: Mapping[str, Mapping[str, np.ndarray]],
     true: Mapping[str, np.ndarray],
     table: str = "pose",
@@ -78,7 +78,7 @@ def pose_scores(
     return scores
 
 
-def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def compute_differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Disentangled less each other network, contact by contact, (N,): `difference/<kind>/<ms_ssim or quantity>`.
 
     Their means have far narrower intervals than the two means apart: both saw the same contacts.
@@ -87,17 +87,17 @@ def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, score in scores.items():
         table, kind, *quantity = name.split("/")
         ours = scores.get("/".join([table, DISENTANGLED, *quantity]))
-        if ours is not None and kind in (*UNSHEARING, LEARNT_SHEARED) and kind != DISENTANGLED:
+        if ours is not None and kind in (*UNSHEARING, DIRECT_KIND) and kind != DISENTANGLED:
             found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
     return found
 
 
-def shown_kind(kinds: Container[str]) -> str:
+def choose_main_kind(kinds: Container[str]) -> str:
     """The network whose images stand for a run: the disentangled one, or the best known of those there are."""
     return next((kind for kind in reversed(UNSHEARING) if kind in kinds), "sheared")
 
 
-def chance(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
+def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
     """Mean absolute error of one answer to every image, the best that needs no image: the middle of the labels."""
     middle = {name: np.full_like(value, np.median(value)) for name, value in true.items()}
     for target in targets:

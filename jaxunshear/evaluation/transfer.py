@@ -29,8 +29,14 @@ from jaxunshear.dataset.recorded_contacts import (
 )
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.measurements import rounded
-from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
+from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.pose_estimators import (
+    PIN_PLACES,
+    RidgeEstimator,
+    compute_pin_features,
+    estimate_poses,
+    fit_to_features,
+)
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, perceiver
 from jaxunshear.metrics.machine import describe_provenance
@@ -122,7 +128,7 @@ def score_transfer(
         **read_trained(model, experiment.networks),
         **describe_provenance(command),
     )
-    return rounded(results)
+    return round_values(results)
 
 
 def _score_ways(
@@ -174,7 +180,9 @@ def _score_reader(
         return {}
     sure = known & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
     targets = of_labels(names, tap_pose[sure])
-    reader = reader_of(places(tap_pins[AS_RECORDED][sure]), {"pose": tap_pose[sure]}, targets)
+    reader = fit_to_features(
+        compute_pin_features(tap_pins[AS_RECORDED][sure]), {"pose": tap_pose[sure]}, targets
+    )
     seen = {
         "tap": (tap_pins[AS_RECORDED][~known], tap_pose[~known]),
         "sheared": (slide_pins[AS_RECORDED], slide_pose),
@@ -286,12 +294,12 @@ def _errors(
     )
 
 
-def _errors_of(reader: PoseReader, pins: np.ndarray, labels: np.ndarray) -> dict[str, float]:
+def _errors_of(reader: RidgeEstimator, pins: np.ndarray, labels: np.ndarray) -> dict[str, float]:
     """Of the contacts whose pins (N, P, 2) px are known."""
     sure = np.isfinite(pins).all(axis=(1, 2))
     if not sure.any():
         return dict.fromkeys(names_of(reader.targets), float("nan"))
-    return _mean_errors(read(reader, places(pins[sure])), labels[sure])
+    return _mean_errors(estimate_poses(reader, compute_pin_features(pins[sure])), labels[sure])
 
 
 def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 from markupsafe import Markup
 
-from jaxunshear.evaluation.measurements import measurements
-from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.evaluation.measurements import build_measurements
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.progress import duration
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
@@ -19,9 +19,9 @@ def headlines(results: Results) -> Markup:
 
 
 def _simulated(results: Results) -> list[Markup]:
-    rows = {row.name: row for row in measurements(results).rows}
+    rows = {row.name: row for row in build_measurements(results).rows}
     similar, pose, pins = results.ms_ssim, results.pose_mae, results.pin_error
-    name, kind = results.metric["ms_ssim"], shown_kind(similar)
+    name, kind = results.metric["ms_ssim"], choose_main_kind(similar)
     row, first = rows[f"ms_ssim.{kind}.overall"], rows["ms_ssim.sheared.overall"]
     held = (
         row.bar and kind != "sheared"
@@ -58,7 +58,7 @@ def _recorded(results: Results) -> list[Markup]:
     shown = [_read(pose, quantity) for quantity in chief if pose]
     if similar:
         before, after = (
-            number(similar[kind]["overall"]) for kind in ("sheared", shown_kind(similar))
+            number(similar[kind]["overall"]) for kind in ("sheared", choose_main_kind(similar))
         )
         label = f"Likeness to the {words.truth(results)} ({results.metric['ms_ssim']})"
         shown.append(

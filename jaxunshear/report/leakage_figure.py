@@ -10,7 +10,7 @@ from jaxunshear.style import png_of
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
 
-    from jaxunshear.evaluation.exchange import Exchanged
+    from jaxunshear.evaluation.code_exchange import ExchangedCodes
 
 BARS = {
     "r2": "code",
@@ -20,7 +20,7 @@ BARS = {
 }
 
 
-def leakage_figure(results: Json, exchanged: "Exchanged | None") -> bytes:
+def leakage_figure(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
     """PNG."""
     from matplotlib.figure import Figure
 
@@ -72,7 +72,7 @@ def _bars(figure: "FigureBase", results: Json) -> None:
     )
 
 
-def _matrix(figure: "FigureBase", exchanged: "Exchanged") -> None:
+def _matrix(figure: "FigureBase", exchanged: "ExchangedCodes") -> None:
     side = len(exchanged.true)
     images = exchanged.true.ndim == 5
     panels = figure.subplots(side, side, squeeze=False)
@@ -92,12 +92,12 @@ def _matrix(figure: "FigureBase", exchanged: "Exchanged") -> None:
     figure.suptitle(title, fontsize=8)
 
 
-def _pins(axes: Any, exchanged: "Exchanged", i: int, j: int) -> None:
+def _pins(axes: Any, exchanged: "ExchangedCodes", i: int, j: int) -> None:
     middle, reach = (
         exchanged.true.mean(axis=(0, 1, 2)),
         1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2,
     )
-    true, drawn = exchanged.true[i, j], exchanged.drawn[i, j]
+    true, drawn = exchanged.true[i, j], exchanged.decoded[i, j]
     axes.scatter(*true.T, s=5, facecolors="none", edgecolors="0.5", lw=0.6)
     axes.scatter(*drawn.T, s=1.2, color="tab:blue" if i == j else "tab:red")
     axes.set(
@@ -107,8 +107,8 @@ def _pins(axes: Any, exchanged: "Exchanged", i: int, j: int) -> None:
     axes.set_title(f"{rms:.2f} px", fontsize=7, pad=2)
 
 
-def _image(axes: Any, exchanged: "Exchanged", i: int, j: int) -> None:
+def _image(axes: Any, exchanged: "ExchangedCodes", i: int, j: int) -> None:
     """White where both are bright, red where only what is drawn is, blue where only the contact is."""
-    true, drawn = exchanged.true[i, j, ..., 0], exchanged.drawn[i, j, ..., 0]
+    true, drawn = exchanged.true[i, j, ..., 0], exchanged.decoded[i, j, ..., 0]
     axes.imshow(np.stack([drawn, np.minimum(drawn, true), true], axis=-1), interpolation="nearest")
     axes.set_title(f"{np.sqrt(np.mean((true - drawn) ** 2)):.3f}", fontsize=7, pad=2)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import page, words
 from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ, read_npz
@@ -36,7 +36,7 @@ def read(path: Path) -> Shown:
     """Raises `UserError` where montage.npz is missing or damaged."""
     try:
         shown = read_npz(path)
-        judged = shown_kind(shown)
+        judged = choose_main_kind(shown)
         needed = (
             "stimulus",
             "pose",
@@ -116,7 +116,7 @@ def typical(shown: Shown) -> tuple[list[int], list[int]]:
 
 def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
     """Images and likenesses under them, in the order of the heads."""
-    network = shown_kind(shown)
+    network = choose_main_kind(shown)
     sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", network, "tap"))
     return [
         (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),

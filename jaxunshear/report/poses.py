@@ -2,7 +2,7 @@
 
 from markupsafe import Markup
 
-from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import page, scores, words
 from jaxunshear.report.page import number, spanned
 from jaxunshear.results.run import Parts, Results, Span
@@ -101,7 +101,7 @@ def _brackets(results: Results) -> str:
 
 def _recovery(results: Results) -> Markup:
     """The sentence; nothing where no network unshears, or nothing is known of taps."""
-    kind = shown_kind(results.pose_recovery)
+    kind = choose_main_kind(results.pose_recovery)
     if kind == "sheared":
         return Markup()
     found, spread = results.pose_recovery[kind], results.spread.pose_recovery[kind]
@@ -143,7 +143,7 @@ def _span(interval: Span, form: str) -> str:
 def _by_part(results: Results, parts: Parts | None, by: str) -> Markup:
     """Each of `parts`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
     taps errors. Nothing of runs evaluated by an earlier version."""
-    names, kind = words.targets(results), shown_kind(results.pose_mae)
+    names, kind = words.targets(results), choose_main_kind(results.pose_mae)
     recovered, rows = False, []
     for part, found in (parts or {}).items():
         if not found:

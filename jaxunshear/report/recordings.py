@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from jaxunshear.evaluation.recorded_facts import describe_test
-from jaxunshear.evaluation.within import ELSEWHERE
+from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
+from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
 from jaxunshear.results.run import Results, Scores
@@ -91,7 +91,7 @@ def intervals(results: Results) -> Markup:
     lead = (
         "Half-widths that hold 95 % of the errors on validation contacts of the same session; in "
         f"brackets the share of test contacts that they hold ({describe_test(results)}). "
-        f"{ELSEWHERE}. For yours: jaxunshear evaluate RUN --recordings DIR."
+        f"{ELSEWHERE_NOTE}. For yours: jaxunshear evaluate RUN --recordings DIR."
     )
     return page.section(
         "How far an answer may be off",

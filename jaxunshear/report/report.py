@@ -9,7 +9,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.recorded_facts import describe_test
+from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.report import (
     applications,
     headlines,

@@ -14,7 +14,7 @@ import functools
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from jaxunshear.evaluation import spread
+from jaxunshear.evaluation import bootstrap
 
 SEED = 0
 OVER = "training seeds and test poses"  # what the intervals of several seeds are over
@@ -26,9 +26,9 @@ def spread_of(seeds: int) -> dict[str, str | int]:
     kind = f"Student's t over {seeds} seeds and {drawn}" if seeds > 1 else drawn
     return {
         "interval": kind,
-        "what": f"{spread.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
-        "over": OVER if seeds > 1 else spread.OVER,
-        "resamples": spread.RESAMPLES,
+        "what": f"{bootstrap.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
+        "over": OVER if seeds > 1 else bootstrap.INTERVALS_OVER,
+        "resamples": bootstrap.RESAMPLES,
         "seed": SEED,
     }
 
@@ -40,7 +40,7 @@ def interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
     """
     if values.ndim != 2 or not values.size or values.shape[1:] != poses.shape:
         raise ValueError("values must be an array (seeds, N), poses (N,), neither of them empty")
-    return spread.interval(resampled(values, poses))
+    return bootstrap.compute_interval(resampled(values, poses))
 
 
 def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -62,9 +62,9 @@ def weights(seeds: int, seed: int) -> np.ndarray:
     deviation is that of the mean, s / sqrt(seeds), times t / z: the 97.5 % quantiles of Student's t
     with seeds - 1 degrees of freedom and of the normal distribution. A single seed counts 1.
     """
-    upper = (1 + spread.LEVEL) / 2
+    upper = (1 + bootstrap.LEVEL) / 2
     wider = stdtrit(seeds - 1, upper) / ndtri(upper) if seeds > 1 else 0.0
-    drawn = np.random.default_rng(seed).normal(size=(spread.RESAMPLES, seeds))
+    drawn = np.random.default_rng(seed).normal(size=(bootstrap.RESAMPLES, seeds))
     apart = drawn - drawn.mean(axis=1, keepdims=True)
     return 1 + wider * np.sqrt(seeds / max(seeds - 1, 1)) * apart
 
@@ -75,6 +75,6 @@ def draws(things: int, seed: int) -> np.ndarray:
     equal = np.full(things, 1 / things)
     return (
         np.random.default_rng(seed)
-        .multinomial(things, equal, size=spread.RESAMPLES)
+        .multinomial(things, equal, size=bootstrap.RESAMPLES)
         .astype(np.float64)
     )

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.smooth import SMOOTH
-from jaxunshear.evaluation.spread import numbered_poses
+from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.unambiguous_edges import SMOOTH
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.stimuli import stimulus_names
@@ -121,7 +121,7 @@ def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, object]:
 def poses_of(rows: Mapping[int, Measured], test: str) -> np.ndarray:
     """(N,) which pose of which stimulus a contact belongs to."""
     labels = _labels(rows, test)
-    return numbered_poses(labels["stimulus"], labels["pose_id"])
+    return number_poses(labels["stimulus"], labels["pose_id"])
 
 
 def _labels(rows: Mapping[int, Measured], test: str) -> Mapping[str, np.ndarray]:

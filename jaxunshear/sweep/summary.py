@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxunshear.evaluation import spread
+from jaxunshear.evaluation import bootstrap
 from jaxunshear.report.frontier_figure import efficient
 from jaxunshear.results.sweep import Axis, CellResult, Costs, Failure, Figure, SweepResult
 from jaxunshear.settings.experiment import recorded_of
@@ -206,7 +206,7 @@ def _recovery(
     by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
     return Figure(
         float((sheared - unsheared) / (sheared - tap)),
-        None if redrawn is None else spread.interval(redrawn),
+        None if redrawn is None else bootstrap.compute_interval(redrawn),
         {
             str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
             for seed, row in zip(seeds, by_seed, strict=True)

@@ -139,14 +139,14 @@ def _spoilt(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
     """What decoders make of exchanged codes, and what each code holds that it should not."""
-    from jaxunshear.evaluation.ablation import ablate
-    from jaxunshear.evaluation.leakage import leakage
-    from jaxunshear.evaluation.leakage_table import for_sweep
+    from jaxunshear.evaluation.code_swap_test import ablate
+    from jaxunshear.evaluation.leakage import measure_leakage
+    from jaxunshear.evaluation.leakage_table import build_sweep_rows
 
     over = over_pins(experiment)
     rows = [] if over else ablate(experiment, folder, data, command)["rows"]
     if experiment.pins.shear_code if over else experiment.unshear.shear_channels:
-        rows += for_sweep(leakage(experiment, folder, data, command, controls=False))
+        rows += build_sweep_rows(measure_leakage(experiment, folder, data, command, controls=False))
     return rows
 
 

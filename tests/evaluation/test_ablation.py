@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.ablation import ablate, cell_scores, rows_of, table
-from jaxunshear.evaluation.cells import SPOILT, draw_cells
-from jaxunshear.evaluation.score import target_of
+from jaxunshear.evaluation.code_swap_test import ablate, build_rows, format_table, score_cells
+from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
+from jaxunshear.evaluation.score import get_cell_target
 from jaxunshear.model import unshearnet
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
@@ -28,13 +28,13 @@ def drawn():
     return (
         variables,
         sheared,
-        draw_cells(NET, variables, sheared, SPOILT, jnp.asarray(sheared[::-1])),
+        decode_cells(NET, variables, sheared, SWAP_CELLS, jnp.asarray(sheared[::-1])),
     )
 
 
 def test_every_cell_is_drawn_from_its_codes(drawn):
     variables, sheared, images = drawn
-    assert set(images) == set(SPOILT)
+    assert set(images) == set(SWAP_CELLS)
     z_p, z_s = unshearnet.encode(NET, variables, sheared)
     blank = jnp.zeros_like(z_p)
     for cell, logits in {
@@ -49,8 +49,8 @@ def test_every_cell_is_drawn_from_its_codes(drawn):
 def test_codes_of_two_widths_cannot_change_places():
     net = replace(NET, shear_channels=2)
     variables = init(net, jax.random.key(0))
-    found = draw_cells(net, variables, jnp.zeros((2, 32, 32, 1)), SPOILT)
-    assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)"}
+    found = decode_cells(net, variables, jnp.zeros((2, 32, 32, 1)), SWAP_CELLS)
+    assert set(SWAP_CELLS) - set(found) == {"DC(z_s)", "DS(z_p,z_p)"}
 
 
 def test_rows_give_which_image_was_drawn(drawn):
@@ -63,23 +63,23 @@ def test_rows_give_which_image_was_drawn(drawn):
     }
     big = lambda x: jnp.repeat(jnp.repeat(x, 4, axis=1), 4, axis=2)  # noqa: E731  MS-SSIM wants more pixels
     own, other = (big(jnp.asarray(images)) for images in (sheared, sheared[::-1]))
-    scores = cell_scores(jax.tree.map(big, perfect), big(tap), own, other)
+    scores = score_cells(jax.tree.map(big, perfect), big(tap), own, other)
     rows = {
         row["name"]: row
-        for row in rows_of({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))
+        for row in build_rows({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))
     }
     foreign, own = rows["DS(z_p,z_s of another)"], rows["DS(z_p,z_s)"]
     assert own["mse"] == 0 and own["ssim"] == pytest.approx(1, abs=1e-5)
     assert foreign["mse to the other"] == 0 and foreign["ssim"] < 0.5 < foreign["ssim to the other"]
     assert own["paper"]["mse"] == 0.002 and foreign["paper"] is None
-    assert "DS(z_p,z_s of another)" in table(list(rows.values()))
+    assert "DS(z_p,z_s of another)" in format_table(list(rows.values()))
 
 
 def test_what_is_beside_the_papers_figure_is_multi_scale():
     """As the paper's is: by a single scale the same image scores 0.115."""
     scores = {"DC(z_s)/mse": 0.19, "DC(z_s)/ssim": 0.115, "DC(z_s)/ms_ssim": 0.165}
-    rows = rows_of({name: np.full(4, value) for name, value in scores.items()}, np.arange(4))
-    line = table(rows).splitlines()[1]
+    rows = build_rows({name: np.full(4, value) for name, value in scores.items()}, np.arange(4))
+    line = format_table(rows).splitlines()[1]
     assert line.split()[2:] == ["0.1900", "0.165", "[0.165,", "0.165]", "0.22,", "0.02"]
 
 
@@ -101,5 +101,5 @@ def test_released_weights_cannot_be_ablated(tmp_path):
 
 
 def test_targets():
-    assert {target_of(cell) for cell in SPOILT if cell.startswith("DS")} == {"sheared"}
-    assert {target_of(cell) for cell in SPOILT if cell.startswith("DC")} == {"tap"}
+    assert {get_cell_target(cell) for cell in SWAP_CELLS if cell.startswith("DS")} == {"sheared"}
+    assert {get_cell_target(cell) for cell in SWAP_CELLS if cell.startswith("DC")} == {"tap"}

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.evaluate import every_score, montage, results_of
-from jaxunshear.evaluation.gather import BATCH, FIELDS, gather
-from jaxunshear.evaluation.measurements import measurements, reproducible
-from jaxunshear.evaluation.score import CELLS, Outputs, chance, image_scores
-from jaxunshear.evaluation.smooth import marked
+from jaxunshear.evaluation.evaluate import build_results, encode_montage, encode_scores
+from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
+from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
+from jaxunshear.evaluation.score_collection import BATCH, FIELDS, collect_scores
+from jaxunshear.evaluation.unambiguous_edges import mark_smooth
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.targets import of_ranges, true_values
@@ -76,7 +76,7 @@ def oracle(full, sizes=None, step=4):
         poses = {
             kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS
         }
-        return Outputs(images, drawn, poses, {}), image_scores(images, drawn)
+        return Outputs(images, drawn, poses, {}), score_images(images, drawn)
 
     return run
 
@@ -84,12 +84,12 @@ def oracle(full, sizes=None, step=4):
 @pytest.fixture(scope="module")
 def gathered():
     full = contacts()
-    return gather(oracle(full), batches(full, 4), total=9, keep=7, targets=TARGETS)
+    return collect_scores(oracle(full), batches(full, 4), total=9, keep=7, targets=TARGETS)
 
 
 @pytest.fixture(scope="module")
 def results(gathered):
-    return results_of(Experiment(name="made up", claim="none"), gathered)
+    return build_results(Experiment(name="made up", claim="none"), gathered)
 
 
 def test_an_oracle_is_perfect_and_doing_nothing_changes_nothing(results):
@@ -133,8 +133,8 @@ def test_what_is_measured_is_named(results):
 
 
 def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
-    again = results_of(Experiment(name="made up", claim="none"), gathered)
-    assert json.dumps(reproducible(again)) == json.dumps(reproducible(results))
+    again = build_results(Experiment(name="made up", claim="none"), gathered)
+    assert json.dumps(select_reproducible(again)) == json.dumps(select_reproducible(results))
 
 
 def test_networks_are_compared_contact_by_contact(gathered, results):
@@ -153,18 +153,18 @@ def test_networks_are_compared_contact_by_contact(gathered, results):
 
 def test_a_test_of_its_own_has_tables_of_its_own(gathered):
     experiment = Experiment(name="made up", claim="none", unseen=("flower", "leaf", "spiral_1"))
-    found = results_of(experiment, gathered, {"unseen": gathered})
+    found = build_results(experiment, gathered, {"unseen": gathered})
     test = found.tests["unseen"]
     assert list(test.ms_ssim["disentangled"]) == ["flower", "leaf", "spiral_1", "overall"]
     assert test.contacts == 9
     assert test.pose_mae == found.pose_mae
-    rows = measurements(found).rows
+    rows = build_measurements(found).rows
     assert "unseen.ms_ssim.disentangled.flower" in {row.name for row in rows}
     assert sum(row.ok is not None for row in rows) == 4  # the bars are for the test split alone
 
 
 def test_scores_are_kept_contact_by_contact(gathered):
-    with np.load(io.BytesIO(every_score(gathered))) as kept:
+    with np.load(io.BytesIO(encode_scores(gathered))) as kept:
         assert set(kept) == {*gathered.scores, "stimulus", "pose_id"}
         np.testing.assert_array_equal(
             kept["ms_ssim/entangled"], gathered.scores["ms_ssim/entangled"]
@@ -176,7 +176,7 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
     experiment = Experiment(name="made up", claim="none")
     smooth = np.arange(len(gathered.labels["stimulus"])) < 5
     marks = gathered._replace(labels=gathered.labels | {"smooth": smooth})
-    found = results_of(experiment, marks)
+    found = build_results(experiment, marks)
     assert found.counts.test_smooth == 5
     for kind, errors in found.pose_smooth.pose_mae.items():
         assert errors == {
@@ -184,10 +184,12 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
                 gathered.scores[f"pose/{kind}/edge_deg"][:5].mean(dtype=float)
             )
         }
-    assert "pose_smooth.disentangled.edge_deg" in {row.name for row in measurements(found).rows}
-    assert found.pose_mae == results_of(experiment, gathered).pose_mae
-    assert results_of(experiment, gathered).pose_smooth is None
-    with np.load(io.BytesIO(every_score(marks))) as kept:
+    assert "pose_smooth.disentangled.edge_deg" in {
+        row.name for row in build_measurements(found).rows
+    }
+    assert found.pose_mae == build_results(experiment, gathered).pose_mae
+    assert build_results(experiment, gathered).pose_smooth is None
+    with np.load(io.BytesIO(encode_scores(marks))) as kept:
         np.testing.assert_array_equal(kept["smooth"], smooth)
 
 
@@ -197,14 +199,14 @@ def test_marks_are_of_the_contacts_poses(gathered):
         "pose": np.array([[-50.0, 0, 0, 3], [0.0, 0, 0, 3]]),
     }
     settings = PairedData(stimuli=("disk",))
-    assert marked(gathered._replace(labels=labels), settings).labels["smooth"].tolist() == [
+    assert mark_smooth(gathered._replace(labels=labels), settings).labels["smooth"].tolist() == [
         False,
         True,
     ]
 
 
 def test_measurements_of_results_have_the_bars(results):
-    rows = measurements(results).rows
+    rows = build_measurements(results).rows
     barred = {row.name: row.ok for row in rows if row.ok is not None}
     assert len(barred) == 4
     assert barred["ms_ssim.disentangled.overall"]
@@ -213,26 +215,28 @@ def test_measurements_of_results_have_the_bars(results):
 
 def test_batches_of_any_size_gather_the_same(gathered):
     full, sizes = contacts(), []
-    other = gather(oracle(full, sizes, 9), batches(full, 9), total=9, keep=7, targets=TARGETS)
+    other = collect_scores(
+        oracle(full, sizes, 9), batches(full, 9), total=9, keep=7, targets=TARGETS
+    )
     assert sizes == [(BATCH, BATCH)]
     for name in gathered.scores:
         np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
-    np.testing.assert_array_equal(gathered.kept, other.kept)
+    np.testing.assert_array_equal(gathered.kept, other.kept_rows)
     for kind in KINDS:
         np.testing.assert_array_equal(gathered.images[kind], other.images[kind])
 
 
 def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
     full, sizes = contacts(), []
-    found = gather(oracle(full, sizes), batches(full, 4), total=9, keep=3, targets=TARGETS)
+    found = collect_scores(oracle(full, sizes), batches(full, 4), total=9, keep=3, targets=TARGETS)
     assert sizes == [(BATCH, BATCH)] * 3
     assert all(len(value) == 9 for value in found.scores.values())
-    assert found.kept.tolist() == [0, 4, 8]
+    assert found.kept_rows.tolist() == [0, 4, 8]
     assert found.images["tap"].shape == (3, SIZE, SIZE)
 
 
 def test_montage_holds_a_few_of_each_stimulus(gathered):
-    with np.load(io.BytesIO(montage(("disk", "clover", "teardrop"), gathered))) as shown:
+    with np.load(io.BytesIO(encode_montage(("disk", "clover", "teardrop"), gathered))) as shown:
         assert set(shown["stimulus"].tolist()) == {"disk", "clover", "teardrop"}
         count = len(shown["stimulus"])
         assert 3 <= count <= 9
@@ -246,7 +250,7 @@ def test_chance_is_the_error_of_one_answer():
     pose, edge = np.zeros((4, 4)), np.zeros((4, 2))
     pose[:, 0] = [-2, -1, 1, 2]
     edge[:, 1] = [170, 180, -170, -180]
-    found = chance(true_values(TARGETS, {"pose": pose, "edge": edge}), TARGETS)
+    found = compute_chance_errors(true_values(TARGETS, {"pose": pose, "edge": edge}), TARGETS)
     assert found["x_mm"] == pytest.approx(1.5)
     assert found["edge_deg"] == pytest.approx(5)  # not 175: angles meet behind 180
     assert found["yaw_deg"] == 0

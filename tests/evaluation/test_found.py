@@ -8,9 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.evaluate import results_of
-from jaxunshear.evaluation.found import FOUND, SEEN_TAP, batches_of, found_pairs
-from jaxunshear.evaluation.networks import pin_run_of
+from jaxunshear.evaluation.detected_pins import (
+    DETECTED,
+    DETECTED_TAP,
+    detect_pairs,
+    iterate_batches,
+)
+from jaxunshear.evaluation.evaluate import build_results
+from jaxunshear.evaluation.network_outputs import make_pin_run
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.model import pin_networks, posenet
@@ -60,7 +65,7 @@ FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
 
 
 def test_pairs_that_are_followed_are_scored_and_the_others_counted():
-    found = found_pairs(Reader(black=[1]), LATTICE, FIELDS)
+    found = detect_pairs(Reader(black=[1]), LATTICE, FIELDS)
     assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(
         found.pairs
     )
@@ -75,10 +80,10 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
     np.testing.assert_array_equal(
         found.pairs["canonical_pins"][0], LATTICE.rest.astype(np.float32)
     )  # as it is
-    np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.rest, atol=0.7)
+    np.testing.assert_allclose(found.pairs[DETECTED_TAP][0], LATTICE.rest, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.rest, atol=0.7)
-    assert [len(batch["pose_id"]) for batch in batches_of(found, 1)] == [1, 1]
-    assert found_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
+    assert [len(batch["pose_id"]) for batch in iterate_batches(found, 1)] == [1, 1]
+    assert detect_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
 
 
 def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():
@@ -92,7 +97,9 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
         for name, net in nets.items()
     }
     run = partial(
-        jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), PinLayout(LATTICE.rest, 1.6, SIZE))),
+        jax.jit(
+            make_pin_run(nets, dict.fromkeys(nets, TARGETS), PinLayout(LATTICE.rest, 1.6, SIZE))
+        ),
         variables,
     )
     tap = LATTICE.rest[None].astype(np.float32)
@@ -111,9 +118,11 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
 
 def test_the_page_gives_how_many_were_followed():
     gathered = made_up_gathered()
-    results = results_of(Experiment("made up", "none"), gathered, {FOUND: gathered})
+    results = build_results(Experiment("made up", "none"), gathered, {DETECTED: gathered})
     reported = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
     followed = {"tap": reported, "sheared": reported | {"followed": 0.5}}
-    results = replace(results, tests={FOUND: replace(results.tests[FOUND], followed=followed)})
+    results = replace(
+        results, tests={DETECTED: replace(results.tests[DETECTED], followed=followed)}
+    )
     page = scores.further(results)
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

@@ -13,11 +13,11 @@ from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import to_sensor_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import (
-    exchange,
+    code_exchange,
     leakage,
     leakage_scores,
     leakage_table,
-    probed_slides,
+    probe_data,
     probes,
 )
 from jaxunshear.report.leakage_figure import leakage_figure
@@ -113,7 +113,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(folder):
-    return leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none")
+    return leakage.measure_leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none")
 
 
 def test_every_quantity_is_asked_of_every_code_by_every_family(found, folder):
@@ -186,7 +186,9 @@ def test_a_planted_leak_is_found_by_the_test_of_independence():
     """Nothing in the code, and a hundredth of its spread planted: p is large without the leak, and small with it."""
     rng = np.random.default_rng(5)
     code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
-    test = probed_slides.Split(code, code, {"slide": {"slide_x_mm": quantity}}, np.arange(400), {})
+    test = probe_data.ProbeSplit(
+        code, code, {"slide": {"slide_x_mm": quantity}}, np.arange(400), {}
+    )
     row = {"leak": True, "ceiling": 0.9, "code": "z_p", "what": "slide", "quantity": "slide_x_mm"}
     (found,) = leakage_scores.measure_independence({"z_p": code}, test, [row])
     assert found["p"] > 0.05 and found["planted p"] < 0.01
@@ -197,7 +199,7 @@ def test_the_slide_is_read_with_an_interval(found):
         (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")
     ]
     assert all(0 <= row["coverage"] <= 1 and row["half_width"] > 0 for row in found["slide"])
-    assert "95 % intervals hold" in leakage_table.table(found)
+    assert "95 % intervals hold" in leakage_table.format_table(found)
 
 
 def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
@@ -212,8 +214,8 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
     for name, row in drawn.items():
         squares = [part["slides"] * part["drawn"][name]["rms_px"] ** 2 for part in parts]
         assert sum(squares) == pytest.approx(found["exchanged"]["slides"] * row["rms_px"] ** 2)
-    exchanged = exchange.exchanged(EXPERIMENT, folder / "runs" / "toy", folder / "data")
-    assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
+    exchanged = code_exchange.exchange_codes(EXPERIMENT, folder / "runs" / "toy", folder / "data")
+    assert exchanged.decoded.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
     # the toy's law: what two slides differ in at one pose they differ in at another
     np.testing.assert_allclose(
         exchanged.true[0, 0] - exchanged.true[0, 1],
@@ -221,13 +223,13 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
         atol=1e-3,
     )
     assert leakage_figure(found, exchanged)[:4] == leakage_figure(found, None)[:4] == b"\x89PNG"
-    assert "a leak" in leakage_table.table(found) and "codes exchanged" in leakage_table.table(
+    assert "a leak" in leakage_table.format_table(
         found
-    )
+    ) and "codes exchanged" in leakage_table.format_table(found)
 
 
 def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
-    names = {row["name"] for row in leakage_table.for_sweep(found)}
+    names = {row["name"] for row in leakage_table.build_sweep_rows(found)}
     assert {
         "pose from z_s",
         "slide_x_mm from z_p",
@@ -237,7 +239,7 @@ def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
     assert "standard scores" in names
     assert {"DS, codes exchanged, sticking", "DS, codes both of its own, slipped"} <= names
     run = folder / "runs" / "toy"
-    fewer = leakage.leakage(EXPERIMENT, run, folder / "data", "none", controls=False)
+    fewer = leakage.measure_leakage(EXPERIMENT, run, folder / "data", "none", controls=False)
     full = {row["name"]: row["r2"] for row in found["rows"]}
     assert {row["name"]: row["r2"] for row in fewer["rows"]} == full  # the same bits
     assert not any("untrained" in row or "shuffled" in row for row in fewer["rows"])
@@ -261,7 +263,7 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
     )
     run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
     with pytest.raises(UserError, match="no network with a shear code"):
-        leakage.leakage(plain, tmp_path / "plain", folder / "data", "none")
+        leakage.measure_leakage(plain, tmp_path / "plain", folder / "data", "none")
 
 
 def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
@@ -270,7 +272,7 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
         EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, hidden=32), train_pins=training
     )
     run_stages(longer, ("disentangled",), tmp_path, folder / "data", "none")
-    rows = leakage.leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
+    rows = leakage.measure_leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
     said = {row["name"]: row["families"]["linear"] for row in rows}
     assert read_slides(tmp_path / "toy" / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
     assert said["slide_x_mm from z_s"] > 0.7 and said["slide_y_mm from z_s"] > 0.7
@@ -324,21 +326,21 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     ]
     assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
     assert read_slides(run / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
-    found = leakage.leakage(images, run, folder / "data", "none", controls=False)
+    found = leakage.measure_leakage(images, run, folder / "data", "none", controls=False)
     assert found["sizes"] == {"z_p": 4, "z_s": 2}
     drawn = found["exchanged"]["drawn"]
     assert found["exchanged"]["ratio"] == pytest.approx(
         drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
     )
     assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {
-        row["name"] for row in leakage_table.for_sweep(found)
+        row["name"] for row in leakage_table.build_sweep_rows(found)
     }
-    assert "of 1 in grey" in leakage_table.table(found)
+    assert "of 1 in grey" in leakage_table.format_table(found)
     assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
-    exchanged = exchange.exchanged(images, run, folder / "data")
-    assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
+    exchanged = code_exchange.exchange_codes(images, run, folder / "data")
+    assert exchanged.decoded.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
     assert (
         set(np.unique(exchanged.true)) == {0, 1}
-        and 0 <= exchanged.drawn.min() <= exchanged.drawn.max() <= 1
+        and 0 <= exchanged.decoded.min() <= exchanged.decoded.max() <= 1
     )
     assert leakage_figure(found, exchanged)[:4] == b"\x89PNG"

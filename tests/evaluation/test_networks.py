@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import networks
-from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_SHEARED, PARTNER, POSE_KINDS
+from jaxunshear.evaluation import network_outputs
+from jaxunshear.evaluation.code_swaps import decode_cells
+from jaxunshear.evaluation.score import BASELINES, CELLS, DIRECT_KIND, POSE_KINDS, TARGET_KIND
 from jaxunshear.model import unshearnet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UnshearNet
@@ -22,7 +22,7 @@ TARGETS = of_ranges((), Ranges())
 QUANTITIES = names_of(TARGETS)
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
-swapped = jax.jit(draw_cells, static_argnums=0)
+swapped = jax.jit(decode_cells, static_argnums=0)
 
 
 def images(count=2):
@@ -62,7 +62,7 @@ def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
 
 
 def test_outputs_and_scores_of_trained_networks(trained):
-    run = networks.load(trained, NETWORKS)
+    run = network_outputs.load_run(trained, NETWORKS)
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == set(PAPER_KINDS)
     assert set(outputs.cells) == set(CELLS)
@@ -83,26 +83,26 @@ def test_a_missing_network_is_named(trained, tmp_path):
     for name in ("disentangled", "posenet"):
         (tmp_path / name).symlink_to(trained / name)
     with pytest.raises(UserError, match="entangled"):
-        networks.load(tmp_path, NETWORKS)
+        network_outputs.load_run(tmp_path, NETWORKS)
 
 
 def test_rivals_and_baselines_join_in(trained):
-    run = networks.load(trained, ALL_NETWORKS, taps=images(5))
+    run = network_outputs.load_run(trained, ALL_NETWORKS, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
-    assert set(outputs.poses) == {*POSE_KINDS} - {PARTNER}
+    assert set(outputs.poses) == {*POSE_KINDS} - {TARGET_KIND}
     assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {
         *outputs.images
     } - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
-    same, _ = networks.load(trained, ("posenet", "posenet_sheared"))(images(), images())
-    twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])
+    same, _ = network_outputs.load_run(trained, ("posenet", "posenet_sheared"))(images(), images())
+    twice = np.asarray(same.poses[DIRECT_KIND]["x_mm"])
     np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
 
 
 def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):
     (tmp_path / "entangled").symlink_to(trained / "entangled")
-    outputs, scores = networks.load(tmp_path, ("entangled",))(images(), images())
+    outputs, scores = network_outputs.load_run(tmp_path, ("entangled",))(images(), images())
     assert set(outputs.images) == {"tap", "sheared", "entangled"}
     assert (outputs.cells, outputs.poses) == ({}, {})
     assert set(scores) == {"ms_ssim/sheared", "ms_ssim/entangled"}

@@ -6,7 +6,7 @@ import pytest
 
 from jaxunshear.evaluation import probes
 from jaxunshear.evaluation.leakage import probe_quantity
-from jaxunshear.evaluation.probes import FAMILIES, fit_whitening, hold_out
+from jaxunshear.evaluation.probes import FAMILIES, fit_whitening, mark_held_out
 from jaxunshear.metrics.independence import compute_r2
 
 COUNT, LEARNT = 1200, 800  # of the planted leak
@@ -70,7 +70,7 @@ def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
     wanted = np.concatenate([slide, hidden], axis=1)
     wanted /= wanted.std(axis=0)
     scaled = (codes - codes.mean(axis=0)) / codes.std(axis=0)
-    held = hold_out(np.arange(LEARNT))
+    held = mark_held_out(np.arange(LEARNT))
     learnt, judged = np.flatnonzero(~held), np.flatnonzero(held)
     parts = (scaled[learnt], wanted[learnt], scaled[judged], wanted[judged], scaled[LEARNT:])
     old = probes._train_mlp(*(jnp.asarray(part, jnp.float32) for part in parts), gaussian=False)

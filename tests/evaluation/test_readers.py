@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.readers import (
+from jaxunshear.evaluation.kernel_ridge import FEWEST, answers, fitted
+from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     PIXELS,
-    learnt,
-    of_batches,
-    pixels,
-    places,
-    read,
-    read_pins,
+    compute_pin_features,
+    compute_pixel_features,
+    estimate_poses,
+    fit_estimator,
+    make_batch_estimators,
+    score_detected_pins,
 )
-from jaxunshear.evaluation.ridge import FEWEST, answers, fitted
+from jaxunshear.evaluation.result_tables import add_estimators
 from jaxunshear.evaluation.score import Outputs
-from jaxunshear.evaluation.summary import with_readers
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.results.run import Tables
 from jaxunshear.settings.data import Ranges
@@ -71,12 +71,12 @@ class Taps:
 
 @pytest.fixture(scope="module")
 def reader():
-    return learnt(PIN_PLACES, Taps(200), TARGETS)
+    return fit_estimator(PIN_PLACES, Taps(200), TARGETS)
 
 
 def test_a_linear_pose_is_recovered_exactly(reader):
     pose, edge = poses(50, 1)
-    found = read(reader, places(pins_of(pose, edge)))
+    found = estimate_poses(reader, compute_pin_features(pins_of(pose, edge)))
     np.testing.assert_allclose(found["x_mm"], pose[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_mm"], edge[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_deg"], edge[:, 1], atol=0.05)
@@ -96,43 +96,43 @@ def test_equal_examples_give_their_mean():
 
 
 def test_the_same_taps_give_the_same_bits(reader):
-    again = learnt(PIN_PLACES, Taps(200), TARGETS)
+    again = fit_estimator(PIN_PLACES, Taps(200), TARGETS)
     np.testing.assert_array_equal(again.ridge.model.dual_coef_, reader.ridge.model.dual_coef_)
 
 
 def test_of_many_taps_some_are_learnt_from_and_of_too_few_nothing():
-    assert learnt(PIN_PLACES, Taps(FEWEST - 1), TARGETS) is None
-    assert learnt(PIN_PLACES, Taps(20), ()) is None
-    assert learnt(PIN_PLACES, Taps(200), TARGETS, most=30).taps == 30
+    assert fit_estimator(PIN_PLACES, Taps(FEWEST - 1), TARGETS) is None
+    assert fit_estimator(PIN_PLACES, Taps(20), ()) is None
+    assert fit_estimator(PIN_PLACES, Taps(200), TARGETS, max_taps=30).taps == 30
 
 
 def test_pins_that_are_not_seen_count_as_they_are_on_average(reader):
     taps = Taps(200)
     taps.rows["pins"][::3, 5] = np.nan
-    some = learnt(PIN_PLACES, taps, TARGETS)
+    some = fit_estimator(PIN_PLACES, taps, TARGETS)
     pose, edge = poses(50, 1)
     pins = pins_of(pose, edge)
     pins[:, 7] = np.nan
-    found = read(some, places(pins))
+    found = estimate_poses(some, compute_pin_features(pins))
     assert np.abs(found["x_mm"] - pose[:, 0]).max() < 0.5
 
 
 def test_pixels_are_means_over_squares():
     images = np.zeros((2, 70, 70, 1), np.uint8)
     images[1, 0, 0] = 255
-    found = pixels(images)
+    found = compute_pixel_features(images)
     assert found.shape == (2, 35 * 35)
     assert found[1, 0] == 0.25 and found.sum() == 0.25
-    np.testing.assert_array_equal(pixels((images / 255).astype(np.float32)), found)
+    np.testing.assert_array_equal(compute_pixel_features((images / 255).astype(np.float32)), found)
 
 
 def test_pixels_give_a_pose():
     taps = Taps(150)
     taps.rows["image"] = drawn(taps.rows["pins"])[..., None]
-    reader = learnt(PIXELS, taps, TARGETS)
+    reader = fit_estimator(PIXELS, taps, TARGETS)
     pose, edge = poses(20, 1)
     images = drawn(pins_of(pose, edge))[..., None] / 255
-    reads = of_batches({PIXELS: reader})[PIXELS]
+    reads = make_batch_estimators({PIXELS: reader})[PIXELS]
     found = reads(Outputs({"tap": images, "disentangled": images, "mean_tap": images}, {}, {}, {}))
     assert set(found) == {"tap", "disentangled"}  # of baselines nothing is asked
     assert np.abs(found["tap"]["x_mm"] - pose[:, 0]).mean() < 0.4 * np.abs(pose[:, 0]).mean()
@@ -143,7 +143,7 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     images = {"tap": drawn(pins_of(pose, edge)), "sheared": drawn(pins_of(pose, edge))}
     images["sheared"][2] = 0
     true = {"x_mm": pose[:, 0], "edge_mm": edge[:, 0], "edge_deg": edge[:, 1]}
-    scores = read_pins(reader, make_lattice(REST), images, true)
+    scores = score_detected_pins(reader, make_lattice(REST), images, true)
     assert scores["read/pins/tap/x_mm"].max() < 0.3
     assert np.isnan(scores["read/pins/sheared/edge_mm"]).tolist() == [
         False,
@@ -153,7 +153,7 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
         False,
         False,
     ]
-    found = with_readers(Tables(), [(scores, np.arange(6))], 0)
+    found = add_estimators(Tables(), [(scores, np.arange(6))], 0)
     assert found.reader_images["pins"] == {
         "tap": {"read": 6, "left_out": 0},
         "sheared": {"read": 5, "left_out": 1},
@@ -164,5 +164,6 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     assert low <= error <= high
     nothing = {name: np.full(6, np.nan) for name in scores}
     assert (
-        with_readers(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"] is None
+        add_estimators(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"]
+        is None
     )

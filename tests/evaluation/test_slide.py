@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.slide import slides_read, slipping
+from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
 
 RNG = np.random.default_rng(0)
 COUNTS = (1500, 600, 900)
@@ -23,9 +23,9 @@ def made(count):
 def rows():
     (one, known, _), (two, between, _), (three, true, slipped) = (made(count) for count in COUNTS)
     args = [one, two, three], [known, between, true], np.arange(COUNTS[0]), np.arange(COUNTS[2])
-    return {(row["name"], row["part"]): row for row in slides_read(*args, slipped)}, slides_read(
-        *args
-    )
+    return {
+        (row["name"], row["part"]): row for row in estimate_slides(*args, slipped)
+    }, estimate_slides(*args)
 
 
 def test_intervals_hold_95_percent_and_widen_with_doubt(rows):
@@ -51,7 +51,7 @@ def test_intervals_hold_95_percent_and_widen_with_doubt(rows):
 def test_what_no_code_gives_is_covered_all_the_same():
     codes = [RNG.normal(size=(count, 3)) for count in COUNTS]
     reported = [{"slide_x_mm": RNG.uniform(-1, 1, (count, 1))} for count in COUNTS]
-    (row,) = slides_read(codes, reported, np.arange(COUNTS[0]), np.arange(COUNTS[2]))
+    (row,) = estimate_slides(codes, reported, np.arange(COUNTS[0]), np.arange(COUNTS[2]))
     assert (
         0.92 < row["coverage"] < 0.98
         and row["half_width"] > 0.85
@@ -61,5 +61,5 @@ def test_what_no_code_gives_is_covered_all_the_same():
 
 def test_slipped_is_where_all_that_touches_slips():
     np.testing.assert_array_equal(
-        slipping(np.array([0, 1, 50, 0]), np.array([100, 99, 50, 0])), [True, True, False, False]
+        is_slipping(np.array([0, 1, 50, 0]), np.array([100, 99, 50, 0])), [True, True, False, False]
     )

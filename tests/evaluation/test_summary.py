@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
+from jaxunshear.evaluation.bootstrap import compute_intervals, number_poses
+from jaxunshear.evaluation.result_tables import (
+    build_tables,
+    select_typical,
+    summarise_contact_quality,
+    tabulate_by_size,
+)
 from jaxunshear.evaluation.score import CELLS
-from jaxunshear.evaluation.spread import intervals, numbered_poses
-from jaxunshear.evaluation.summary import contact_quality, pose_by_size, tables, typical
 
 QUANTITIES = ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
 KINDS = ("tap", "sheared", "entangled", "disentangled")
 NAMES = ("disk", "clover", "teardrop")
 STIMULUS = np.array([0, 0, 0, 0, 1, 1])  # no teardrop
-POSES = numbered_poses(STIMULUS, np.array([0, 0, 1, 1, 0, 1]))
+POSES = number_poses(STIMULUS, np.array([0, 0, 1, 1, 0, 1]))
 
 
 def made_up(error_by_kind=None):
@@ -34,7 +39,7 @@ def made_up(error_by_kind=None):
 
 
 def test_means_by_stimulus_and_overall():
-    found = tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
     row = found.ms_ssim["disentangled"]
     assert row["disk"] == pytest.approx(0.25)
     assert row["clover"] == pytest.approx(0.8)
@@ -46,12 +51,12 @@ def test_means_by_stimulus_and_overall():
 
 
 def test_intervals_of_one_run_say_that_they_are_of_one_training():
-    found = tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
     assert found.spread.over == "test poses of one training"
 
 
 def test_ratio_and_recovery():
-    found = tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
     assert found.pose_mae["sheared"]["edge_mm"] == 5
     assert found.pose_ratio["disentangled"]["edge_mm"] == pytest.approx(0.4)
     assert found.pose_recovery["disentangled"]["edge_mm"] == pytest.approx(0.75)
@@ -61,13 +66,13 @@ def test_ratio_and_recovery():
 def test_poses_of_each_stimulus_are_those_of_its_contacts_alone():
     scores = made_up()
     scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
-    found = tables(scores, NAMES, STIMULUS, POSES, seed=0).pose_by_stimulus
+    found = build_tables(scores, NAMES, STIMULUS, POSES, seed=0).pose_by_stimulus
     assert found["disk"].pose_mae["disentangled"]["x_mm"] == pytest.approx(1.5)
     assert found["disk"].pose_recovery["disentangled"]["x_mm"] == pytest.approx(3.5 / 4)
     assert found["disk"].spread.pose_recovery["disentangled"]["x_mm"] == pytest.approx([0.75, 1.0])
     assert found["clover"].pose_ratio["disentangled"]["x_mm"] == pytest.approx(0.9)
     assert found["teardrop"] is None
-    alone = tables(
+    alone = build_tables(
         {name: score[:4] for name, score in scores.items()},
         ("disk",),
         STIMULUS[:4],
@@ -83,7 +88,7 @@ def test_poses_of_each_depth_are_those_of_its_contacts_alone():
     depth = np.array(
         [1.0, 1.5, 2.9, 2.6, 3.0, 2.0]
     )  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
-    found = pose_by_size(scores, depth, 1.0, 4.0, POSES, seed=0)
+    found = tabulate_by_size(scores, depth, 1.0, 4.0, POSES, seed=0)
     assert list(found) == ["1.0-2.0 mm", "2.0-3.0 mm", "3.0-4.0 mm"]
     error = {name: part.pose_mae["disentangled"]["x_mm"] for name, part in found.items()}
     assert error == pytest.approx({"1.0-2.0 mm": 1.0, "2.0-3.0 mm": 3.0, "3.0-4.0 mm": 4.0})
@@ -95,38 +100,42 @@ def test_poses_of_each_depth_are_those_of_its_contacts_alone():
 
 
 def test_depths_without_contacts_are_null_and_one_depth_or_no_pose_is_not_divided():
-    found = pose_by_size(made_up(), np.full(6, 1.5), 1.0, 4.0, POSES, seed=0)
+    found = tabulate_by_size(made_up(), np.full(6, 1.5), 1.0, 4.0, POSES, seed=0)
     assert [part is None for part in found.values()] == [False, True, True]
-    assert pose_by_size(made_up(), np.full(6, 2.0), 2.0, 2.0, POSES, seed=0) == {}
+    assert tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.0, POSES, seed=0) == {}
     images_only = {name: score for name, score in made_up().items() if not name.startswith("pose/")}
-    assert pose_by_size(images_only, np.full(6, 1.5), 1.0, 4.0, POSES, seed=0) == {}
+    assert tabulate_by_size(images_only, np.full(6, 1.5), 1.0, 4.0, POSES, seed=0) == {}
 
 
 def test_narrow_depths_have_names_of_their_own():
-    found = pose_by_size(made_up(), np.full(6, 2.0), 2.0, 2.06, POSES, seed=0)
+    found = tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.06, POSES, seed=0)
     assert list(found) == ["2.000-2.020 mm", "2.020-2.040 mm", "2.040-2.060 mm"]
 
 
 def test_no_recovery_where_the_slide_does_no_damage():
     same = dict.fromkeys(KINDS, 2.0)
     assert (
-        tables(made_up(same), NAMES, STIMULUS, POSES, 0).pose_recovery["entangled"]["x_mm"] is None
+        build_tables(made_up(same), NAMES, STIMULUS, POSES, 0).pose_recovery["entangled"]["x_mm"]
+        is None
     )
     none = dict.fromkeys(KINDS, 0.0)
-    assert tables(made_up(none), NAMES, STIMULUS, POSES, 0).pose_ratio["entangled"]["x_mm"] is None
+    assert (
+        build_tables(made_up(none), NAMES, STIMULUS, POSES, 0).pose_ratio["entangled"]["x_mm"]
+        is None
+    )
 
 
 def test_tables_hold_the_networks_that_there_are():
     scores = {name: score for name, score in made_up().items() if "/entangled" not in name}
-    found = tables(scores, NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(scores, NAMES, STIMULUS, POSES, seed=0)
     assert list(found.ms_ssim) == ["sheared", "disentangled"]
     assert list(found.pose_mae) == ["tap", "sheared", "disentangled"]
     images_only = {name: score for name, score in scores.items() if not name.startswith("pose/")}
-    assert tables(images_only, NAMES, STIMULUS, POSES, seed=0).pose_recovery == {}
+    assert build_tables(images_only, NAMES, STIMULUS, POSES, seed=0).pose_recovery == {}
     learnt = images_only | {
         f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES
     }
-    found = tables(
+    found = build_tables(
         learnt, NAMES, STIMULUS, POSES, seed=0
     )  # a PoseNet that learnt slides, and none that learnt taps
     assert (
@@ -139,31 +148,31 @@ def test_cells_that_could_not_be_drawn_are_left_out():
     scores = {
         name: value for name, value in made_up().items() if not name.startswith("swap/DC(z_s)")
     }
-    assert set(tables(scores, NAMES, STIMULUS, POSES, 0).swap) == set(CELLS) - {"DC(z_s)"}
+    assert set(build_tables(scores, NAMES, STIMULUS, POSES, 0).swap) == set(CELLS) - {"DC(z_s)"}
 
 
 def test_intervals_are_repeatable_and_seeded():
     values = {"a": np.random.default_rng(0).normal(size=40)}
     poses = np.arange(40)
-    assert intervals(values, poses, 1) == intervals(values, poses, 1)
-    assert intervals(values, poses, 1) != intervals(values, poses, 2)
+    assert compute_intervals(values, poses, 1) == compute_intervals(values, poses, 1)
+    assert compute_intervals(values, poses, 1) != compute_intervals(values, poses, 2)
 
 
 def test_interval_width_is_the_standard_error_of_independent_poses():
     generator = np.random.default_rng(3)
     by_pose = generator.normal(size=200)
-    once = intervals({"a": by_pose}, np.arange(200), 0)["a"]
+    once = compute_intervals({"a": by_pose}, np.arange(200), 0)["a"]
     assert once[1] - once[0] == pytest.approx(2 * 1.96 * by_pose.std() / np.sqrt(200), rel=0.1)
     # ten equal slides at each pose say nothing new: the interval stays as wide
-    often = intervals({"a": np.repeat(by_pose, 10)}, np.repeat(np.arange(200), 10), 0)["a"]
+    often = compute_intervals({"a": np.repeat(by_pose, 10)}, np.repeat(np.arange(200), 10), 0)["a"]
     assert often == pytest.approx(once)
 
 
 def test_intervals_refuse_what_does_not_fit():
     with pytest.raises(ValueError, match="one length"):
-        intervals({"a": np.zeros(3)}, np.zeros(2, int), 0)
+        compute_intervals({"a": np.zeros(3)}, np.zeros(2, int), 0)
     with pytest.raises(ValueError, match="at least 1"):
-        intervals({}, np.zeros(0, int), 0)
+        compute_intervals({}, np.zeros(0, int), 0)
 
 
 def test_the_same_pose_number_of_two_stimuli_is_two_poses():
@@ -171,13 +180,13 @@ def test_the_same_pose_number_of_two_stimuli_is_two_poses():
     scores = made_up() | {name: np.array([0.0, 1.0]) for name in values}
     scores = {name: value[:2] for name, value in scores.items()}
     stimulus = np.array([0, 1])
-    found = tables(scores, NAMES, stimulus, numbered_poses(stimulus, np.array([7, 7])), seed=0)
+    found = build_tables(scores, NAMES, stimulus, number_poses(stimulus, np.array([7, 7])), seed=0)
     low, high = found.spread.ms_ssim["sheared"]["overall"]
     assert (low, high) == (0, 1)  # one pose alone would give an interval of no width
 
 
 def test_contact_quality_known_answer():
-    found = contact_quality({"residual_mm": np.array([1.0, 2, 3, 10])})
+    found = summarise_contact_quality({"residual_mm": np.array([1.0, 2, 3, 10])})
     assert found == {
         "residual_mm": {"mean": 4, "median": 2.5, "p95": pytest.approx(8.95), "max": 10}
     }
@@ -185,5 +194,5 @@ def test_contact_quality_known_answer():
 
 def test_typical_shows_low_middling_and_high_of_each_stimulus():
     scores = np.array([0.5, 0.1, 0.9, 0.4, 0.6, 0.3])
-    assert typical(scores, np.array([0, 0, 0, 1, 1, 1])).tolist() == [1, 0, 2, 5, 3, 4]
-    assert typical(scores[:1], np.array([2])).tolist() == [0]
+    assert select_typical(scores, np.array([0, 0, 0, 1, 1, 1])).tolist() == [1, 0, 2, 5, 3, 4]
+    assert select_typical(scores[:1], np.array([2])).tolist() == [0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxunshear.dataset.reader import open_set
-from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import SweepResult
@@ -52,7 +52,9 @@ def jobs(places: Places) -> dict[str, Job]:
         return compute_weights_digest(work / "tiny" / "posenet")
 
     def scored(name: str) -> Callable[[Path], object]:
-        return lambda work: reproducible(read(work / name / "results.json", Results, "again"))
+        return lambda work: select_reproducible(
+            read(work / name / "results.json", Results, "again")
+        )
 
     def answered(work: Path) -> object:
         lines = [json.loads(line) for line in (work / "lines.jsonl").read_text().splitlines()]

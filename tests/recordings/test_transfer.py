@@ -13,8 +13,8 @@ from jaxunshear import load_model
 from jaxunshear.dataset.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import transfer
+from jaxunshear.evaluation.other_recordings import format_table
 from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
-from jaxunshear.evaluation.unseen import table
 from jaxunshear.image.sensor_check import measure_sensor_appearance
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
 from jaxunshear.model import pin_networks, posenet
@@ -142,7 +142,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
         [0, 1, 0.5], abs=0.05
     )
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
-    assert "reader pins" in table(results)
+    assert "reader pins" in format_table(results)
     counts = results.counts
     assert (
         counts.known_taps + counts.test_taps == 60

@@ -7,9 +7,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.evaluate import montage, results_of
-from jaxunshear.evaluation.gather import Gathered
+from jaxunshear.evaluation.evaluate import build_results, encode_montage
 from jaxunshear.evaluation.score import CELLS
+from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.plain import plain
 from jaxunshear.settings.experiment import Experiment
 
@@ -87,7 +87,7 @@ def made_up_gathered():
             for name in ("iterations", "stuck", "slipping", "free")
         },
     }
-    return Gathered(
+    return CollectedScores(
         scores,
         labels,
         kept,
@@ -107,7 +107,7 @@ def make_run(folder):
         name="made up",
         claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report.",
     )
-    results = plain(results_of(experiment, gathered)) | {
+    results = plain(build_results(experiment, gathered)) | {
         "ms_per_image": {
             "disentangled": {"median": 4.2, "p95": 5.1},
             "posenet": {"median": 1.1, "p95": 1.3},
@@ -133,7 +133,7 @@ def make_run(folder):
     }
     results["counts"]["reader_taps"] = {"pixels": 3000, "pins": 2999}
     (folder / "results.json").write_text(json.dumps(results))
-    (folder / "montage.npz").write_bytes(montage(experiment.paired.stimuli, gathered))
+    (folder / "montage.npz").write_bytes(encode_montage(experiment.paired.stimuli, gathered))
     later = {"entangled": 96.4, "posenet": 54.0, "evaluate": 31.7, "report": 2.1}
     (folder / "times.json").write_text(json.dumps(results["time_s"] | later))
     for network, terms in (

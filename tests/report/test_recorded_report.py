@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import recorded
-from jaxunshear.evaluation.evaluate import montage
-from jaxunshear.evaluation.gather import Gathered
-from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.evaluation import recorded_evaluation
+from jaxunshear.evaluation.evaluate import encode_montage
+from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.fit import BASE
 from jaxunshear.plain import plain
 from jaxunshear.report.report import write_report
@@ -82,7 +82,7 @@ def gathered(networks, pairing, over, shown):
         for kind in ("tap", "sheared", "disentangled")
     }
     pins = dict.fromkeys(("canonical_pins", "sheared_pins"), np.full((KEPT, 331, 2), np.nan))
-    return Gathered(scores, labels, np.arange(KEPT), images, pins)
+    return CollectedScores(scores, labels, np.arange(KEPT), images, pins)
 
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
@@ -121,9 +121,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     )
     targets = of_labels((), poses(np.random.default_rng(2), 200))
     readers = (reader if slides else None, reader if taps else None)
-    test = recorded.Test(*readers, bool(slides and pairing), "same session")
-    results = rounded(
-        plain(recorded.results_of(experiment, stored, targets, slides, taps, test))
+    test = recorded_evaluation.RecordedTest(*readers, bool(slides and pairing), "same session")
+    results = round_values(
+        plain(recorded_evaluation.build_results(experiment, stored, targets, slides, taps, test))
         | {
             "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
             "time_s": {"posenet": 341.0, "evaluate": 20.0},
@@ -140,7 +140,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     )
     (folder / "results.json").write_text(json.dumps(results))
     if slides and pairing:
-        (folder / "montage.npz").write_bytes(montage(("recorded",), recorded.as_montage(slides)))
+        (folder / "montage.npz").write_bytes(
+            encode_montage(("recorded",), recorded_evaluation.convert_montage_labels(slides))
+        )
     (folder / "posenet").mkdir()
     line = {
         "step": 1,

@@ -211,7 +211,7 @@ def test_nulls_are_shown_as_dashes(bare_run):
 
 
 def test_the_papers_likeness_of_swapped_codes_is_called_multi_scale(page):
-    """It is: see `jaxunshear.evaluation.paper`."""
+    """It is: see `jaxunshear.evaluation.paper_results`."""
     section = page.read_text().split("Swapped codes")[1].split("</table>")[0]
     heads = re.findall(r"<th[^>]*>(.*?)</th>", section.split("</thead>")[0], re.DOTALL)
     assert [head for head in heads if "paper" in head] == ["MSE<br>paper", "MS-SSIM<br>paper"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from jaxunshear.evaluation.spread import RESAMPLES, intervals
+from jaxunshear.evaluation.bootstrap import RESAMPLES, compute_intervals
 from jaxunshear.sweep.bootstrap import draws, interval, resampled, spread_of
 
 POSES = np.repeat(np.arange(60), 2)  # two slides each
@@ -87,7 +87,7 @@ def test_slides_of_a_pose_are_drawn_together():
 def test_one_seed_gives_the_interval_of_the_evaluation():
     values = scores(1, 0.0, 1.0, 0.5)
     assert interval(values, POSES) == pytest.approx(
-        intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12
+        compute_intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12
     )
 
 

@@ -19,18 +19,18 @@ from jaxunshear.training.checkpoint import load_best, read_net
 CALLS = 40
 
 
-def ms_per_image(run_dir: Path, names: Sequence[str]) -> dict[str, dict[str, float]]:
+def measure_ms_per_image(run_dir: Path, names: Sequence[str]) -> dict[str, dict[str, float]]:
     """`median` and `p95` of milliseconds from a host's image to a host's answer, of each network in `run_dir`; compilation apart."""
     found = {}
     for name in names:
         net = read_net(Path(run_dir) / name)
-        answer = function_of(name, net)
+        answer = make_inference_function(name, net)
         variables = load_best(Path(run_dir) / name)
-        found[name] = timed(jit_for_inference(answer, variables), _input_of(net, variables))
+        found[name] = time_calls(jit_for_inference(answer, variables), _make_input(net, variables))
     return found
 
 
-def function_of(name: str, net: Net) -> Callable[[Variables, Array], Array]:
+def make_inference_function(name: str, net: Net) -> Callable[[Variables, Array], Array]:
     """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
     outputs (B, K). Networks over pins take these, (B, P, 2) px, in the place of images."""
     if isinstance(net, PinNet):
@@ -40,14 +40,14 @@ def function_of(name: str, net: Net) -> Callable[[Variables, Array], Array]:
     return lambda variables, images: answer(net, variables, images)
 
 
-def _input_of(net: Net, variables: Variables) -> np.ndarray:
+def _make_input(net: Net, variables: Variables) -> np.ndarray:
     """One image (1, S, S, 1) of random dots, or the untouched pins (1, P, 2)."""
     if isinstance(net, PinNet):
         return np.asarray(variables["batch_stats"]["rest"])[None]
     return (np.random.default_rng(0).random((1, net.size, net.size, 1)) < 0.2).astype(np.float32)
 
 
-def timed(run: Callable[[np.ndarray], Array], image: np.ndarray) -> dict[str, float]:
+def time_calls(run: Callable[[np.ndarray], Array], image: np.ndarray) -> dict[str, float]:
     """Milliseconds of one call with one image (1, S, S, 1) float32, or one contact's pins."""
     spent = []
     for _ in range(CALLS + 3):  # the first compile and warm up

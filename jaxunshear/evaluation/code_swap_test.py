@@ -13,10 +13,10 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.cells import SPOILT, draw_cells
-from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
-from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
+from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_intervals, number_poses
+from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
+from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.score import CELL_METRICS, get_cell_target, make_cell_metrics
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
@@ -34,17 +34,17 @@ FIELDS = ("canonical", "sheared")
 SEED = 0
 
 
-def cell_scores(
+def score_cells(
     drawn: dict[str, Array], tap: Array, sheared: Array, other: Array
 ) -> dict[str, Array]:
     """Score images against each cell's target, and those with a code of `other` against that image, too.
 
     All images (B, S, S, 1); scores (B,) are named `<cell>/<metric>` and `<cell>/<metric> to the other`.
     """
-    images, metrics, scores = {"tap": tap, "sheared": sheared}, cell_metrics(tap.shape[1]), {}
+    images, metrics, scores = {"tap": tap, "sheared": sheared}, make_cell_metrics(tap.shape[1]), {}
     for cell, image in drawn.items():
         for metric in CELL_METRICS:
-            scores[f"{cell}/{metric}"] = metrics[metric](image, images[target_of(cell)])
+            scores[f"{cell}/{metric}"] = metrics[metric](image, images[get_cell_target(cell)])
             if "another" in cell:
                 scores[f"{cell}/{metric} to the other"] = metrics[metric](image, other)
     return scores
@@ -74,12 +74,14 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     pairs = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     total = pairs.length("test")
     labels = pairs.take("test", np.arange(total), ("stimulus", "pose_id"))
-    poses = numbered_poses(**labels)
+    poses = number_poses(**labels)
 
     @jax.jit
     def run(tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
         tap, sheared, other = (images.astype(np.float32) / 255 for images in (tap, sheared, other))
-        return cell_scores(draw_cells(net, variables, sheared, SPOILT, other), tap, sheared, other)
+        return score_cells(
+            decode_cells(net, variables, sheared, SWAP_CELLS, other), tap, sheared, other
+        )
 
     found: list[dict[str, np.ndarray]] = []
     with Progress("ablate", total) as progress:
@@ -96,7 +98,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
         "metric": {"ms_ssim": format_ms_ssim_name(count_scales(net.size))},
-        "rows": rows_of(scores, poses),
+        "rows": build_rows(scores, poses),
         "contacts": total,
         "seed": SEED,
         **read_trained(run_dir, experiment.networks),
@@ -106,15 +108,19 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     return results
 
 
-def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
+def build_rows(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
     """A row a cell: means with 95 % bootstrap intervals over poses (N,), and the paper's figures where it has them."""
-    bands = intervals(scores, poses, SEED)
+    bands = compute_intervals(scores, poses, SEED)
     rows = []
-    for cell in SPOILT:
+    for cell in SWAP_CELLS:
         names = [name for name in scores if name.startswith(f"{cell}/")]
         if not names:
             continue
-        row: Json = {"name": cell, "target": target_of(cell), "paper": PAPER["swap"].get(cell)}
+        row: Json = {
+            "name": cell,
+            "target": get_cell_target(cell),
+            "paper": PAPER["swap"].get(cell),
+        }
         for name in names:
             metric = name.removeprefix(f"{cell}/")
             row[metric] = float(np.mean(scores[name], dtype=np.float64))
@@ -123,7 +129,7 @@ def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
     return rows
 
 
-def table(rows: list[Json]) -> str:
+def format_table(rows: list[Json]) -> str:
     """Make a table for people, with the paper's figures, of a real sensor, in a column of their own.
 
     The paper's figures are multi-scale, so ours are, too; as many scales as the images carry.
@@ -140,4 +146,4 @@ def table(rows: list[Json]) -> str:
             f"{row['name']:{width}}  {row['target']:11}  {row['mse']:.4f}  "
             f"{row['ms_ssim']:.3f} [{low:.3f}, {high:.3f}]  {other:12}  {paper}"
         )
-    return "\n".join([*lines, f"brackets: 95 % intervals over {OVER}"])
+    return "\n".join([*lines, f"brackets: 95 % intervals over {INTERVALS_OVER}"])

@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.readers import places
-from jaxunshear.evaluation.spread import numbered_poses
+from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.evenly import evenly
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
@@ -19,20 +19,22 @@ MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
 PINS = "sheared_pins"
 
-Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
+Quantities = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
 
 
-class Split(NamedTuple):
+class ProbeSplit(NamedTuple):
     """Slides that probes learn from, or are tested on."""
 
-    seen: np.ndarray  # what the network is given
+    inputs: np.ndarray  # what the network is given
     pins: np.ndarray  # (N, 2 P) px, finite
-    wanted: dict[str, Known]  # "pose" and "slide"
+    quantities: dict[str, Quantities]  # "pose" and "slide"
     poses: np.ndarray  # (N,) which pose a slide belongs to
     batch: Batch
 
 
-def read_splits(experiment: Experiment, examples: Examples, data_dir: Path) -> tuple[Split, Split]:
+def read_splits(
+    experiment: Experiment, examples: Examples, data_dir: Path
+) -> tuple[ProbeSplit, ProbeSplit]:
     pose = _pose(experiment, data_dir)
     train = _read_split(experiment, examples, pose, "train", MOST_LEARNT)
     test = _read_split(experiment, examples, pose, "test", MOST_TESTED)
@@ -45,12 +47,12 @@ def read_splits(experiment: Experiment, examples: Examples, data_dir: Path) -> t
 
 def _read_split(
     experiment: Experiment, examples: Examples, pose: list[Target], split: str, most: int
-) -> Split:
+) -> ProbeSplit:
     batch = take_labelled(experiment, examples.reader, split, most)
-    wanted = {"pose": _values(pose, batch), "slide": slides_of_batch(examples.slides, batch)}
+    wanted = {"pose": _values(pose, batch), "slide": compute_slides(examples.slides, batch)}
     seen = batch[PINS if over_pins(experiment) else "sheared"]
-    poses = numbered_poses(batch["stimulus"], batch["pose_id"])
-    return Split(seen, places(batch[PINS]), wanted, poses, batch)
+    poses = number_poses(batch["stimulus"], batch["pose_id"])
+    return ProbeSplit(seen, compute_pin_features(batch[PINS]), wanted, poses, batch)
 
 
 def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
@@ -72,23 +74,27 @@ def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int)
 def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
     """All of a pose that the data vary."""
     if isinstance(experiment.paired, PairedData):
-        return [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
+        return [
+            target
+            for name in SIMULATED
+            for target in _list_varied_targets(name, experiment.paired.ranges)
+        ]
     return list(open_recorded_set(experiment, data_dir).targets(()))
 
 
-def slides_of_batch(slides: Targets, batch: Batch) -> Known:
+def compute_slides(slides: Targets, batch: Batch) -> Quantities:
     """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled."""
     return {name: value[:, None] for name, value in true_values(slides, batch).items()}
 
 
-def _varied(name: str, ranges: Ranges) -> tuple[Target, ...]:
+def _list_varied_targets(name: str, ranges: Ranges) -> tuple[Target, ...]:
     try:
         return of_ranges((name,), ranges)
     except UserError:  # it does not vary
         return ()
 
 
-def _values(targets: list[Target], batch: Batch) -> Known:
+def _values(targets: list[Target], batch: Batch) -> Quantities:
     values = {}
     for target in targets:
         value = batch[target.field][:, target.column].astype(np.float64)

@@ -1,33 +1,33 @@
 """Errors of the edge's angle where it is unambiguous: the nearest edge has one direction there.
 
-gathered = marked(gathered, settings)          # adds the label SMOOTH
-found = edge_angles(gathered, poses, seed)     # `pose_smooth` of the results
+gathered = mark_smooth(gathered, settings)          # adds the label SMOOTH
+found = score_edge_angles(gathered, poses, seed)     # `pose_smooth` of the results
 """
 
 import numpy as np
 
-from jaxunshear.evaluation.gather import Gathered
-from jaxunshear.evaluation.summary import part_poses
+from jaxunshear.evaluation.result_tables import tabulate_part
+from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import PartPoses
 from jaxunshear.scene.scene import NEAR_MM, TURN_DEG, has_one_edge
 from jaxunshear.settings.data import PairedData
 
 SMOOTH = "smooth"
 EDGE = "edge_deg"
-WHAT = (
+SMOOTH_NOTE = (
     f"pose_mae of {EDGE} where the direction of the nearest edge turns by at most {TURN_DEG:g} deg "
     f"within {NEAR_MM:g} mm"
 )
 
 
-def marked(gathered: Gathered, settings: PairedData) -> Gathered:
+def mark_smooth(gathered: CollectedScores, settings: PairedData) -> CollectedScores:
     """Add the label SMOOTH (N,): whether the nearest edge has one direction."""
     smooth = has_one_edge(settings.stimuli, gathered.labels["stimulus"], gathered.labels["pose"])
     return gathered._replace(labels=gathered.labels | {SMOOTH: smooth})
 
 
-def edge_angles(gathered: Gathered, poses: np.ndarray, seed: int) -> PartPoses | None:
-    """Give what `summary.tables` says of edge angles, of the contacts that are marked SMOOTH.
+def score_edge_angles(gathered: CollectedScores, poses: np.ndarray, seed: int) -> PartPoses | None:
+    """Give what `result_tables.build_tables` says of edge angles, of the contacts that are marked SMOOTH.
 
     `poses` (N,) are the poses that the contacts belong to. None if no contact is marked, or no edge
     angle is predicted.
@@ -38,4 +38,4 @@ def edge_angles(gathered: Gathered, poses: np.ndarray, seed: int) -> PartPoses |
         if name.startswith("pose/") and name.endswith(f"/{EDGE}")
     }
     inside = gathered.labels.get(SMOOTH)
-    return part_poses(angles, inside, poses, seed) if angles and inside is not None else None
+    return tabulate_part(angles, inside, poses, seed) if angles and inside is not None else None

@@ -7,17 +7,17 @@ import numpy as np
 
 LEVEL = 0.95
 RESAMPLES = 1000
-OVER = "test poses of one training"  # what the intervals of one run are over
+INTERVALS_OVER = "test poses of one training"  # what the intervals of one run are over
 
 
-def numbered_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
+def number_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
     """(N,) which pose of which stimulus a contact belongs to; both (N,)."""
     return np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)[1].reshape(
         -1
     )
 
 
-def redrawn_means(
+def resample_means(
     values: dict[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
     """Means (RESAMPLES,) of each (N,) array over as many draws of the poses (N,) that its numbers belong to.
@@ -42,13 +42,15 @@ def redrawn_means(
     }
 
 
-def interval(means: np.ndarray) -> list[float]:
+def compute_interval(means: np.ndarray) -> list[float]:
     """[low, high] that holds 95 % of redrawn figures (RESAMPLES,)."""
     return np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
 
 
-def intervals(
+def compute_intervals(
     values: dict[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, list[float]]:
-    """[low, high] of the mean of each (N,) array, at 95 %; see `redrawn_means`. A single pose gives no width."""
-    return {name: interval(means) for name, means in redrawn_means(values, poses, seed).items()}
+    """[low, high] of the mean of each (N,) array, at 95 %; see `resample_means`. A single pose gives no width."""
+    return {
+        name: compute_interval(means) for name, means in resample_means(values, poses, seed).items()
+    }

@@ -15,9 +15,9 @@ from jax import Array
 
 from jaxunshear.dataset.factorial import IMAGE, SHEARED_PINS, FactorialReader
 from jaxunshear.dataset.reader import Reader
-from jaxunshear.evaluation.pins import half_pitch
-from jaxunshear.evaluation.slide import slipping
-from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
+from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
+from jaxunshear.evaluation.pin_errors import compute_half_pitch
+from jaxunshear.evaluation.slide_estimation import is_slipping
 from jaxunshear.evenly import evenly
 from jaxunshear.image.png import to_uint8
 from jaxunshear.metrics.pin_error import measure_pin_error
@@ -36,16 +36,16 @@ EXCHANGED, OWN = "exchanged", "both of its own"
 GREY = "grey"  # of 1: the unit of errors of images
 
 
-class Exchanged(NamedTuple):
+class ExchangedCodes(NamedTuple):
     """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px, or images (poses, slides, S, S, 1) in [0, 1].
     Column j has the shear code of slide j at pose j, row i the pose code of pose i after slide i: off the diagonal DS draws a contact that
     it was never given."""
 
-    drawn: np.ndarray
+    decoded: np.ndarray
     true: np.ndarray
 
 
-class _Road(NamedTuple):
+class _Modality(NamedTuple):
     """What differs between networks over pins and over images."""
 
     field: str  # of the examples
@@ -64,9 +64,9 @@ class _Road(NamedTuple):
         return each.mean(axis=(1, 2, 3)) if each.ndim == 4 else each.sum(-1).mean(axis=1)
 
 
-def _road(net: Net) -> _Road:
+def _make_modality(net: Net) -> _Modality:
     if isinstance(net, PinUnshear):
-        return _Road(
+        return _Modality(
             SHEARED_PINS,
             "px",
             jax.jit(partial(pin_networks.encode, net)),
@@ -77,17 +77,17 @@ def _road(net: Net) -> _Road:
     def draw(variables: Variables, z_p: Array, z_s: Array) -> Array:
         return jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
 
-    return _Road(IMAGE, GREY, jax.jit(partial(unshearnet.encode, net)), draw)
+    return _Modality(IMAGE, GREY, jax.jit(partial(unshearnet.encode, net)), draw)
 
 
-def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
+def exchange_codes(experiment: Experiment, run_dir: Path, data_dir: Path) -> ExchangedCodes | None:
     """Of the first group of test poses that is complete; None where poses share no slides."""
     folder = Path(run_dir) / DISENTANGLED
     net, variables = read_net(folder), load_best(folder)
     reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     if not isinstance(reader, FactorialReader):
         return None
-    road = _road(net)
+    road = _make_modality(net)
     table = reader.shared("test").row
     side = min(table.shape[1:])
     full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
@@ -99,10 +99,10 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
     assert z_s is not None
     every = np.indices((side, side)).reshape(2, -1)
     drawn = road.draw(variables, z_p[every[0]], z_s[every[1]])
-    return Exchanged(np.asarray(drawn).reshape(true.shape), true)
+    return ExchangedCodes(np.asarray(drawn).reshape(true.shape), true)
 
 
-def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
+def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """How far, px or grey of 1 (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and
     slide; None where poses share no slides.
 
@@ -111,11 +111,11 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """
     if not isinstance(reader, FactorialReader):
         return None
-    road = _road(net)
+    road = _make_modality(net)
     rows = evenly(reader.length("test"), MOST)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
-    compared = partial(_compared, road, variables, reader, (rows, others, swapped))
+    compared = partial(_decode_exchanged, road, variables, reader, (rows, others, swapped))
     every = [
         compared(np.arange(start, start + AT_ONCE) % len(rows))
         for start in range(0, len(rows), AT_ONCE)
@@ -126,9 +126,9 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
         ]
         for name in every[0][0]
     }
-    poses = numbered_poses(batch["stimulus"], batch["pose_id"])
+    poses = number_poses(batch["stimulus"], batch["pose_id"])
     source = reader.take("test", others, ("stuck", "slipping"))
-    slipped = slipping(source["stuck"], source["slipping"])
+    slipped = is_slipping(source["stuck"], source["slipping"])
     changed = swapped != rows
     inside = {"sticking": changed & ~slipped, "slipped": changed & slipped}
     by_slip = [
@@ -141,12 +141,12 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
         some = np.resize(np.flatnonzero(changed)[:: max(1, int(changed.sum()) // AT_ONCE)], AT_ONCE)
         true = reader.take("test", swapped[some], (SHEARED_PINS,))[SHEARED_PINS]
         for name, images in compared(some)[0].items():
-            found["drawn"][name] |= _pins_of(images, true)
+            found["drawn"][name] |= _measure_pin_errors(images, true)
     return found | {"by slip": by_slip}
 
 
-def _compared(
-    road: _Road,
+def _decode_exchanged(
+    road: _Modality,
     variables: Variables,
     reader: Reader,
     partners: Sequence[np.ndarray],
@@ -161,9 +161,9 @@ def _compared(
     return jax.device_get(drawn), seen[2]
 
 
-def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
+def _measure_pin_errors(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
     """How far the pins that are found in images (B, S, S, 1) in [0, 1], matched one to one, lie from the true ones (B, P, 2) px."""
-    error = measure_pin_error(to_uint8(images[..., 0]), true, half_pitch(true))
+    error = measure_pin_error(to_uint8(images[..., 0]), true, compute_half_pitch(true))
     return {name: error[name] for name in ("rms_px", "missed_per_image")}
 
 
@@ -172,11 +172,12 @@ def _errors(
 ) -> Json:
     """Of squared errors (N,) those `inside` (N,)."""
     squares = {name: values[inside] for name, values in squares.items()}
-    means = redrawn_means(squares, poses[inside], SEED)
+    means = resample_means(squares, poses[inside], SEED)
     rms = {name: float(np.sqrt(values.mean())) for name, values in squares.items()}
     drawn = {
-        name: {f"rms_{unit}": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms
+        name: {f"rms_{unit}": rms[name], "interval": compute_interval(np.sqrt(means[name]))}
+        for name in rms
     }
     ratios = np.sqrt(means[EXCHANGED] / means[OWN])
-    ratio = {"ratio": rms[EXCHANGED] / rms[OWN], "ratio interval": interval(ratios)}
+    ratio = {"ratio": rms[EXCHANGED] / rms[OWN], "ratio interval": compute_interval(ratios)}
     return {"slides": int(inside.sum()), "drawn": drawn, **ratio}

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from jaxunshear.metrics.pin_error import measure_pin_error
 
 
-def pin_errors(
+def measure_pin_errors(
     images: Mapping[str, np.ndarray],
     tap_pins: np.ndarray,
     sheared_pins: np.ndarray,
@@ -25,7 +25,7 @@ def pin_errors(
     `images`: (N, S, S) uint8; pins: (N, P, 2) true (column, row) in px. Partners
     lie within half the tap's pitch. NaN where no pin found a partner.
     """
-    limit = half_pitch(tap_pins)
+    limit = compute_half_pitch(tap_pins)
     found = {kind: measure_pin_error(stack, tap_pins, limit) for kind, stack in images.items()}
     squares = np.sum(np.square(sheared_pins.astype(np.float64) - tap_pins), axis=-1)
     found["true_slide"] = {"rms_px": float(np.sqrt(squares.mean()))}
@@ -39,7 +39,7 @@ def pin_errors(
     }
 
 
-def half_pitch(pins: np.ndarray) -> float:
+def compute_half_pitch(pins: np.ndarray) -> float:
     """Half of the median distance, px, of pins (N, P, 2) from the nearest neighbour in their image."""
     nearest = [cKDTree(points).query(points, k=2)[0][:, 1] for points in pins]
     return 0.5 * float(np.median(nearest))

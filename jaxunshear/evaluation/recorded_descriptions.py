@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxunshear.dataset.reader import Reader
 from jaxunshear.dataset.recorded_set import RecordedSet
-from jaxunshear.evaluation.gather import Gathered
+from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
 from jaxunshear.settings.data import KEPT_OUT
 from jaxunshear.settings.experiment import Experiment, recorded_of
@@ -12,7 +12,7 @@ from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Targets
 
 
-def recordings_of(experiment: Experiment, stored: RecordedSet) -> Recordings:
+def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:
     settings = stored.settings
     counts = stored.metadata["counts"]
     return Recordings(
@@ -31,7 +31,7 @@ def recordings_of(experiment: Experiment, stored: RecordedSet) -> Recordings:
     )
 
 
-def pairing_of(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
+def describe_pairing(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
     """How slides are paired, and how far the partners' poses are off."""
     recorded = recorded_of(experiment)
     if recorded is None or slides is None:
@@ -49,7 +49,9 @@ def pairing_of(experiment: Experiment, slides: Reader | None, targets: Targets) 
     return Pairing(recorded.pairing, shown)
 
 
-Tested = tuple[Reader | None, Gathered | None]  # contacts of the test, and what was scored of them
+ScoredContacts = tuple[
+    Reader | None, CollectedScores | None
+]  # contacts of the test, and what was scored of them
 
 
 def describe_test(results: Results) -> str:
@@ -62,7 +64,9 @@ def describe_test(results: Results) -> str:
     return f"same session, {KEPT_OUT[results.settings['paired'].get('split', 'random')]}"
 
 
-def counts_of(stored: RecordedSet, slides: Tested, taps: Tested) -> Counts:
+def count_test_contacts(
+    stored: RecordedSet, slides: ScoredContacts, taps: ScoredContacts
+) -> Counts:
     """How many contacts there are by split, and how many of the test were scored, or left out."""
     written = stored.metadata["counts"]["written"]
     all_slides, all_taps = (

@@ -1,7 +1,7 @@
 """Pins found in simulated images, in the place of the simulator's true ones: what networks over pins read where there is but a camera.
 
->>> found = found_pairs(pairs, lattice, FIELDS)
->>> gather(run, batches_of(found, 32), len(found.pairs["pose"]), 0, targets, inputs=INPUTS)
+>>> found = detect_pairs(pairs, lattice, FIELDS)
+>>> gather(run, iterate_batches(found, 32), len(found.pairs["pose"]), 0, targets, inputs=INPUTS)
 
 Slide and tap are both found; what comes out is compared with the tap's true pins. Each image is followed by itself, as a robot sees it.
 """
@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.dataset.reader import Batch, Reader
-from jaxunshear.evaluation.gather import IMAGES, PINS
+from jaxunshear.evaluation.score_collection import IMAGES, PINS
 from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import track_images
 
-FOUND = "found"  # the name of this test
-MOST = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
-SEEN_TAP = "seen_tap"
-INPUTS = (*PINS, SEEN_TAP)  # the true tap, the slide and the tap as found
+DETECTED = "found"  # the name of this test
+MAX_PAIRS = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
+DETECTED_TAP = "seen_tap"
+INPUTS = (*PINS, DETECTED_TAP)  # the true tap, the slide and the tap as found
 
 
-class FoundPairs(NamedTuple):
+class DetectedPairs(NamedTuple):
     """Test pairs whose tap and slide were both followed for sure."""
 
     pairs: Batch  # `sheared_pins` and SEEN_TAP (N, P, 2) px, NaN where a pin is not seen; `canonical_pins` true ones
@@ -31,10 +31,10 @@ class FoundPairs(NamedTuple):
     reported: dict[str, dict[str, float]]
 
 
-def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> FoundPairs | None:
+def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> DetectedPairs | None:
     """None where no pair can be followed, as in images too small to show pins."""
     count = reader.length("test")
-    rows = evenly(count, MOST)
+    rows = evenly(count, MAX_PAIRS)
     batch = reader.take("test", rows, fields)
     reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}
@@ -42,21 +42,21 @@ def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Foun
     for kind, image, true in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
         motion, known = track_images(lattice, batch[image][..., 0], independent=True)
         places[true] = (lattice.rest + motion).astype(np.float32)
-        reported[kind] = _reported(places[true][known], batch[true][known], len(rows))
+        reported[kind] = _measure_detection(places[true][known], batch[true][known], len(rows))
         sure &= known
     if not sure.any():
         return None
     pairs = {name: values for name, values in batch.items() if name not in IMAGES}
-    pairs |= {PINS[1]: places[PINS[1]], SEEN_TAP: places[PINS[0]]}
-    return FoundPairs({name: values[sure] for name, values in pairs.items()}, reported)
+    pairs |= {PINS[1]: places[PINS[1]], DETECTED_TAP: places[PINS[0]]}
+    return DetectedPairs({name: values[sure] for name, values in pairs.items()}, reported)
 
 
-def batches_of(found: FoundPairs, batch: int) -> Iterator[Batch]:
-    for start in range(0, len(found.pairs[SEEN_TAP]), batch):
+def iterate_batches(found: DetectedPairs, batch: int) -> Iterator[Batch]:
+    for start in range(0, len(found.pairs[DETECTED_TAP]), batch):
         yield {name: values[start : start + batch] for name, values in found.pairs.items()}
 
 
-def _reported(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
+def _measure_detection(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
     seen = np.isfinite(found).all(-1)
     squares = np.sum(np.square(found - true), axis=-1)[seen]
     return {

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
+from jaxunshear.evaluation.score import BASELINES, Outputs, compute_differences, score_poses
 from jaxunshear.evenly import evenly
 from jaxunshear.image.png import to_uint8
 from jaxunshear.progress import Progress
@@ -30,19 +30,19 @@ IMAGES = ("canonical", "sheared")
 FIELDS = (*IMAGES, *PINS, *LABELS)  # what a batch must hold
 
 
-class Gathered(NamedTuple):
+class CollectedScores(NamedTuple):
     """N test contacts in the order of the data, of which K have their images kept."""
 
     scores: dict[str, np.ndarray]  # (N,) by the names of score.py
     labels: dict[str, np.ndarray]  # (N, ...) by LABELS
-    kept: np.ndarray  # (K,) indices of contacts
+    kept_rows: np.ndarray  # (K,) indices of contacts
     images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
     pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
-    # (K,) errors of a reader of found pins, see `readers.read_pins`
-    read: Mapping[str, np.ndarray] = MappingProxyType({})
+    # (K,) errors of a reader of found pins, see `pose_estimators.score_detected_pins`
+    estimates: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
-def gather(
+def collect_scores(
     run: Callable[[np.ndarray, np.ndarray], tuple[Outputs, Mapping]],
     batches: Iterable[Mapping[str, np.ndarray]],
     total: int,
@@ -52,7 +52,7 @@ def gather(
     inputs: Sequence[str] = IMAGES,
     named: Sequence[str] = LABELS,
     readers: Mapping[str, Callable[[Outputs], Mapping]] = MappingProxyType({}),
-) -> Gathered:
+) -> CollectedScores:
     """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
     `inputs`: the fields that are tap and sheared, and what else `run` takes; `named`: those that are kept as labels;
     `readers`: by name, poses by kind of what `run` puts out, scored beside its own.
@@ -69,19 +69,19 @@ def gather(
     with Progress(title, total) as progress:
         for batch in batches:
             size = len(batch[inputs[1]])
-            outputs, similar = run(*(_filled(batch[name], max(BATCH, size)) for name in inputs))
+            outputs, similar = run(*(_pad_batch(batch[name], max(BATCH, size)) for name in inputs))
             poses = {
                 k: {q: np.asarray(v)[:size] for q, v in pose.items()}
                 for k, pose in outputs.poses.items()
             }
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
             true = true_values(targets, batch)
-            scores[-1] |= pose_scores(poses, true)
+            scores[-1] |= score_poses(poses, true)
             for name, read in readers.items():
                 reported = {
                     k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()
                 }
-                scores[-1] |= pose_scores(reported, true, f"read/{name}")
+                scores[-1] |= score_poses(reported, true, f"read/{name}")
             labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
@@ -94,20 +94,20 @@ def gather(
             pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
             start += size
             progress.advance(size)
-    every = _joined(scores)
-    return Gathered(
-        every | differences(every),
-        _joined(labels),
+    every = _concatenate(scores)
+    return CollectedScores(
+        every | compute_differences(every),
+        _concatenate(labels),
         kept[kept < start],
-        _joined(images),
-        _joined(pins),
+        _concatenate(images),
+        _concatenate(pins),
     )
 
 
-def _filled(images: np.ndarray, size: int) -> np.ndarray:
+def _pad_batch(images: np.ndarray, size: int) -> np.ndarray:
     missing = size - len(images)
     return np.concatenate([images, np.repeat(images[:1], missing, axis=0)]) if missing else images
 
 
-def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def _concatenate(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -16,10 +16,10 @@ from jaxunshear.dataset.preprocessing import prepare_chunks
 from jaxunshear.dataset.recorded_contacts import RecordedContacts, read_test_contacts
 from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import recorded
-from jaxunshear.evaluation.measurements import rounded
-from jaxunshear.evaluation.recorded_facts import describe_test
-from jaxunshear.evaluation.within import coverage
+from jaxunshear.evaluation import recorded_evaluation
+from jaxunshear.evaluation.conformal import compute_coverage
+from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
 from jaxunshear.results.stored import read
@@ -49,7 +49,7 @@ def score_recordings(
         raise UserError(
             f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
         )
-    if _learnt(recordings, (settings.tap_folder, settings.slide_folder)):
+    if _was_learnt_from(recordings, (settings.tap_folder, settings.slide_folder)):
         raise UserError(
             f"{recordings} shares its files with what {run_dir} learnt from: name recordings that it has not seen"
         )
@@ -60,22 +60,22 @@ def score_recordings(
         check_unseen(run_dir / network, [digest])
     contacts = read_test_contacts(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
-    stored = _prepared(experiment, run_dir, contacts, settings, folder)
+    stored = _prepare_set(experiment, run_dir, contacts, settings, folder)
     targets = read_targets(run_dir / experiment.networks[-1])
     unseen = replace(experiment, paired=settings)
-    test = recorded.what_to_test(unseen, stored, targets, run_dir)
-    run = recorded.networks_of(unseen, run_dir, stored)
-    slides, taps = recorded.gathered_of(unseen, run, test, targets)
-    results = recorded.results_of(unseen, stored, targets, slides, taps, test)
+    test = recorded_evaluation.choose_test(unseen, stored, targets, run_dir)
+    run = recorded_evaluation.load_recorded_run(unseen, run_dir, stored)
+    slides, taps = recorded_evaluation.collect_recorded_scores(unseen, run, test, targets)
+    results = recorded_evaluation.build_results(unseen, stored, targets, slides, taps, test)
     widths: Full = {}
     if (run_dir / "results.json").exists():
         widths = read(run_dir / "results.json", Results, EVALUATED).half_width or {}
     shutil.rmtree(folder, ignore_errors=True)
-    return rounded(
+    return round_values(
         replace(
             results,
             half_width=widths,
-            coverage=coverage(widths, recorded.errors_of(slides, taps)),
+            coverage=compute_coverage(widths, recorded_evaluation.list_pose_errors(slides, taps)),
             trained_in=run_dir.name,
             time_s={"evaluate": time.perf_counter() - started},
             **read_trained(run_dir, experiment.networks),
@@ -84,14 +84,14 @@ def score_recordings(
     )
 
 
-def _learnt(recordings: Path, folders: tuple[str, ...]) -> bool:
+def _was_learnt_from(recordings: Path, folders: tuple[str, ...]) -> bool:
     """Whether they lie in one of the folders that were learnt from, or hold one."""
     here = Path(recordings).resolve()
     there = [Path(folder).resolve() for folder in folders if folder and Path(folder).is_dir()]
     return any(here.is_relative_to(folder) or folder.is_relative_to(here) for folder in there)
 
 
-def _prepared(
+def _prepare_set(
     experiment: Experiment,
     run_dir: Path,
     contacts: RecordedContacts,
@@ -105,7 +105,7 @@ def _prepared(
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))
 
 
-def table(results: Results) -> str:
+def format_table(results: Results) -> str:
     """What a person wants to know at once: errors of pose by what was read, PoseNet's and, where there are others, theirs."""
     names = [target.name for target in results.targets or ()]
     lines = _errors("error", results.pose_mae, names)

@@ -12,7 +12,7 @@ from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import UnshearNet
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank; *: of another image
-SPOILT: dict[str, tuple[str, ...]] = {
+SWAP_CELLS: dict[str, tuple[str, ...]] = {
     "DC(z_p)": ("p",),
     "DC(z_s)": ("s",),
     "DS(z_p,z_s)": ("p", "s"),
@@ -23,7 +23,7 @@ SPOILT: dict[str, tuple[str, ...]] = {
 }
 
 
-def draw_cells(
+def decode_cells(
     net: UnshearNet,
     variables: Variables,
     sheared: Array,
@@ -44,7 +44,7 @@ def draw_cells(
 
     drawn = {}
     for cell in names:
-        first, *second = (code(name) for name in SPOILT[cell])
+        first, *second = (code(name) for name in SWAP_CELLS[cell])
         if first is None or first.shape != own[0].shape:
             continue
         if not second:

@@ -15,15 +15,25 @@ import numpy as np
 from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.dataset.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.gather import BATCH, IMAGES, PINS, Gathered, gather
-from jaxunshear.evaluation.networks import Run, load
-from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.pins import pin_errors
-from jaxunshear.evaluation.readers import Reads
-from jaxunshear.evaluation.recorded_facts import counts_of, pairing_of, recordings_of
-from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
-from jaxunshear.evaluation.spread import numbered_poses, redrawn_means
-from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
+from jaxunshear.evaluation.bootstrap import number_poses, resample_means
+from jaxunshear.evaluation.network_outputs import Run, load_run
+from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.evaluation.pin_errors import measure_pin_errors
+from jaxunshear.evaluation.pose_estimators import BatchEstimator
+from jaxunshear.evaluation.recorded_descriptions import (
+    count_test_contacts,
+    describe_pairing,
+    describe_recordings,
+)
+from jaxunshear.evaluation.result_tables import add_estimators, build_tables, tabulate_by_size
+from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind, compute_chance_errors
+from jaxunshear.evaluation.score_collection import (
+    BATCH,
+    IMAGES,
+    PINS,
+    CollectedScores,
+    collect_scores,
+)
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.results.run import Results, Tables, TestData
 from jaxunshear.settings.experiment import Experiment, over_pins
@@ -32,13 +42,13 @@ from jaxunshear.settings.targets import Targets, names_of, true_values
 from jaxunshear.training.examples import open_pairs, read_pin_layout
 
 Row = TypeVar("Row")
-KEPT = 72  # slides whose pins are found, and from which the montage is chosen
+KEPT_SLIDES = 72  # slides whose pins are found, and from which the montage is chosen
 SEED = 0  # of the bootstrap
 LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
 UNSHEARED = "unsheared"  # the network that a run is about, under a name that does not depend on which one it is
 
 
-class Test(NamedTuple):
+class RecordedTest(NamedTuple):
     """What is scored: slides, with partners where there are any, and taps; either may be missing."""
 
     slides: Reader | None
@@ -47,13 +57,13 @@ class Test(NamedTuple):
     data: TestData
 
 
-def what_to_test(
+def choose_test(
     experiment: Experiment,
     stored: RecordedSet,
     targets: Targets,
     run_dir: Path,
     data_dir: Path | None = None,
-) -> Test:
+) -> RecordedTest:
     """Choose the contacts to score: the test split of the recordings that the run learnt from.
 
     Without `data_dir` these are other recordings: slides have no partners, and no likeness.
@@ -70,23 +80,23 @@ def what_to_test(
         stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
     )
     data: TestData = "same session" if data_dir else "other recordings"
-    return Test(slides, taps, paired and slides is not None, data)
+    return RecordedTest(slides, taps, paired and slides is not None, data)
 
 
-def networks_of(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
+def load_recorded_run(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
     """The networks of a run, for contacts of a recorded set. Raises UserError where one is missing."""
     pins = read_pin_layout(stored.frame) if over_pins(experiment) else None
-    return load(run_dir, experiment.networks, None, pins)
+    return load_run(run_dir, experiment.networks, None, pins)
 
 
-def gathered_of(
+def collect_recorded_scores(
     experiment: Experiment,
     run: Run,
-    test: Test,
+    test: RecordedTest,
     targets: Targets,
-    readers: Mapping[str, Reads] = MappingProxyType({}),
+    readers: Mapping[str, BatchEstimator] = MappingProxyType({}),
     split: str = "test",
-) -> tuple[Gathered | None, Gathered | None]:
+) -> tuple[CollectedScores | None, CollectedScores | None]:
     """Scores of a split's slides and of its taps, by the networks `run` and by `readers`; where these read pins, of those contacts
     alone whose pins were identified.
 
@@ -101,18 +111,27 @@ def gathered_of(
         if test.paired:
             batches = _take_batches(test.slides, split, rows, (*inputs, *PINS, *LABELS))
         else:
-            batches = _alone(_take_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS)))
-        slides = gather(
-            run, batches, len(rows), KEPT, targets, inputs=inputs, named=LABELS, readers=readers
+            batches = _add_empty_taps(
+                _take_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS))
+            )
+        slides = collect_scores(
+            run,
+            batches,
+            len(rows),
+            KEPT_SLIDES,
+            targets,
+            inputs=inputs,
+            named=LABELS,
+            readers=readers,
         )
-        slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
+        slides = slides._replace(scores=_select_slide_scores(slides.scores, test.paired))
     if test.taps is not None and len(
         rows := select_identified(test.taps, split, ("pins",) if pins else ())
     ):
         named = tuple(name for name in LABELS if name != "move")
         batches = _as_pairs(_take_batches(test.taps, split, rows, ("image", "pins", *named)))
         title = f"evaluate taps ({'pins' if pins else 'image'})"
-        taps = gather(run, batches, len(rows), 0, targets, title, inputs, named, readers)
+        taps = collect_scores(run, batches, len(rows), 0, targets, title, inputs, named, readers)
         of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
         taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith(of_taps)})
     if slides is None and taps is None:
@@ -140,13 +159,13 @@ def _take_batches(
         yield reader.take(split, rows[start : start + BATCH], fields)
 
 
-def results_of(
+def build_results(
     experiment: Experiment,
     stored: RecordedSet,
     targets: Targets,
-    slides: Gathered | None,
-    taps: Gathered | None,
-    test: Test,
+    slides: CollectedScores | None,
+    taps: CollectedScores | None,
+    test: RecordedTest,
 ) -> Results:
     """All of the results that follow from the scores alone."""
     size = stored.size
@@ -180,22 +199,24 @@ def results_of(
         },
         **vars(found),
         pin_error=_pin_error(slides, test, pins),
-        baselines={"pose_chance": chance(true_values(targets, labels), targets)},
+        baselines={"pose_chance": compute_chance_errors(true_values(targets, labels), targets)},
         test_data=test.data,
-        recordings=recordings_of(experiment, stored),
-        pairing=pairing_of(experiment, test.slides if test.paired else None, targets),
+        recordings=describe_recordings(experiment, stored),
+        pairing=describe_pairing(experiment, test.slides if test.paired else None, targets),
         targets=targets,
-        counts=counts_of(stored, (test.slides, slides), (test.taps, taps)),
+        counts=count_test_contacts(stored, (test.slides, slides), (test.taps, taps)),
         paper=PAPER,
         seeds={"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
         settings=dataclasses.asdict(experiment),
     )
 
 
-def errors_of(slides: Gathered | None, taps: Gathered | None) -> dict[str, np.ndarray]:
+def list_pose_errors(
+    slides: CollectedScores | None, taps: CollectedScores | None
+) -> dict[str, np.ndarray]:
     """Errors of pose (N,) by `pose/<way>/<target>`; what the run's network unshears under `UNSHEARED`, as in its tables."""
     scores = {} if slides is None else slides.scores
-    kind = shown_kind({name.split("/")[1] for name in scores if name.startswith("pose/")})
+    kind = choose_main_kind({name.split("/")[1] for name in scores if name.startswith("pose/")})
     scores = {
         name.replace(f"pose/{kind}/", f"pose/{UNSHEARED}/") if kind != "sheared" else name: s
         for name, s in scores.items()
@@ -203,41 +224,45 @@ def errors_of(slides: Gathered | None, taps: Gathered | None) -> dict[str, np.nd
     return ({} if taps is None else taps.scores) | scores
 
 
-def as_montage(slides: Gathered) -> Gathered:
+def convert_montage_labels(slides: CollectedScores) -> CollectedScores:
     """The same with labels as a montage names them: depth in the fourth column of the pose, slides along x and y."""
     labels = slides.labels
     pose = labels["pose"][:, [0, 1, 5, 2]]
     return slides._replace(labels=labels | {"pose": pose, "move": labels["move"][:, :2]})
 
 
-def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) -> Tables:
+def _tables(
+    slides: CollectedScores | None, taps: CollectedScores | None, targets: Targets
+) -> Tables:
     """Tables and their intervals: taps and slides are drawn apart, as they are no pairs."""
     of_taps = {} if taps is None else taps.scores
     tap_means = (
         {}
         if taps is None or not of_taps
-        else redrawn_means(of_taps, taps.labels["number"], SEED + 1)
+        else resample_means(of_taps, taps.labels["number"], SEED + 1)
     )
     one = slides if slides is not None else taps
     assert one is not None
     scores = {} if slides is None else slides.scores
-    poses = numbered_poses(one.labels["stimulus"], one.labels["number"])
-    found = tables(scores, (), one.labels["stimulus"], poses, SEED, (of_taps, tap_means))
+    poses = number_poses(one.labels["stimulus"], one.labels["number"])
+    found = build_tables(scores, (), one.labels["stimulus"], poses, SEED, (of_taps, tap_means))
     if slides is not None:
         depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
         if "z_mm" in names_of(targets):
-            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), poses, SEED)
+            by = tabulate_by_size(
+                scores, depth, float(depth.min()), float(depth.max()), poses, SEED
+            )
             found = dataclasses.replace(found, pose_by_depth=by)
         if np.isfinite(length).all():
-            by = pose_by_size(scores, length, 0.0, float(length.max()), poses, SEED)
+            by = tabulate_by_size(scores, length, 0.0, float(length.max()), poses, SEED)
             found = dataclasses.replace(found, pose_by_slide=by)
     read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
-    return _with_unsheared(with_readers(found, read, SEED))
+    return _add_unsheared(add_estimators(found, read, SEED))
 
 
-def _with_unsheared(found: Tables) -> Tables:
+def _add_unsheared(found: Tables) -> Tables:
     """With what the run's network unshears once more, as UNSHEARED."""
-    kind = shown_kind(found.pose_mae)
+    kind = choose_main_kind(found.pose_mae)
     if kind == "sheared":
         return found
 
@@ -256,7 +281,7 @@ def _with_unsheared(found: Tables) -> Tables:
     )
 
 
-def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
+def _select_slide_scores(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
     """Scores of slides: what is read off a partner is no reading of a tap; without partners there is no likeness."""
     kept = {}
     for name, score in scores.items():
@@ -267,13 +292,13 @@ def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndar
             continue
         if kind == "tap":
             if paired:
-                kept["/".join([table, PARTNER, *rest])] = score
+                kept["/".join([table, TARGET_KIND, *rest])] = score
         else:
             kept[name] = score
     return kept
 
 
-def _alone(batches: Iterator[Batch]) -> Iterator[Batch]:
+def _add_empty_taps(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Slides without partners, in the form of pairs."""
     for batch in batches:
         yield batch | {IMAGES[0]: batch[IMAGES[1]], PINS[0]: batch[PINS[1]]}
@@ -286,7 +311,7 @@ def _as_pairs(batches: Iterator[Batch]) -> Iterator[Batch]:
 
 
 def _pin_error(
-    slides: Gathered | None, test: Test, over: bool
+    slides: CollectedScores | None, test: RecordedTest, over: bool
 ) -> dict[str, dict[str, float | None]]:
     """In px; how many mm these are no recording says."""
     if slides is None or not test.paired:
@@ -304,4 +329,4 @@ def _pin_error(
         return {}
     kept = {kind: images[sure] for kind, images in slides.images.items()}
     tap_pins, sheared_pins = (slides.pins[name][sure] for name in PINS)
-    return pin_errors(kept, tap_pins, sheared_pins, None)
+    return measure_pin_errors(kept, tap_pins, sheared_pins, None)

@@ -8,8 +8,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, target_of
-from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, redrawn_means
+from jaxunshear.evaluation.bootstrap import (
+    INTERVALS_OVER,
+    LEVEL,
+    RESAMPLES,
+    compute_interval,
+    compute_intervals,
+    resample_means,
+)
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, get_cell_target
 from jaxunshear.results.run import (
     PartPoses,
     Parts,
@@ -27,13 +34,13 @@ QUANTILES = (0.1, 0.5, 0.9)  # of the score of the contacts that are shown
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
-def tables(
+def build_tables(
     scores: dict[str, np.ndarray],
     names: Sequence[str],
     stimulus: np.ndarray,
     poses: np.ndarray,
     seed: int,
-    apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
+    separate_scores: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
 ) -> Tables:
     """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
     Poses of each stimulus alone stand under `pose_by_stimulus`.
@@ -41,14 +48,14 @@ def tables(
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
     `stimulus` (N,); `poses` (N,) as `numbered_poses`. A stimulus without test contacts is null. Ratio: error over that on sheared images.
     Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
-    Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
+    Difference: disentangled less another network, contact by contact. `separate_scores`: scores of other contacts (M,) that join the tables of poses,
     with their redrawn means.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {
         "overall": np.ones(len(stimulus), bool)
     }
     redrawn = {
-        group: redrawn_means(
+        group: resample_means(
             {name: score[inside] for name, score in scores.items()}, poses[inside], seed
         )
         for group, inside in groups.items()
@@ -56,7 +63,7 @@ def tables(
     }
     overall = redrawn["overall"]
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
-    pose, pose_spread = _poses(scores | apart[0], overall | apart[1])
+    pose, pose_spread = _poses(scores | separate_scores[0], overall | separate_scores[1])
     differences = {
         name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")
     }
@@ -69,13 +76,13 @@ def tables(
         },
         **vars(pose),
         pose_by_stimulus={
-            name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None
+            name: _tabulate_poses(scores, groups[name], redrawn[name]) if name in redrawn else None
             for name in names
         },
         difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         swap={
             cell: Swapped(
-                target=target_of(cell),
+                target=get_cell_target(cell),
                 **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS},
             )
             for cell in CELLS
@@ -83,25 +90,27 @@ def tables(
         },
         spread=Spread(
             what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, each with all its slides",
-            over=OVER,
+            over=INTERVALS_OVER,
             resamples=RESAMPLES,
             seed=seed,
             ms_ssim={
                 kind: {
-                    group: interval(redrawn[group][f"ms_ssim/{kind}"]) if group in redrawn else None
+                    group: compute_interval(redrawn[group][f"ms_ssim/{kind}"])
+                    if group in redrawn
+                    else None
                     for group in groups
                 }
                 for kind in similar
             },
             **vars(pose_spread),
             difference=_by_kind(
-                {place: interval(overall[name]) for place, name in differences.items()}
+                {place: compute_interval(overall[name]) for place, name in differences.items()}
             ),
         ),
     )
 
 
-def pose_by_size(
+def tabulate_by_size(
     scores: dict[str, np.ndarray],
     size: np.ndarray,
     least: float,
@@ -109,7 +118,7 @@ def pose_by_size(
     poses: np.ndarray,
     seed: int,
 ) -> Parts:
-    """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
+    """What `build_tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
     shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
     parts, nor has a test without poses."""
     felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
@@ -122,28 +131,28 @@ def pose_by_size(
     )  # as many as distinguish the parts
     found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
-        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = part_poses(
+        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = tabulate_part(
             felt, part == index, poses, seed
         )
     return found
 
 
-def part_poses(
-    felt: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
+def tabulate_part(
+    scores: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
 ) -> PartPoses | None:
-    """Give what `tables` says of poses, of the contacts `inside` (N,) alone; None if there is none."""
+    """Give what `build_tables` says of poses, of the contacts `inside` (N,) alone; None if there is none."""
     if not inside.any():
         return None
-    again = redrawn_means(
-        {name: score[inside] for name, score in felt.items()}, poses[inside], seed
+    again = resample_means(
+        {name: score[inside] for name, score in scores.items()}, poses[inside], seed
     )
-    return _poses_of(felt, inside, again)
+    return _tabulate_poses(scores, inside, again)
 
 
-def with_readers(
+def add_estimators(
     found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
 ) -> Tables:
-    """`tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
+    """`build_tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
     of how many images they are, `reader_images`.
 
     `read`: scores (N,) by `read/<reader>/<kind>/<quantity>`, NaN of images that were not read, beside others; and their poses (N,).
@@ -156,7 +165,9 @@ def with_readers(
             _, reader, kind, quantity = place.split("/")
             finite = np.isfinite(scores[place])
             values = {quantity: scores[place][finite]}
-            span = intervals(values, poses[finite], seed)[quantity] if finite.any() else None
+            span = (
+                compute_intervals(values, poses[finite], seed)[quantity] if finite.any() else None
+            )
             means.setdefault(reader, {}).setdefault(kind, {})[quantity] = _mean(values[quantity])
             spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
             counted = {"read": int(finite.sum()), "left_out": int((~finite).sum())}
@@ -166,10 +177,10 @@ def with_readers(
     )
 
 
-def _poses_of(
+def _tabulate_poses(
     scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]
 ) -> PartPoses:
-    """What `tables` says of poses, of the contacts `inside` (N,) alone."""
+    """What `build_tables` says of poses, of the contacts `inside` (N,) alone."""
     found, spread = _poses({name: score[inside] for name, score in scores.items()}, redrawn)
     return PartPoses(**vars(found), spread=spread)
 
@@ -204,10 +215,14 @@ def _poses(
         },
     )
     return found, PoseSpread(
-        pose_mae={kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
+        pose_mae={
+            kind: {q: compute_interval(redone[kind][q]) for q in names[kind]} for kind in felt
+        },
         pose_recovery={
             kind: {
-                q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q])
+                q: _compute_recovery_interval(
+                    redone["sheared"][q], redone[kind][q], redone["tap"][q]
+                )
                 for q in names[kind]
             }
             for kind in kinds_unsheared
@@ -216,7 +231,7 @@ def _poses(
     )
 
 
-def contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
+def summarise_contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
     """Mean, median, 95th percentile and largest of what the simulator says of its contacts, each field (N,)."""
     return {
         name: {
@@ -229,7 +244,7 @@ def contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]
     }
 
 
-def typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
+def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
     """Indices of contacts to show: for each stimulus those at QUANTILES of the score, worst first, none twice."""
     chosen: list[int] = []
     for index in np.unique(stimulus):
@@ -253,9 +268,15 @@ def _recovery(sheared: float | None, unsheared: float | None, tap: float | None)
     return (sheared - unsheared) / (sheared - tap)
 
 
-def _recovered(sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray) -> list[float] | None:
+def _compute_recovery_interval(
+    sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray
+) -> list[float] | None:
     """Interval of the recovery; null where in some draw the slide does no damage, as the figure then has no bounds."""
-    return None if np.any(sheared <= tap) else interval((sheared - unsheared) / (sheared - tap))
+    return (
+        None
+        if np.any(sheared <= tap)
+        else compute_interval((sheared - unsheared) / (sheared - tap))
+    )
 
 
 def _by_kind(figures: Mapping[str, Figure]) -> dict[str, dict[str, Figure]]:

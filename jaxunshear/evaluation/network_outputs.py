@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.evaluation.baselines import baseline_images
-from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
+from jaxunshear.evaluation.baselines import make_baseline_images
+from jaxunshear.evaluation.code_swaps import decode_cells
+from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.dispatch import unshear
@@ -25,7 +25,7 @@ from jaxunshear.training.examples import PinLayout
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
 
-def load(
+def load_run(
     run_dir: Path,
     names: Sequence[str],
     taps: np.ndarray | None = None,
@@ -42,11 +42,11 @@ def load(
     variables = {name: load_best(folder) for name, folder in folders.items()}
     targets = {name: read_targets(folder) for name, folder in folders.items()}
     if pins is not None:
-        return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
-    return partial(jax.jit(run_of(nets, targets)), variables, taps)
+        return partial(jax.jit(make_pin_run(nets, targets, pins)), variables)
+    return partial(jax.jit(make_image_run(nets, targets)), variables, taps)
 
 
-def run_of(
+def make_image_run(
     nets: Mapping[str, Net], targets: Mapping[str, Targets]
 ) -> Callable[[Json, Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
     """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
@@ -60,10 +60,10 @@ def run_of(
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
         if taps is not None:
-            images |= baseline_images(taps, tap, sheared)
+            images |= make_baseline_images(taps, tap, sheared)
         for kind in UNSHEARING:
             if kind == DISENTANGLED and kind in nets:
-                cells = draw_cells(nets[kind], variables[kind], sheared)
+                cells = decode_cells(nets[kind], variables[kind], sheared)
                 images[kind] = cells["DC(z_p)"]
             elif kind in nets:
                 images[kind] = unshear(nets[kind], variables[kind], sheared)
@@ -78,13 +78,13 @@ def run_of(
             }
         if POSENET_SHEARED in nets:
             answer = posenet.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
-            poses[LEARNT_SHEARED] = posenet.unscale_outputs(answer, targets[POSENET_SHEARED])
-        return Outputs(images, cells, poses, {}), image_scores(images, cells)
+            poses[DIRECT_KIND] = posenet.unscale_outputs(answer, targets[POSENET_SHEARED])
+        return Outputs(images, cells, poses, {}), score_images(images, cells)
 
     return run
 
 
-def pin_run_of(
+def make_pin_run(
     nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: PinLayout
 ) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
     """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
@@ -117,7 +117,7 @@ def pin_run_of(
             outputs = pin_networks.predict(
                 nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared
             )
-            poses[LEARNT_SHEARED] = posenet.unscale_outputs(outputs, targets[POSENET_SHEARED])
+            poses[DIRECT_KIND] = posenet.unscale_outputs(outputs, targets[POSENET_SHEARED])
         shown = places | {"tap": tap}
         images, drawn = (
             {k: draw_dots(p, pins.radius_px, pins.size) for k, p in each.items()}
@@ -126,7 +126,7 @@ def pin_run_of(
         apart = {
             f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"
         }
-        return Outputs(images, drawn, poses, places), image_scores(images, drawn) | apart
+        return Outputs(images, drawn, poses, places), score_images(images, drawn) | apart
 
     return run
 

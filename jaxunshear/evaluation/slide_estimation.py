@@ -10,29 +10,31 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from jaxunshear.evaluation.probes import gaussian
-from jaxunshear.evaluation.spread import LEVEL, interval, redrawn_means
+from jaxunshear.evaluation.bootstrap import LEVEL, compute_interval, resample_means
+from jaxunshear.evaluation.probes import fit_gaussian
 from jaxunshear.storage import Json
 
-SLIPPED = 0.99  # share of the touching skin that slips, from which on a slide counts as slipped
+MIN_SLIP_SHARE = (
+    0.99  # share of the touching skin that slips, from which on a slide counts as slipped
+)
 SEED = 0
 
-Known = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
+Quantities = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
 
 
-def slides_read(
+def estimate_slides(
     codes: Sequence[np.ndarray],
-    wanted: Sequence[Known],
+    targets: Sequence[Quantities],
     groups: np.ndarray,
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
 ) -> list[Json]:
-    """A row a quantity. `codes` (N, F) and `wanted` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
+    """A row a quantity. `codes` (N, F) and `targets` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
     test poses; `slipped` (M,) which test slides have, where that is known."""
-    names = list(wanted[0])
-    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in wanted)
+    names = list(targets[0])
+    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in targets)
     count = len(calibrating)
-    mean, deviation = gaussian(codes[0], learnt, np.concatenate(codes[1:]), groups)
+    mean, deviation = fit_gaussian(codes[0], learnt, np.concatenate(codes[1:]), groups)
     off = np.abs(mean[:count] - calibrating) / deviation[:count]
     reach = np.quantile(off, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
     error, width = mean[count:] - true, reach * deviation[count:]
@@ -50,22 +52,22 @@ def slides_read(
     return rows
 
 
-def slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
+def is_slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
     """(N,) bool of numbers of nodes (N,) that stick and that slip."""
-    return slips >= SLIPPED * np.maximum(stuck + slips, 1)
+    return slips >= MIN_SLIP_SHARE * np.maximum(stuck + slips, 1)
 
 
 def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> Json:
     covered = (np.abs(error) <= width).astype(np.float64)
-    means = redrawn_means(
+    means = resample_means(
         {"mae": np.abs(error), "square": error**2, "coverage": covered}, poses, SEED
     )
     return {
         "mae": float(np.abs(error).mean()),
-        "mae interval": interval(means["mae"]),
+        "mae interval": compute_interval(means["mae"]),
         "rmse": float(np.sqrt(np.mean(error**2))),
-        "rmse interval": interval(np.sqrt(means["square"])),
+        "rmse interval": compute_interval(np.sqrt(means["square"])),
         "coverage": float(covered.mean()),
-        "coverage interval": interval(means["coverage"]),
+        "coverage interval": compute_interval(means["coverage"]),
         "half_width": float(width.mean()),
     }
