@@ -15,10 +15,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.labels import Frame, Motions, framed, motions
-from jaxunshear.calibration.prediction import Simulate, Values, displacements, place_of
-from jaxunshear.calibration.statistics import Seen, camera_turn, ring_motion, ring_radii
-from jaxunshear.calibration.validation import centred, r2, settled
+from jaxunshear.calibration.labels import LabelFrame, LabelledMotions, apply_frame, read_motions
+from jaxunshear.calibration.pin_statistics import (
+    PinObservation,
+    compute_camera_rotation,
+    compute_ring_motion,
+    compute_ring_radii,
+)
+from jaxunshear.calibration.prediction import (
+    SensorValues,
+    Simulate,
+    predict_positions,
+    simulate_displacements,
+)
+from jaxunshear.calibration.validation import centre_motions, compute_r2, fit_positions
 from jaxunshear.image.lattice import compute_rings
 from jaxunshear.settings.sensor import Sensor
 
@@ -28,67 +38,71 @@ STEPS = {
     "tilt_x_deg": 1.5,
     "tilt_y_deg": 1.5,
 }  # of forward differences
-FARTHEST = 4.0  # steps that a round may go
+MAX_STEPS = 4.0  # steps that a round may go
 ROUNDS = 6
 DAMPING = 0.02  # of the normal matrix' diagonal
-ENOUGH = 0.003  # of R2: a round that gains less is the last
-SHORTER = (1.0, 0.5, 0.25)
+MIN_R2_GAIN = 0.003  # of R2: a round that gains less is the last
+STEP_FRACTIONS = (1.0, 0.5, 0.25)
 IMAGES = 48  # that labels are read by
-DEEPEST = (
+DEPTH_FRACTIONS = (
     0.12,
     0.22,
 )  # of the contacts over the dome's radius, to begin with: the depth axis' origin is fitted later
-CREDIBLE = 0.5  # least correlation of simulated and recorded ring motion
-MARGIN = 0.03  # by which a reading must beat those before it
+MIN_CORRELATION = 0.5  # least correlation of simulated and recorded ring motion
+MIN_LEAD = 0.03  # by which a reading must beat those before it
 
 
-class Reading(NamedTuple):
+class LabelReading(NamedTuple):
     """One way to read a group's labels."""
 
-    contacts: Motions
+    contacts: LabelledMotions
     sign: int  # of the slides: +1 as they are labelled, -1 the other way round
-    side: int  # see `labels.to_paths`
+    side: int  # see `labels.make_paths`
     surface_mm: float
     mirrored: bool
-    angle: float  # rad, see `statistics.Seen.turned`
-    match: float  # correlation of ring motion, simulated and recorded
+    angle: float  # rad, see `pin_statistics.PinObservation.turned`
+    correlation: float  # correlation of ring motion, simulated and recorded
 
 
 def read_labels(
-    seen: Seen, poses: np.ndarray, moves: np.ndarray | None, start: Values, sensor: Sensor
-) -> Reading | None:
+    seen: PinObservation,
+    poses: np.ndarray,
+    moves: np.ndarray | None,
+    start: SensorValues,
+    sensor: Sensor,
+) -> LabelReading | None:
     """The reading of labels (N, 6) of N images that agrees best with them; None where none does."""
-    some = np.random.default_rng(0).permutation(np.flatnonzero(seen.sure))[:IMAGES]
-    shell, places = seen.lattice.ring, seen.take(some).place
-    recorded = ring_motion(shell, places - seen.rest)
-    widths = ring_radii(shell, places, seen.rest)
+    some = np.random.default_rng(0).permutation(np.flatnonzero(seen.identified))[:IMAGES]
+    shell, places = seen.lattice.ring, seen.take(some).positions
+    recorded = compute_ring_motion(shell, places - seen.rest)
+    widths = compute_ring_radii(shell, places, seen.rest)
     slid = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
     best, best_score = None, -np.inf
     # Cameras see the pins from behind, so that mirrored is the usual case and comes first.
     for sign in (1, -1) if slid else (1,):
-        contacts = motions(poses, None if moves is None else sign * moves)
+        contacts = read_motions(poses, None if moves is None else sign * moves)
         part = contacts.take(some)
-        for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEEPEST):
+        for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEPTH_FRACTIONS):
             surface = float(-contacts.tip[:, 1, 2].min()) - deepest * sensor.dome_radius_mm
-            moved, converged = displacements(
+            moved, converged = simulate_displacements(
                 sensor, part, side, start.friction, surface, start.skin_to_gel
             )
             if not converged.any():
                 continue
-            place, rest = place_of(
+            place, rest = predict_positions(
                 start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan)
             )
-            simulated = ring_motion(compute_rings(sensor), place - rest)
-            wide = ring_radii(compute_rings(sensor), place, rest)
+            simulated = compute_ring_motion(compute_rings(sensor), place - rest)
+            wide = compute_ring_radii(compute_rings(sensor), place, rest)
             for mirrored in (True, False):
                 turn, match = _turn(recorded[converged], simulated[converged], mirrored)
                 score = match + 0.5 * _correlation(widths[converged], wide[converged])
-                if score > best_score + MARGIN:
+                if score > best_score + MIN_LEAD:
                     best, best_score = (
-                        Reading(contacts, sign, side, surface, mirrored, turn, match),
+                        LabelReading(contacts, sign, side, surface, mirrored, turn, match),
                         score,
                     )
-    return best if best is not None and best.match >= CREDIBLE else None
+    return best if best is not None and best.match >= MIN_CORRELATION else None
 
 
 def _turn(recorded: np.ndarray, simulated: np.ndarray, mirrored: bool) -> tuple[float, float]:
@@ -105,72 +119,77 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sum(a * b) / max(np.sqrt(np.sum(a**2) * np.sum(b**2)), 1e-12))
 
 
-class Matter(NamedTuple):
+class AlignmentProblem(NamedTuple):
     """Recorded contacts and the simulator that is to follow them."""
 
-    seen: Seen
-    contacts: Motions
+    observation: PinObservation
+    contacts: LabelledMotions
     side: int
-    values: Values
+    values: SensorValues
     sensor: Sensor
-    simulate: Simulate = displacements
+    simulate: Simulate = simulate_displacements
 
-    def moved(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """As `prediction.displacements`."""
+    def moved(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
+        """As `prediction.simulate_displacements`."""
         values = self.values
-        contacts = framed(self.contacts, frame)
+        contacts = apply_frame(self.contacts, frame)
         return self.simulate(
             self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel
         )
 
-    def compared(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Recorded and simulated motions (N, P, 2) px as `centred` gives them, zero where one is not known; the simulated ones are
+    def compared(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Recorded and simulated motions (N, P, 2) px as `centre_motions` gives them, zero where one is not known; the simulated ones are
         turned as the camera is."""
         moved, fine = self.moved(frame)
-        recorded, simulated = np.zeros((2, *self.seen.place.shape))
+        recorded, simulated = np.zeros((2, *self.observation.positions.shape))
         if fine.any():
             one, other = (np.nan_to_num(motion) for motion in self._centred(moved, fine))
-            recorded[fine], simulated[fine] = one, other @ camera_turn(turn_between(one, other))
+            recorded[fine], simulated[fine] = (
+                one,
+                other @ compute_camera_rotation(estimate_rotation(one, other)),
+            )
         return recorded, simulated
 
-    def turn(self, frame: Frame) -> float:
+    def turn(self, frame: LabelFrame) -> float:
         """The turn (rad) from column towards row that is left between recorded and simulated motions."""
-        return turn_between(*self._centred(*self.moved(frame)))
+        return estimate_rotation(*self._centred(*self.moved(frame)))
 
     def _centred(self, moved: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        here = self.seen.take(np.flatnonzero(fine))
-        _, place = settled(self.values, self.sensor, here.size, here.place, moved[fine])
-        return centred(here.place, place)
+        here = self.observation.take(np.flatnonzero(fine))
+        _, place = fit_positions(self.values, self.sensor, here.size, here.positions, moved[fine])
+        return centre_motions(here.positions, place)
 
 
-def turn_between(recorded: np.ndarray, simulated: np.ndarray) -> float:
+def estimate_rotation(recorded: np.ndarray, simulated: np.ndarray) -> float:
     """The turn (rad), from column towards row, that brings simulated motions (N, P, 2) nearest to recorded ones."""
     one, other = (np.nan_to_num(motion) @ np.array([1, 1j]) for motion in (recorded, simulated))
     return float(np.angle(np.sum(one * np.conj(other))))
 
 
-def find_frame(matter: Matter, start: Frame, names: Collection[str] = tuple(STEPS)) -> Frame:
+def find_frame(
+    problem: AlignmentProblem, start: LabelFrame, names: Collection[str] = tuple(STEPS)
+) -> LabelFrame:
     """The frame in which the simulator explains most of the recorded motion; what is not among `names` keeps its start."""
-    names = [name for name in names if name != "across_mm" or matter.side]
-    frame, (recorded, simulated) = start, matter.compared(start)
-    score = r2(recorded, simulated)
+    names = [name for name in names if name != "across_mm" or problem.side]
+    frame, (recorded, simulated) = start, problem.compared(start)
+    score = compute_r2(recorded, simulated)
     for _ in range(ROUNDS):
-        step = _frame_step(matter, frame, names, recorded, simulated)
-        for share in SHORTER:
-            there = along(frame, dict(zip(names, share * step, strict=True)))
-            tried = matter.compared(there)
-            if r2(*tried) > score:
+        step = _frame_step(problem, frame, names, recorded, simulated)
+        for share in STEP_FRACTIONS:
+            there = move_frame(frame, dict(zip(names, share * step, strict=True)))
+            tried = problem.compared(there)
+            if compute_r2(*tried) > score:
                 break
         else:
             return frame
-        gain = r2(*tried) - score
+        gain = compute_r2(*tried) - score
         frame, (recorded, simulated), score = there, tried, score + gain
-        if gain < ENOUGH:
+        if gain < MIN_R2_GAIN:
             break
     return frame
 
 
-def along(frame: Frame, step: dict[str, float]) -> Frame:
+def move_frame(frame: LabelFrame, step: dict[str, float]) -> LabelFrame:
     """The frame, moved on by numbers of STEPS."""
     return frame._replace(
         **{name: float(getattr(frame, name) + STEPS[name] * size) for name, size in step.items()}
@@ -178,14 +197,18 @@ def along(frame: Frame, step: dict[str, float]) -> Frame:
 
 
 def _frame_step(
-    matter: Matter, frame: Frame, names: list[str], recorded: np.ndarray, simulated: np.ndarray
+    matter: AlignmentProblem,
+    frame: LabelFrame,
+    names: list[str],
+    recorded: np.ndarray,
+    simulated: np.ndarray,
 ) -> np.ndarray:
     """Of Gauss-Newton, in units of STEPS."""
     slopes = np.array(
-        [(matter.compared(along(frame, {name: 1.0}))[1] - simulated).ravel() for name in names]
+        [(matter.compared(move_frame(frame, {name: 1.0}))[1] - simulated).ravel() for name in names]
     )
     normal = slopes @ slopes.T
     step = np.linalg.solve(
         normal + DAMPING * np.diag(np.diag(normal)), slopes @ (recorded - simulated).ravel()
     )
-    return np.clip(step, -FARTHEST, FARTHEST)
+    return np.clip(step, -MAX_STEPS, MAX_STEPS)

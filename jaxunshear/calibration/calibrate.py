@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.calibration.alignment import CREDIBLE, read_labels
-from jaxunshear.calibration.calibrated import Calibrated
-from jaxunshear.calibration.fit import Fitted, fit
-from jaxunshear.calibration.prediction import Values, skin_to_gel
-from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius
-from jaxunshear.calibration.report import compared, curves, rows_of, table
-from jaxunshear.calibration.sampling import Recorded, sample
-from jaxunshear.calibration.statistics import Seen
+from jaxunshear.calibration.alignment import MIN_CORRELATION, read_labels
+from jaxunshear.calibration.calibration_result import Calibration
+from jaxunshear.calibration.fit import FitResult, fit
+from jaxunshear.calibration.pin_statistics import PinObservation
+from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
+from jaxunshear.calibration.problem import RecordedGroup
+from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius, simulate_tips
+from jaxunshear.calibration.report import build_rows, compared, format_table, plot_curves
+from jaxunshear.calibration.sampling import RecordedImages, sample_folders
 from jaxunshear.errors import UserError
 from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.progress import Progress
@@ -30,10 +30,12 @@ from jaxunshear.settings.stimuli import ABS_FRICTION
 from jaxunshear.storage import Json, write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
-FIRST_OF = 3  # images, of which the first fit takes one
-CONTACTS_EACH = 40  # solved for each recorded one, about
-LEAST_LABELLED = 12  # contacts from which the labels' reading can be determined
-SAME_FRAMING = 0.05  # of the outermost ring's radius: two that differ by more are two cameras
+FIRST_FIT_STRIDE = 3  # images, of which the first fit takes one
+SOLVES_PER_CONTACT = 40  # solved for each recorded one, about
+MIN_LABELLED = 12  # contacts from which the labels' reading can be determined
+MAX_FRAMING_DIFFERENCE = (
+    0.05  # of the outermost ring's radius: two that differ by more are two cameras
+)
 UNITS = {
     "mm_across": "mm",
     "distance_mm": "mm",
@@ -52,7 +54,7 @@ def calibrate(
     out: Path | None = None,
     sensor: Sensor | None = None,
     camera: Camera | None = None,
-    held: Collection[str] = (),
+    fixed: Collection[str] = (),
     images: int = IMAGES,
     seed: int = 0,
     log: Log = print,
@@ -62,28 +64,28 @@ def calibrate(
     With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
     yours to keep or share. Returns `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`. `sensor` and
     `camera` are where the fit starts: by default the preset with as many pins as are found. Raises `UserError` where the
-    recordings cannot be read or show no such pins. What `held` names (of UNITS, but for the pin radius) keeps its start.
+    recordings cannot be read or show no such pins. What `fixed` names (of UNITS, but for the pin radius) keeps its start.
     """
     path = Path(path)
-    _check_held(held)
-    recorded, notes = sample(path, images, seed)
+    _check_held(fixed)
+    recorded, notes = sample_folders(path, images, seed)
     sensor = sensor or _sensor_for(recorded)
     camera = camera or Camera()
-    start = Values(
+    start = SensorValues(
         camera.mm_across,
         camera.distance_mm,
         sensor.pin_spacing_mm,
         ABS_FRICTION,
-        skin_to_gel(sensor),
+        compute_modulus_ratio(sensor),
     )
     groups, surfaces = _groups(recorded, sensor, start, notes)
     start = replace(start, surface_mm=surfaces)
-    fitted = _fit(groups, sensor, start, held)
+    fitted = _fit(groups, sensor, start, fixed)
     before = replace(start, surface_mm=fitted.values.surface_mm)
-    tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
+    tips_before = [simulate_tips(group, sensor, before, i) for i, group in enumerate(groups)]
     after_sensor = fitted.values.sensor(sensor)
     tips_after = [
-        contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)
+        simulate_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)
     ]
     solved = [tips[converged] if converged.any() else tips for tips, converged in tips_after]
     radius = _with_scale(fit_pin_radius(groups, after_sensor, fitted.values, solved), fitted)
@@ -92,18 +94,18 @@ def calibrate(
     reported, pictures = compared(
         recorded, groups, (sensor, before, tips_before), (after_sensor, after, tips_after)
     )
-    parameters = _parameters(start, fitted, sensor, radius, held)
+    parameters = _parameters(start, fitted, sensor, radius, fixed)
     lost = {"the fit, where each counts for 3 px": fitted.dropped}
     for where, tips in (
         ("the images before, left out", tips_before),
         ("the images after, left out", tips_after),
     ):
         lost[where] = sum(int((~converged).sum()) for _, converged in tips)
-    notes += _reported(held, fitted, lost)
+    notes += _build_notes(fixed, fitted, lost)
     results: Json = {
-        "rows": rows_of(reported),
+        "rows": build_rows(reported),
         "parameters": parameters,
-        "preset": Calibrated(
+        "preset": Calibration(
             "", after_sensor, after.camera(Camera().frame_px), after.friction
         ).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
@@ -111,12 +113,16 @@ def calibrate(
         "image_names": [name for part in recorded for name in part.names],
         "notes": notes,
     }
-    text = table(results["rows"], parameters) + "\n" + "".join(f"\nnote: {note}" for note in notes)
+    text = (
+        format_table(results["rows"], parameters)
+        + "\n"
+        + "".join(f"\nnote: {note}" for note in notes)
+    )
     log(text)
     if out is not None:
         write_json(Path(out) / "calibration.json", results)
         write_text(Path(out) / "calibration.txt", text + "\n")
-        write_bytes(Path(out) / "calibration.png", curves(reported, pictures))
+        write_bytes(Path(out) / "calibration.png", plot_curves(reported, pictures))
     return results
 
 
@@ -127,21 +133,25 @@ def _check_held(held: Collection[str]) -> None:
         raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(known)}")
 
 
-def _fit(groups: list[Group], sensor: Sensor, start: Values, held: Collection[str]) -> Fitted:
+def _fit(
+    groups: list[RecordedGroup], sensor: Sensor, start: SensorValues, held: Collection[str]
+) -> FitResult:
     """On some images first: most of the way needs no more."""
     count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
-    with Progress("fit", CONTACTS_EACH * count, unit="contacts") as progress:
+    with Progress("fit", SOLVES_PER_CONTACT * count, unit="contacts") as progress:
 
         def advance(contacts: int) -> None:
             progress.advance(max(0, min(contacts, progress.total - 1 - progress.done)))
 
-        rough = fit([group.thinned(FIRST_OF) for group in groups], sensor, start, held, advance)
+        rough = fit(
+            [group.thinned(FIRST_FIT_STRIDE) for group in groups], sensor, start, held, advance
+        )
         fitted = fit(groups, sensor, start, held, advance, begin=rough.values)
         progress.advance(progress.total - progress.done)
     return fitted
 
 
-def _sensor_for(recorded: list[Recorded]) -> Sensor:
+def _sensor_for(recorded: list[RecordedImages]) -> Sensor:
     counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
     pins = float(np.median(counts))
     nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
@@ -154,8 +164,8 @@ def _sensor_for(recorded: list[Recorded]) -> Sensor:
 
 
 def _groups(
-    recorded: list[Recorded], sensor: Sensor, start: Values, notes: list[str]
-) -> tuple[list[Group], tuple[float, ...]]:
+    recorded: list[RecordedImages], sensor: Sensor, start: SensorValues, notes: list[str]
+) -> tuple[list[RecordedGroup], tuple[float, ...]]:
     """Every folder's pins, with its contacts where the labels go with the images."""
     groups, surfaces, framing = [], [], []
     for part in recorded:
@@ -167,18 +177,18 @@ def _groups(
             ).mean()
             / seen.size
         )
-        if not seen.sure.any():
+        if not seen.identified.any():
             raise UserError(
                 f"{part.name}: in none of {len(part.images)} images the pins can be followed from rim to middle"
             )
-        if not seen.sure.all():
+        if not seen.identified.all():
             notes.append(
-                f"{part.name}: {int((~seen.sure).sum())} of {len(seen.sure)} images left out, their pins cannot be followed surely"
+                f"{part.name}: {int((~seen.identified).sum())} of {len(seen.identified)} images left out, their pins cannot be followed surely"
             )
-        group, surface = _labelled(part, seen, sensor, start, notes)
+        group, surface = _read_labelled_group(part, seen, sensor, start, notes)
         groups.append(group)
         surfaces.append(surface)
-    if max(framing) > (1 + SAME_FRAMING) * min(framing):
+    if max(framing) > (1 + MAX_FRAMING_DIFFERENCE) * min(framing):
         worst = recorded[int(np.argmax(framing))].name, recorded[int(np.argmin(framing))].name
         raise UserError(
             f"{worst[0]} and {worst[1]} are framed differently: calibrate one camera at a time"
@@ -186,14 +196,18 @@ def _groups(
     return groups, tuple(surfaces)
 
 
-def _labelled(
-    part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]
-) -> tuple[Group, float]:
-    unread = Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
-    rows = np.flatnonzero(seen.sure & part.labelled)
-    if part.poses is None or len(rows) < LEAST_LABELLED:
+def _read_labelled_group(
+    part: RecordedImages,
+    seen: PinObservation,
+    sensor: Sensor,
+    start: SensorValues,
+    notes: list[str],
+) -> tuple[RecordedGroup, float]:
+    unread = RecordedGroup(part.name, seen.take(np.flatnonzero(seen.identified))), 0.0
+    rows = np.flatnonzero(seen.identified & part.labelled)
+    if part.poses is None or len(rows) < MIN_LABELLED:
         notes.append(
-            f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it determines framing and pin size only"
+            f"{part.name}: fewer than {MIN_LABELLED} labelled poses, so it determines framing and pin size only"
         )
         return unread
     moves = None if part.moves is None else part.moves[rows]
@@ -201,22 +215,22 @@ def _labelled(
     if reading is None:
         notes.append(
             f"{part.name}: simulated touches as labelled move pins otherwise than these images show "
-            f"(correlation below {CREDIBLE}), so it determines framing and pin size only"
+            f"(correlation below {MIN_CORRELATION}), so it determines framing and pin size only"
         )
         return unread
     edge = ""
     if reading.side:
         edge = f", an edge with the object on the side of its {'negative' if reading.side > 0 else 'positive'} labels"
     notes.append(
-        f"{part.name}: labels read with a correlation of {reading.match:.2f}{edge}; camera turned by {np.degrees(reading.angle):.0f} deg"
+        f"{part.name}: labels read with a correlation of {reading.correlation:.2f}{edge}; camera turned by {np.degrees(reading.angle):.0f} deg"
     )
     turned = seen.take(rows).turned(reading.mirrored, reading.angle)
-    return Group(part.name, turned, reading.contacts, reading.side), reading.surface_mm
+    return RecordedGroup(part.name, turned, reading.contacts, reading.side), reading.surface_mm
 
 
 def _parameters(
-    start: Values,
-    fitted: Fitted,
+    start: SensorValues,
+    fitted: FitResult,
     sensor: Sensor,
     radius: tuple[float, float, float],
     held: Collection[str],
@@ -246,7 +260,9 @@ def _parameters(
     return rows
 
 
-def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[float, float, float]:
+def _with_scale(
+    radius: tuple[float, float, float], fitted: FitResult
+) -> tuple[float, float, float]:
     """A pin radius (mm, low, high) at the fitted scale of the camera, with what is not known of that scale."""
     best, low, high = radius
     scale = 0.0
@@ -261,7 +277,7 @@ def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[flo
     return best, best - half, best + half
 
 
-def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:
+def _build_notes(held: Collection[str], fitted: FitResult, lost: dict[str, int]) -> list[str]:
     notes = [OVERALL_MODULUS]
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):

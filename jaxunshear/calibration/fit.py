@@ -9,22 +9,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.prediction import Values
-from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
+from jaxunshear.calibration.prediction import SensorValues
+from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
 from jaxunshear.settings.sensor import Sensor
 
 ROUNDS = 12
-SETTLED = 2e-3  # of the cost: a round that gains less is the last
+MIN_COST_GAIN = 2e-3  # of the cost: a round that gains less is the last
 OUTLIER_PX = 0.5  # of 128: beyond it a residual counts linearly (stick and slip in turn leave some pins anywhere)
 PRIOR_PX = 0.15  # how much a prior weighs: the residual that one image's rings usually keep
-DETERMINED = 0.4  # a 95% interval narrower than this share of the prior's is knowledge
+MAX_INTERVAL_SHARE = 0.4  # a 95% interval narrower than this share of the prior's is knowledge
 BOOTSTRAPS = 400
 
 
-class Fitted(NamedTuple):
+class FitResult(NamedTuple):
     """`low`, `high`: 95 % bootstrap interval over images, by name; `determined`: whether the images determine it."""
 
-    values: Values
+    values: SensorValues
     low: dict[str, float]
     high: dict[str, float]
     determined: dict[str, bool]
@@ -36,19 +36,19 @@ class Fitted(NamedTuple):
 
 
 def fit(
-    groups: list[Group],
+    groups: list[RecordedGroup],
     sensor: Sensor,
-    start: Values,
-    held: Collection[str] = (),
+    start: SensorValues,
+    fixed: Collection[str] = (),
     advance: Callable[[int], None] = lambda contacts: None,
-    begin: Values | None = None,
-) -> Fitted:
-    """Gauss-Newton with damping on all groups at once; what `held` names keeps its start.
+    begin: SensorValues | None = None,
+) -> FitResult:
+    """Gauss-Newton with damping on all groups at once; what `fixed` names keeps its start.
 
     `start`, where the priors stand, has an entry of `surface_mm` for every group; the search may `begin` elsewhere. `advance` is
     called with how many contacts were solved.
     """
-    problem = Problem(groups, sensor, start, held, advance)
+    problem = Problem(groups, sensor, start, fixed, advance)
     prior = problem.prior()
     x = problem.place(begin or start)
     before = _error(problem.all(problem.values(np.where(problem.nuisance(), x, 0.0))))
@@ -77,10 +77,10 @@ def fit(
             base = problem.all(problem.values(x))
             cost, damping = _cost(base, x / prior), 1e-3
         slopes = problem.slopes(x)
-        if not elsewhere and old - cost < SETTLED * old:
+        if not elsewhere and old - cost < MIN_COST_GAIN * old:
             break
     spread = _bootstrap(slopes, problem.redrawer(problem.values(x)), _weights(base), x, prior)
-    return _reported(problem, x, spread, before, base)
+    return _build_result(problem, x, spread, before, base)
 
 
 def _weights(residual: np.ndarray) -> np.ndarray:
@@ -136,21 +136,21 @@ def _bootstrap(
     )
 
 
-def _reported(
+def _build_result(
     problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray
-) -> Fitted:
+) -> FitResult:
     ends = np.percentile(spread, [2.5, 97.5], axis=0)
     ends = (
         ends - np.median(spread, axis=0) + x
     )  # the draws scatter about their own middle; the fit is what is reported
     low, high = (problem.named(problem.values(end)) for end in ends)
     width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
-    return Fitted(
+    return FitResult(
         problem.values(x),
         low,
         high,
-        {name: bool(w < DETERMINED) for name, w in zip(problem.names, width, strict=True)},
+        {name: bool(w < MAX_INTERVAL_SHARE) for name, w in zip(problem.names, width, strict=True)},
         before,
         _error(residual),
-        int(np.sum(residual[:, 0] == UNSOLVED_PX)),
+        int(np.sum(residual[:, 0] == UNSOLVED_RESIDUAL_PX)),
     )

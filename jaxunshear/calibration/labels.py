@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import Sensor
 
-HALF_PLANE = "edge"  # the stimulus that stands for all recorded ones
-INLAND_MM = 25.0  # from the edge, where a half plane is flat for all the dome can reach
+EDGE_STIMULUS = "edge"  # the stimulus that stands for all recorded ones
+FLAT_DISTANCE_MM = 25.0  # from the edge, where a half plane is flat for all the dome can reach
 
 
-class Motions(NamedTuple):
+class LabelledMotions(NamedTuple):
     """N labelled contacts in a scene frame: z out of the object, x across its edge (if it has one), as the label's sign has it."""
 
     tip: np.ndarray  # (N, 2, 3) mm, the undeformed apex at the start and the end of the slide
@@ -29,8 +29,8 @@ class Motions(NamedTuple):
     def __len__(self) -> int:
         return len(self.tip)
 
-    def take(self, rows: np.ndarray) -> "Motions":
-        return Motions(
+    def take(self, rows: np.ndarray) -> "LabelledMotions":
+        return LabelledMotions(
             self.tip[rows], self.turn[np.concatenate([rows, rows + len(self)])], self.across
         )
 
@@ -50,7 +50,7 @@ class Motions(NamedTuple):
         return _swing_twist(self.turn[len(self) :])[1]
 
 
-class Frame(NamedTuple):
+class LabelFrame(NamedTuple):
     """How the object lies in the frame of the labels: what a robot's set-up leaves open, and pins show."""
 
     surface_mm: float = 0.0  # of the depth axis, where its top is
@@ -61,25 +61,25 @@ class Frame(NamedTuple):
     tilt_y_deg: float = 0.0
 
 
-def framed(contacts: Motions, frame: Frame) -> Motions:
+def apply_frame(contacts: LabelledMotions, frame: LabelFrame) -> LabelledMotions:
     """The same contacts as the object has them: its top at depth 0 and level, its edge at x = 0."""
     turn = Rotation.from_euler("xy", [frame.tilt_x_deg, frame.tilt_y_deg], degrees=True)
     tip = contacts.tip + np.array([0, 0, frame.surface_mm])
     tip = turn.apply(tip.reshape(-1, 3)).reshape(tip.shape) + np.array([frame.across_mm, 0, 0])
-    return Motions(tip, turn * contacts.turn, contacts.across)
+    return LabelledMotions(tip, turn * contacts.turn, contacts.across)
 
 
-def depth_axis(poses: np.ndarray) -> int:
+def find_depth_axis(poses: np.ndarray) -> int:
     """Of labels (N, 6): z, or, where z does not vary, the first other one that does."""
     vary = np.ptp(poses, axis=0) > 1e-6
     return next((axis for axis in (2, 1, 0) if vary[axis]), 2)
 
 
-def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
+def read_motions(poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
     """From labels (N, 6) mm and degrees."""
     moves = np.zeros_like(poses) if moves is None else np.nan_to_num(moves)
     vary = np.ptp(poses, axis=0) > 1e-6
-    depth = depth_axis(poses)
+    depth = find_depth_axis(poses)
     rest = [axis for axis in (1, 0, 2) if axis != depth]
     lateral = next((axis for axis in rest if vary[axis]), rest[0])
     basis = np.zeros((3, 3))
@@ -94,11 +94,15 @@ def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
         ).as_matrix()
         @ basis.T
     )
-    return Motions(points[..., :3] @ basis.T, turn, bool(vary[lateral]))
+    return LabelledMotions(points[..., :3] @ basis.T, turn, bool(vary[lateral]))
 
 
-def to_paths(
-    motions: Motions, sensor: Sensor, surface_mm: float, side: int, friction: float | np.ndarray
+def make_paths(
+    motions: LabelledMotions,
+    sensor: Sensor,
+    surface_mm: float,
+    side: int,
+    friction: float | np.ndarray,
 ) -> Paths:
     """Paths over HALF_PLANE. The top lies at `surface_mm` of the depth axis; `side` is +1 or -1 for an edge whose object lies
     towards negative or positive labels, 0 for no edge; `friction` of all, or (N,)."""
@@ -111,7 +115,7 @@ def to_paths(
         half = Rotation.from_euler("z", 180, degrees=True)
         tip, turn = tip * [-1, -1, 1], half * turn
     if side == 0:
-        tip[..., 0] -= tip[:, 1:, 0] + INLAND_MM
+        tip[..., 0] -= tip[:, 1:, 0] + FLAT_DISTANCE_MM
     swing, yaw = _swing_twist(turn)
     axis = turn.apply([0, 0, sensor.dome_radius_mm])
     centre = tip.swapaxes(0, 1).reshape(-1, 3) + axis

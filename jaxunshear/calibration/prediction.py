@@ -12,7 +12,7 @@ from functools import lru_cache
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.labels import HALF_PLANE, Motions, to_paths
+from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import project
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
@@ -23,11 +23,11 @@ from jaxunshear.settings.sensor import Sensor
 
 PROBE_DEG = 5.0  # between its rings
 PROBE_RINGS = 14  # to 70 degrees
-Simulate = Callable[..., tuple[np.ndarray, np.ndarray]]  # as `displacements`
+Simulate = Callable[..., tuple[np.ndarray, np.ndarray]]  # as `simulate_displacements`
 
 
 @dataclass(frozen=True)
-class Values:
+class SensorValues:
     """What is calibrated. `surface_mm` is the nuisance of each group of images: where the object's top is in its labels."""
 
     mm_across: float
@@ -49,7 +49,7 @@ class Values:
         )
 
 
-def skin_to_gel(sensor: Sensor) -> float:
+def compute_modulus_ratio(sensor: Sensor) -> float:
     return sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
 
 
@@ -57,7 +57,7 @@ def _probe_spacing(sensor: Sensor) -> float:
     return sensor.dome_radius_mm * math.radians(PROBE_DEG)
 
 
-def probe(sensor: Sensor, ratio: float) -> Sensor:
+def make_probe_sensor(sensor: Sensor, ratio: float) -> Sensor:
     """The same dome with pins everywhere, which have no size: they may not overlap."""
     spacing = _probe_spacing(sensor)
     return replace(
@@ -72,12 +72,12 @@ def probe(sensor: Sensor, ratio: float) -> Sensor:
 
 
 @lru_cache(maxsize=64)
-def interpolation(sensor: Sensor) -> np.ndarray:
+def compute_interpolation(sensor: Sensor) -> np.ndarray:
     """(P, Q): the probe's pins to the sensor's."""
-    return interpolation_at(sensor, compute_pin_lattice(sensor))
+    return compute_interpolation_at(sensor, compute_pin_lattice(sensor))
 
 
-def interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+def compute_interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
     """(P, Q): the probe's pins to places (P, 2) mm of arc from the apex; trigonometric around the rings and cubic across them."""
     rings = PROBE_RINGS
     across = np.linalg.norm(flat, axis=-1) / _probe_spacing(sensor)
@@ -109,43 +109,43 @@ def _periodic(count: int, turn: np.ndarray) -> np.ndarray:
     return np.where(at, 1.0, np.sin(count * turn / 2) / (count * np.where(at, 1.0, half)))
 
 
-def displacements(
+def simulate_displacements(
     sensor: Sensor,
-    contacts: Motions,
+    contacts: LabelledMotions,
     side: int,
     friction: float | np.ndarray,
     surface_mm: float,
     ratio: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts were reached and converged."""
-    body = probe(sensor, ratio)
-    paths = to_paths(contacts, body, surface_mm, side, friction)
-    fine = within_reach(body, paths)
+    body = make_probe_sensor(sensor, ratio)
+    paths = make_paths(contacts, body, surface_mm, side, friction)
+    fine = is_within_reach(body, paths)
     moved, converged = np.zeros((len(paths), body.pins, 3), np.float32), np.zeros(len(paths), bool)
     if fine.any():
-        solved, _ = follow(body, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
+        solved, _ = follow(body, (EDGE_STIMULUS,), paths.take(np.flatnonzero(fine)))
         moved[fine] = solved.pins - compute_pin_tips(body).astype(np.float32)
         converged[fine] = solved.converged
     return moved, converged
 
 
-def within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
+def is_within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
     """(N,) bool: contacts that the sensor's contact rings cover at every way point."""
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
     deepest = np.vectorize(lambda degrees: deepest_mm(sensor, degrees), otypes=[float])(tilt)
     return np.all(paths.points[..., DEPTH] <= deepest, axis=1)
 
 
-def spread(weights: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """(N, P, 3): probe displacements (N, Q, 3) at the places of `interpolation_at`'s weights (P, Q)."""
+def interpolate_displacements(weights: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """(N, P, 3): probe displacements (N, Q, 3) at the places of `compute_interpolation_at`'s weights (P, Q)."""
     return (
-        (weights @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1))
+        (weights @ displacement.swapaxes(0, 1).reshape(displacement.shape[1], -1))
         .reshape(len(weights), -1, 3)
         .swapaxes(0, 1)
     )
 
 
-def seen_at(values: Values, sensor: Sensor, size: int, tips: np.ndarray) -> np.ndarray:
+def project_tips(values: SensorValues, sensor: Sensor, size: int, tips: np.ndarray) -> np.ndarray:
     """(..., 2) px from the middle of an image of `size`, of tips (..., 3) mm."""
     return (
         np.asarray(project(values.camera(size), jnp.asarray(tips), values.sensor(sensor)))
@@ -153,16 +153,18 @@ def seen_at(values: Values, sensor: Sensor, size: int, tips: np.ndarray) -> np.n
     )
 
 
-def place_of(
-    values: Values, sensor: Sensor, size: int, moved: np.ndarray | None
+def predict_positions(
+    values: SensorValues, sensor: Sensor, size: int, moved: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pins (N, P, 2) px of an image of `size` from its middle for probe displacements (N, Q, 3), and (P, 2) undisturbed ones."""
     own = values.sensor(sensor)
     tips = compute_pin_tips(own)
-    rest = seen_at(values, sensor, size, tips)
+    rest = project_tips(values, sensor, size, tips)
     if moved is None:
         return rest[None], rest
     alike = replace(
         own, gel_modulus_mpa=sensor.gel_modulus_mpa
     )  # one entry of the cache for all stiffnesses
-    return seen_at(values, sensor, size, tips + spread(interpolation(alike), moved)), rest
+    return project_tips(
+        values, sensor, size, tips + interpolate_displacements(compute_interpolation(alike), moved)
+    ), rest

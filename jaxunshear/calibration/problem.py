@@ -9,9 +9,19 @@ from functools import partial
 
 import numpy as np
 
-from jaxunshear.calibration.labels import Motions
-from jaxunshear.calibration.prediction import Simulate, Values, displacements, place_of
-from jaxunshear.calibration.statistics import Seen, less_mean, ring_radii, ring_shift
+from jaxunshear.calibration.labels import LabelledMotions
+from jaxunshear.calibration.pin_statistics import (
+    PinObservation,
+    compute_ring_radii,
+    compute_ring_shift,
+    subtract_mean,
+)
+from jaxunshear.calibration.prediction import (
+    SensorValues,
+    Simulate,
+    predict_positions,
+    simulate_displacements,
+)
 from jaxunshear.image.lattice import compute_rings
 from jaxunshear.settings.sensor import Sensor
 
@@ -25,27 +35,27 @@ PRIORS = {
     "skin_to_gel": 1.5,
     "surface_mm": 5.0,
 }
-INSIDE = 0.98  # of a limit of the pins' spacing, so that slopes are taken within it
-UNSOLVED_PX = 3.0  # what a contact without a solution counts for: dropping it must not pay
+SPACING_MARGIN = 0.98  # of a limit of the pins' spacing, so that slopes are taken within it
+UNSOLVED_RESIDUAL_PX = 3.0  # what a contact without a solution counts for: dropping it must not pay
 
 
 @dataclass(frozen=True)
-class Group:
+class RecordedGroup:
     """Images of one camera and one day, seen as a simulated camera sees them, with the contacts that made them if these are known."""
 
     name: str
-    seen: Seen
-    contacts: Motions | None = None
+    observation: PinObservation
+    contacts: LabelledMotions | None = None
     side: int = 0
 
-    def thinned(self, step: int) -> "Group":
+    def thinned(self, step: int) -> "RecordedGroup":
         """With one of `step` images."""
-        rows = np.arange(0, len(self.seen.found), step)
+        rows = np.arange(0, len(self.observation.pin_counts), step)
         contacts = None if self.contacts is None else self.contacts.take(rows)
-        return Group(self.name, self.seen.take(rows), contacts, self.side)
+        return RecordedGroup(self.name, self.observation.take(rows), contacts, self.side)
 
 
-class _Simulated:
+class _DisplacementCache:
     """Displacements of the probe's pins of labelled contacts, solved when first asked for."""
 
     def __init__(self, which: int, solve: Simulate, advance: Callable[[int], None]) -> None:
@@ -54,7 +64,7 @@ class _Simulated:
         self.nodes: list[float] = []
         self.known: dict[tuple[float, float, float], np.ndarray] = {}
 
-    def at(self, values: Values, ratio: float) -> np.ndarray:
+    def at(self, values: SensorValues, ratio: float) -> np.ndarray:
         """(N, Q, 3) mm; NaN for contacts out of reach or without a solution."""
         surface = values.surface_mm[self.which]
         key = (round(values.friction, 9), round(surface, 9), round(ratio, 9))
@@ -64,7 +74,7 @@ class _Simulated:
             self.advance(len(moved))
         return self.known[key]
 
-    def between(self, values: Values) -> np.ndarray:
+    def between(self, values: SensorValues) -> np.ndarray:
         """Quadratic in the logarithm of skin:gel."""
         total = np.zeros(())
         for i, node in enumerate(self.nodes):
@@ -73,49 +83,55 @@ class _Simulated:
                 total = total + weight * self.at(values, node)
         return total
 
-    def nearby(self, values: Values, base: Values) -> np.ndarray:
+    def nearby(self, values: SensorValues, base: SensorValues) -> np.ndarray:
         """The same for a small change of friction or surface: it is about the same at all stiffnesses."""
         node = min(self.nodes, key=lambda node: abs(np.log(node / base.skin_to_gel)))
         return self.between(base) + (self.at(values, node) - self.at(base, node))
 
 
-def _lagrange(values: Values, node: float, others: np.ndarray) -> float:
+def _lagrange(values: SensorValues, node: float, others: np.ndarray) -> float:
     return float(np.prod(np.log(values.skin_to_gel / others) / np.log(node / others)))
 
 
-def features(shell: np.ndarray, place: np.ndarray, rest: np.ndarray, size: int) -> np.ndarray:
-    """(N, F) px of 128: radii and mean motions of the rings, each weighing as its pins. `place` (N, P, 2), `rest` (P, 2) as in `Seen`."""
+def compute_ring_features(
+    shell: np.ndarray, place: np.ndarray, rest: np.ndarray, size: int
+) -> np.ndarray:
+    """(N, F) px of 128: radii and mean motions of the rings, each weighing as its pins. `place` (N, P, 2), `rest` (P, 2) as in `PinObservation`."""
     pins = np.bincount(shell)
     weight = np.sqrt(pins / pins.sum()) * (128 / size)
-    radii = ring_radii(shell, place, rest) * weight[1:]
-    across = ring_shift(shell, place - rest) * weight
+    radii = compute_ring_radii(shell, place, rest) * weight[1:]
+    across = compute_ring_shift(shell, place - rest) * weight
     return np.concatenate([radii, across.real, across.imag], axis=1)
 
 
 def _less_mean_motion(difference: np.ndarray, rings: int) -> np.ndarray:
     """(N, F) with every ring's mean over the contacts taken from its motions: nobody knows where the undisturbed pins stand."""
-    return np.concatenate([difference[:, :rings], less_mean(difference[:, rings:])], axis=1)
+    return np.concatenate([difference[:, :rings], subtract_mean(difference[:, rings:])], axis=1)
 
 
 class Problem:
     def __init__(
         self,
-        groups: list[Group],
+        groups: list[RecordedGroup],
         sensor: Sensor,
-        start: Values,
+        start: SensorValues,
         held: Collection[str],
         advance: Callable[[int], None],
-        simulate: Simulate = displacements,
+        simulate: Simulate = simulate_displacements,
     ) -> None:
         self.groups, self.sensor, self.start = groups, sensor, start
         self.simulated = [
             None
             if group.contacts is None
-            else _Simulated(i, partial(simulate, sensor, group.contacts, group.side), advance)
+            else _DisplacementCache(
+                i, partial(simulate, sensor, group.contacts, group.side), advance
+            )
             for i, group in enumerate(groups)
         ]
         self.recorded = [
-            features(group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size)
+            compute_ring_features(
+                group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size
+            )
             for group in groups
         ]
         labelled = any(group.contacts is not None for group in groups)
@@ -132,7 +148,7 @@ class Problem:
         self.surfaces = [i for i, group in enumerate(groups) if group.contacts is not None]
         self.names = self.scalars + [f"surface_mm {groups[i].name}" for i in self.surfaces]
 
-    def values(self, x: np.ndarray) -> Values:
+    def values(self, x: np.ndarray) -> SensorValues:
         """Parameters as logarithms over the start, surfaces as differences from it."""
         scalars = {
             name: float(getattr(self.start, name) * np.exp(step))
@@ -143,7 +159,7 @@ class Problem:
             surface[i] += float(step)
         return replace(self.start, **scalars, surface_mm=tuple(surface))
 
-    def place(self, values: Values) -> np.ndarray:
+    def place(self, values: SensorValues) -> np.ndarray:
         """The inverse of `values`."""
         scalars = [
             np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars
@@ -152,7 +168,7 @@ class Problem:
             scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces]
         )
 
-    def named(self, values: Values) -> dict[str, float]:
+    def named(self, values: SensorValues) -> dict[str, float]:
         """What of the values is sought, by `names`."""
         surfaces = [values.surface_mm[i] for i in self.surfaces]
         found = [*(getattr(values, name) for name in self.scalars), *surfaces]
@@ -172,11 +188,14 @@ class Problem:
         if "pin_spacing_mm" in self.names:  # pins that overlap, or go past the rim, are no sensor
             k, sensor = self.names.index("pin_spacing_mm"), self.sensor
             least, most = 2 * sensor.pin_radius_mm, sensor.dome_radius_mm * np.pi / 2 / sensor.rings
-            ends = np.log(np.array([least / INSIDE, most * INSIDE]) / self.start.pin_spacing_mm)
+            ends = np.log(
+                np.array([least / SPACING_MARGIN, most * SPACING_MARGIN])
+                / self.start.pin_spacing_mm
+            )
             low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
         return low, high
 
-    def recentre(self, values: Values) -> bool:
+    def recentre(self, values: SensorValues) -> bool:
         """Takes other domes where the stiffness nears the last one; whether it did."""
         place = np.log(values.skin_to_gel / self.start.skin_to_gel) / np.log(RATIO_STEP)
         moved = abs(place - self.steps) > 0.75
@@ -188,24 +207,26 @@ class Problem:
                 ]
         return moved
 
-    def residuals(self, values: Values, which: int) -> np.ndarray:
+    def residuals(self, values: SensorValues, which: int) -> np.ndarray:
         """(N, F) of one group, simulated less recorded; zero where nothing is known, UNSOLVED_PX in all for a contact without a
         solution."""
         difference = self._difference(values, which)
         unsolved = np.isnan(difference).all(axis=1)
         difference = np.nan_to_num(_less_mean_motion(difference, self.sensor.rings))
-        difference[unsolved, 0] = UNSOLVED_PX
+        difference[unsolved, 0] = UNSOLVED_RESIDUAL_PX
         return difference
 
-    def _difference(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
+    def _difference(
+        self, values: SensorValues, which: int, near: SensorValues | None = None
+    ) -> np.ndarray:
         """The same, but with motions as they are, and NaN where nothing is known or a contact has no solution. `near`: see
         `_Simulated.nearby`."""
         group, simulated = self.groups[which], self.simulated[which]
         moved = None
         if simulated is not None:
             moved = simulated.between(values) if near is None else simulated.nearby(values, near)
-        place, rest = place_of(values, self.sensor, group.seen.size, moved)
-        expected = features(compute_rings(self.sensor), place, rest, group.seen.size)
+        place, rest = predict_positions(values, self.sensor, group.seen.size, moved)
+        expected = compute_ring_features(compute_rings(self.sensor), place, rest, group.seen.size)
         difference = expected - self.recorded[which]
         return difference if simulated is not None else self._undisturbed(difference)
 
@@ -217,15 +238,15 @@ class Problem:
         difference[:, self.sensor.rings :] = 0
         return difference
 
-    def redrawer(self, values: Values) -> Callable[[np.random.Generator], np.ndarray]:
+    def redrawer(self, values: SensorValues) -> Callable[[np.random.Generator], np.ndarray]:
         """A function that gives `all(values)` with the rows of unlabelled groups from images drawn anew."""
         base, ends = self.all(values), self._ends()
         apart = {}
         for i, group in enumerate(self.groups):
             if self.simulated[i] is None:
-                place, rest = place_of(values, self.sensor, group.seen.size, None)
+                place, rest = predict_positions(values, self.sensor, group.seen.size, None)
                 apart[i] = (
-                    features(compute_rings(self.sensor), place, rest, group.seen.size)
+                    compute_ring_features(compute_rings(self.sensor), place, rest, group.seen.size)
                     - self.recorded[i]
                 )
 
@@ -242,7 +263,7 @@ class Problem:
         """(groups + 1,) rows of `all` where groups begin and end."""
         return np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
 
-    def all(self, values: Values) -> np.ndarray:
+    def all(self, values: SensorValues) -> np.ndarray:
         return np.concatenate([self.residuals(values, i) for i in range(len(self.groups))])
 
     def slopes(self, x: np.ndarray) -> np.ndarray:

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.labels import HALF_PLANE, to_paths
-from jaxunshear.calibration.prediction import Values, within_reach
-from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.statistics import pin_diameters
+from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths
+from jaxunshear.calibration.pin_statistics import measure_pin_diameters
+from jaxunshear.calibration.prediction import SensorValues, is_within_reach
+from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import compute_outer_fraction, render_frame
 from jaxunshear.image.pin_detection import find_pins
@@ -21,7 +21,7 @@ from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
-SOME_IMAGES = 16  # determine the size of pins and housing
+SIZE_IMAGES = 16  # determine the size of pins and housing
 RADIUS_STEPS = 3
 HOUSING_ROUNDS = 3  # the threshold follows the local mean, so that the ring's area is not all
 UNKNOWN_DEPTHS = (
@@ -30,22 +30,22 @@ UNKNOWN_DEPTHS = (
 )  # over the dome's radius, of flat taps that stand in for unlabelled images
 
 
-def contact_tips(
-    group: Group, sensor: Sensor, values: Values, which: int
+def simulate_tips(
+    group: RecordedGroup, sensor: Sensor, values: SensorValues, which: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pin tips (N, P, 3) mm of a group's contacts, or of flat taps where these are unknown; and (N,) bool: converged."""
     if group.contacts is not None:
-        paths = to_paths(
+        paths = make_paths(
             group.contacts, sensor, values.surface_mm[which], group.side, values.friction
         )
     else:
-        count = len(group.seen.found)
+        count = len(group.observation.pin_counts)
         points = np.zeros((count, 2, 6))
         points[..., 0] = -25.0
         points[:, 1, 3] = sensor.dome_radius_mm * np.linspace(*UNKNOWN_DEPTHS, count)
         paths = Paths(np.zeros(count, int), np.full(count, values.friction), points)
-    fine = within_reach(sensor, paths)
-    solved, _ = follow(sensor, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
+    fine = is_within_reach(sensor, paths)
+    solved, _ = follow(sensor, (EDGE_STIMULUS,), paths.take(np.flatnonzero(fine)))
     tips, converged = (
         np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0),
         np.zeros(len(paths), bool),
@@ -54,7 +54,7 @@ def contact_tips(
     return tips, converged
 
 
-def render(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:
+def render_images(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:
     """Binary images (N, S, S) uint8 of pin tips (N, P, 3) mm, with the default disturbances; S is the camera's `frame_px`."""
     keys = jax.random.split(jax.random.key(seed), len(tips))
     before = replace(camera, frame_px=max(FRAME_PX, camera.frame_px))
@@ -72,16 +72,16 @@ def render(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> n
 
 
 def _some(tips: np.ndarray) -> np.ndarray:
-    return tips[:: -(-len(tips) // SOME_IMAGES)]
+    return tips[:: -(-len(tips) // SIZE_IMAGES)]
 
 
 def fit_pin_radius(
-    groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]
+    groups: list[RecordedGroup], sensor: Sensor, values: SensorValues, tips: list[np.ndarray]
 ) -> tuple[float, float, float]:
     """(radius, low, high) mm: the pins of rendered images have the recorded ones' mean diameter; 95 % over images."""
     recorded, scatter = [], []
     for group in groups:
-        each = np.nanmean(group.seen.diameter, axis=1)
+        each = np.nanmean(group.observation.diameter, axis=1)
         recorded.append(np.nanmean(each))
         scatter.append(np.nanstd(each) / np.sqrt(max(1, len(each))) / np.nanmean(each))
 
@@ -89,11 +89,12 @@ def fit_pin_radius(
         """By what factor the rendered pins are larger than the recorded ones."""
         ratios = []
         for group, tip, wanted in zip(groups, tips, recorded, strict=True):
-            images = render(
+            images = render_images(
                 values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), _some(tip)
             )
             ratios.append(
-                np.mean([np.nanmean(pin_diameters(i, find_pins(i))) for i in images]) / wanted
+                np.mean([np.nanmean(measure_pin_diameters(i, find_pins(i))) for i in images])
+                / wanted
             )
         return float(np.mean(ratios))
 
@@ -113,7 +114,7 @@ def fit_pin_radius(
 
 
 def fit_housing(
-    groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]
+    groups: list[RecordedGroup], sensor: Sensor, values: SensorValues, tips: list[np.ndarray]
 ) -> float:
     """The housing's inner radius over the outermost pins' (`Camera.housing`) that makes images as white as the recorded ones.
 
@@ -124,7 +125,7 @@ def fit_housing(
         excess = []
         for group, tip in zip(groups, tips, strict=True):
             camera = replace(values, housing=housing).camera(group.seen.size)
-            images = render(camera, sensor, _some(tip))
+            images = render_images(camera, sensor, _some(tip))
             ring = np.pi * compute_outer_fraction(camera, sensor) ** 2
             excess.append((np.mean(images > 127) - np.mean(group.seen.white)) / ring)
         housing = float(np.sqrt(housing**2 + np.mean(excess)))

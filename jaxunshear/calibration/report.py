@@ -9,11 +9,17 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxunshear.calibration.prediction import Values
-from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.rendering import render
-from jaxunshear.calibration.sampling import Recorded
-from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Seen, Summary, observe, summaries
+from jaxunshear.calibration.pin_statistics import (
+    SLIDE_BINS_MM,
+    PinObservation,
+    Summary,
+    observe_pins,
+    summarise_pins,
+)
+from jaxunshear.calibration.prediction import SensorValues
+from jaxunshear.calibration.problem import RecordedGroup
+from jaxunshear.calibration.rendering import render_images
+from jaxunshear.calibration.sampling import RecordedImages
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import Json
 from jaxunshear.style import png_of
@@ -22,17 +28,17 @@ RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
 LONGEST = 30  # characters of a title
 Summaries = dict[str, list[Summary]]
-ByName = dict[str, dict[str, np.ndarray]]
+ValuesByName = dict[str, dict[str, np.ndarray]]
 Tips = list[
     tuple[np.ndarray, np.ndarray]
 ]  # of each group: pins' tips, and which contacts converged
 
 
 def compared(
-    recorded: list[Recorded],
-    groups: list[Group],
-    before: tuple[Sensor, Values, Tips],
-    after: tuple[Sensor, Values, Tips],
+    recorded: list[RecordedImages],
+    groups: list[RecordedGroup],
+    before: tuple[Sensor, SensorValues, Tips],
+    after: tuple[Sensor, SensorValues, Tips],
 ) -> tuple[Summaries, list[tuple[str, np.ndarray]]]:
     """Statistics of recorded images and of simulated ones before and after the fit, and pictures with their titles."""
     reported: Summaries = {
@@ -46,28 +52,30 @@ def compared(
 
 
 def _simulated(
-    groups: list[Group], sensor: Sensor, values: Values, tips: Tips
+    groups: list[RecordedGroup], sensor: Sensor, values: SensorValues, tips: Tips
 ) -> tuple[list[Summary], np.ndarray]:
     """Statistics of rendered images of the same contacts, and the first image. Left out are, as among the recorded ones, images whose
     pins cannot be followed, and contacts that did not converge."""
     parts: list[list[Summary]] = []
     pictures: list[np.ndarray] = []
     for group, (tip, converged) in zip(groups, tips, strict=True):
-        images = render(values.camera(group.seen.size), sensor, tip)
+        images = render_images(values.camera(group.seen.size), sensor, tip)
         pictures = pictures or [images[0]]
-        seen = observe(images, sensor)
-        parts.append(summaries_of(group, seen, converged & seen.sure))
+        seen = observe_pins(images, sensor)
+        parts.append(summaries_of(group, seen, converged & seen.identified))
     return _merged(parts), pictures[0]
 
 
-def summaries_of(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
+def summaries_of(group: RecordedGroup, seen: PinObservation, kept: np.ndarray) -> list[Summary]:
     """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
     contacts = group.contacts
     seen = seen._replace(
         place=np.where(kept[:, None, None], seen.place, np.nan),
         diameter=np.where(kept[:, None], seen.diameter, np.nan),
     )
-    rows = summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
+    rows = summarise_pins(
+        seen, contacts.slide if contacts else None, contacts.yaw if contacts else None
+    )
     return [row._replace(values=np.where(kept, row.values, np.nan)) for row in rows]
 
 
@@ -85,7 +93,7 @@ def _merged(parts: list[list[Summary]]) -> list[Summary]:
     return list(merged.values())
 
 
-def rows_of(summaries: Summaries) -> list[Json]:
+def build_rows(summaries: Summaries) -> list[Json]:
     """A row for each statistic: means over images, and the recorded mean's standard error; None where there are no images."""
     rows = []
     for real, before, after in zip(
@@ -115,7 +123,7 @@ def _mean_known(values: np.ndarray) -> float:
     return float(known.mean()) if len(known) else float("nan")
 
 
-def table(rows: Sequence[Json], parameters: Sequence[Json]) -> str:
+def format_table(rows: Sequence[Json], parameters: Sequence[Json]) -> str:
     """The same for people, as text."""
     width = max(len(row["name"]) for row in (*rows, *parameters))
     lines = [f"{'':{width}}  {'recorded':>16}  {'before':>9}  {'after':>9}"]
@@ -149,7 +157,7 @@ def _unit(row: Json) -> str:
     return "" if row["unit"] == "1" else row["unit"]
 
 
-def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> bytes:
+def plot_curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> bytes:
     """PNG: ring layout, spacing, pin size and motion over slide; below them names and images (S, S)."""
     by_name = {kind: {row.name: row.values for row in rows} for kind, rows in summaries.items()}
     with rc_context(
@@ -174,7 +182,7 @@ def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> 
         return png_of(figure)
 
 
-def _rings(axes: Axes, by_name: ByName) -> None:
+def _rings(axes: Axes, by_name: ValuesByName) -> None:
     names = [name for name in by_name[RECORDED] if name.startswith("ring ")]
     recorded = [_mean_known(by_name[RECORDED][name]) for name in names]
     for kind, values in by_name.items():
@@ -185,7 +193,7 @@ def _rings(axes: Axes, by_name: ByName) -> None:
     axes.legend()
 
 
-def _histogram(axes: Axes, by_name: ByName, name: str, title: str) -> None:
+def _histogram(axes: Axes, by_name: ValuesByName, name: str, title: str) -> None:
     every = np.concatenate([values[name] for values in by_name.values()])
     edges = np.linspace(np.nanmin(every) - 0.05, np.nanmax(every) + 0.05, 30).tolist()
     for kind, values in by_name.items():
@@ -195,7 +203,7 @@ def _histogram(axes: Axes, by_name: ByName, name: str, title: str) -> None:
     axes.set(title=title, yticks=[])
 
 
-def _slides(axes: Axes, by_name: ByName) -> None:
+def _slides(axes: Axes, by_name: ValuesByName) -> None:
     for kind, values in by_name.items():
         for part, style in (("central pins left", "o-"), ("outermost ring left", "s:")):
             means = [values[name] for name in values if name.startswith(part)]

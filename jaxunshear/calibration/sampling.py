@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.statistics import Seen, observe
+from jaxunshear.calibration.pin_statistics import PinObservation, observe_pins
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import is_binary, to_grey
@@ -22,7 +22,7 @@ SHARE = 3  # of a folder's images at most one in so many aligns it
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedImages:
     """One folder's images, sampled."""
 
     name: str
@@ -41,28 +41,28 @@ class Recorded:
             known &= np.isfinite(self.moves).all(axis=-1)
         return known
 
-    def observe(self, sensor: Sensor) -> Seen:
+    def observe(self, sensor: Sensor) -> PinObservation:
         """Its pins, with a line of progress."""
         with Progress(f"pins of {self.name}", len(self.images)) as progress:
-            return observe(self.images, sensor, progress)
+            return observe_pins(self.images, sensor, progress)
 
 
-def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str]]:
+def sample_folders(path: Path, images: int, seed: int) -> tuple[list[RecordedImages], list[str]]:
     """A sample of every folder's images at a size that costs them nothing, and notes on what cannot be read."""
     recordings, notes = open_recordings(path)
-    folders = rows_by_folder(recordings)
+    folders = group_rows_by_folder(recordings)
     generator = np.random.default_rng(seed)
     count = max(1, images // len(folders))
     chosen = [_choose(recordings.moves, rows, count, generator) for rows in folders]
-    parts, more = load(recordings, chosen)
+    parts, more = load_images(recordings, chosen)
     return parts, notes + more
 
 
 class Parts(NamedTuple):
     """One folder's images: those that show how labels and images go together, and those compared."""
 
-    align: Recorded
-    scored: Recorded
+    align: RecordedImages
+    scored: RecordedImages
 
 
 def split_folders(
@@ -77,7 +77,7 @@ def split_folders(
     recordings, notes = open_recordings(path)
     generator, spent = np.random.default_rng(seed), are_among(recordings.names, used)
     align, scored = [], []
-    for rows in rows_by_folder(recordings):
+    for rows in group_rows_by_folder(recordings):
         rows = generator.permutation(rows)
         seen = spent[rows]
         fresh, count = rows[~seen], min(ALIGNED_BY, -(-len(rows) // SHARE))
@@ -93,8 +93,8 @@ def split_folders(
             f"{path}: the calibration was fitted to all its images: compare with others"
         )
     kept = [(a, s) for a, s in zip(align, scored, strict=True) if len(s)]
-    first, more = load(recordings, [pair[0] for pair in kept])
-    second, still = load(recordings, [pair[1] for pair in kept])
+    first, more = load_images(recordings, [pair[0] for pair in kept])
+    second, still = load_images(recordings, [pair[1] for pair in kept])
     by_name = {part.name: part for part in first}
     return [
         Parts(by_name[part.name], part) for part in second if part.name in by_name
@@ -124,7 +124,7 @@ def open_recordings(path: Path) -> tuple[Recordings, list[str]]:
     return replace(probe, preprocess=Preprocess(size=size)), list(probe.notes)
 
 
-def rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
+def group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
     """The rows of each folder of images."""
     folders = sorted({file.parent for file in recordings.files})
     return [
@@ -133,7 +133,9 @@ def rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
     ]
 
 
-def load(recordings: Recordings, chosen: list[np.ndarray]) -> tuple[list[Recorded], list[str]]:
+def load_images(
+    recordings: Recordings, chosen: list[np.ndarray]
+) -> tuple[list[RecordedImages], list[str]]:
     """The images of the rows chosen of each folder, and notes; a folder of which none can be read is left out. Raises `UserError`
     where none of any can be."""
     parts, notes = [], []
@@ -153,7 +155,7 @@ def load(recordings: Recordings, chosen: list[np.ndarray]) -> tuple[list[Recorde
             continue
         kept = np.array([row for row, _, _ in frames])
         parts.append(
-            Recorded(
+            RecordedImages(
                 _name(path, sample.files[0].parent) if path.is_dir() else path.name,
                 np.array([image for _, _, image in frames]),
                 None if sample.poses is None else sample.poses[kept],

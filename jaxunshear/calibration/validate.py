@@ -17,23 +17,30 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import PredefinedSplit, cross_val_predict
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.calibration.alignment import STEPS, Matter, find_frame, read_labels
-from jaxunshear.calibration.calibrate import IMAGES, LEAST_LABELLED
-from jaxunshear.calibration.calibrated import SHIPPED, Calibrated
-from jaxunshear.calibration.labels import Frame, Motions, framed, motions
-from jaxunshear.calibration.prediction import displacements
-from jaxunshear.calibration.sampling import Parts, sample, split_folders
-from jaxunshear.calibration.statistics import Seen, less_mean
-from jaxunshear.calibration.validation import Compared, Row, centred, mm_per_px, rows_of, settled
+from jaxunshear.calibration.alignment import STEPS, AlignmentProblem, find_frame, read_labels
+from jaxunshear.calibration.calibrate import IMAGES, MIN_LABELLED
+from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, Calibration
+from jaxunshear.calibration.labels import LabelFrame, LabelledMotions, apply_frame, read_motions
+from jaxunshear.calibration.pin_statistics import PinObservation, subtract_mean
+from jaxunshear.calibration.prediction import simulate_displacements
+from jaxunshear.calibration.sampling import Parts, sample_folders, split_folders
+from jaxunshear.calibration.validation import (
+    ComparedFolder,
+    Row,
+    build_rows,
+    centre_motions,
+    compute_mm_per_px,
+    fit_positions,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.storage import Json, write_bytes, write_text
 
-EACH = 400  # contacts of a folder
+CONTACTS_PER_FOLDER = 400  # contacts of a folder
 CHUNK = 50  # contacts between two steps of the progress
 # what the shipped preset was fitted to, of IMAGES and seed 0
-FITTED_TO = ("edge_2d/shear/csv_train", "edge_2d/tap/csv_train")
-CEILING = "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
+PRESET_RECORDINGS = ("edge_2d/shear/csv_train", "edge_2d/tap/csv_train")
+CEILING_NOTE = "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
 FOLDS = 5
 WIDTHS = (1.0, 1.5, 2.2, 3.3, 5.0)  # of the kernel, in standard deviations of the features
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
@@ -43,8 +50,8 @@ LeftOut = list[dict[str, str]]  # image, why
 
 def validate(
     path: Path,
-    calibrated: Calibrated = SHIPPED,
-    each: int | None = EACH,
+    calibrated: Calibration = DEFAULT_CALIBRATION,
+    contacts_per_folder: int | None = CONTACTS_PER_FOLDER,
     seed: int = 0,
     out: Path | None = None,
     log: Callable[[str], None] = print,
@@ -52,7 +59,7 @@ def validate(
 ) -> Json:
     """Compare simulated with recorded pins in contacts that the calibration has not seen.
 
-    `each` contacts of every folder at `path` are drawn at random (None: all). `as_labelled`: with
+    `contacts_per_folder` contacts of every folder at `path` are drawn at random (None: all). `as_labelled`: with
     edge and tilt of the object where the labels have them.
 
     Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`,
@@ -61,9 +68,11 @@ def validate(
     """
     path = Path(path)
     notes = [f"{calibrated.name}; contacts drawn with seed {seed}"]
-    parts, more = split_folders(path, each, seed, _used(path, calibrated, notes))
+    parts, more = split_folders(
+        path, contacts_per_folder, seed, _list_calibration_images(path, calibrated, notes)
+    )
     notes += more
-    compared: list[Compared] = []
+    compared: list[ComparedFolder] = []
     left_out: LeftOut = []
     for part in parts:
         found = _compare_folder(part, calibrated, as_labelled, notes, left_out)
@@ -76,9 +85,9 @@ def validate(
         names = [one["image"] for one in left_out if one["why"] == why]
         some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
         notes.append(f"{len(names)} left out, {why}: {some}")
-    notes.append(CEILING)
-    rows = rows_of(compared)
-    text = table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
+    notes.append(CEILING_NOTE)
+    rows = build_rows(compared)
+    text = format_table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
     if out is not None:
         from jaxunshear.calibration.validate_figure import validate_figure
@@ -88,7 +97,7 @@ def validate(
     return {"rows": rows, "notes": notes, "left_out": left_out}
 
 
-def table(rows: list[Row]) -> str:
+def format_table(rows: list[Row]) -> str:
     """Print a line for taps, slides and each ring of them."""
     from jaxunshear.table import plain_table
 
@@ -110,40 +119,44 @@ def table(rows: list[Row]) -> str:
     return plain_table(list(lines.values()), columns)
 
 
-def _used(path: Path, calibrated: Calibrated, notes: list[str]) -> tuple[str, ...]:
+def _list_calibration_images(
+    path: Path, calibrated: Calibration, notes: list[str]
+) -> tuple[str, ...]:
     """Names of the images that a calibration was fitted to."""
-    if calibrated.used is not None:
-        if not calibrated.used:
+    if calibrated.image_names is not None:
+        if not calibrated.image_names:
             notes.append("the calibration does not name its images: some of them may be compared")
-        return calibrated.used
-    parts, _ = sample(path, IMAGES, 0)
+        return calibrated.image_names
+    parts, _ = sample_folders(path, IMAGES, 0)
     fitted = [
-        part for part in parts if any(f"/{known}".endswith(f"/{part.name}") for known in FITTED_TO)
+        part
+        for part in parts
+        if any(f"/{known}".endswith(f"/{part.name}") for known in PRESET_RECORDINGS)
     ]
     return tuple(name for part in fitted for name in part.names)
 
 
 @dataclass(frozen=True)
-class Folder:
+class RecordedFolder:
     """A folder's images in two parts: those that align, and those that are compared."""
 
     name: str
-    matter: Matter
-    start: Frame  # where the search for the frame begins
+    problem: AlignmentProblem
+    start: LabelFrame  # where the search for the frame begins
     mirrored: bool
     angle: float  # rad, of the camera, before the frame is found
-    seen: Seen  # compared contacts, as the camera has them
-    contacts: Motions  # of the same
+    observation: PinObservation  # compared contacts, as the camera has them
+    contacts: LabelledMotions  # of the same
     images: tuple[str, ...]  # their names
 
 
-class Aligned(NamedTuple):
+class FolderAlignment(NamedTuple):
     """What a folder's labels do not give, read off images that are not compared."""
 
-    frame: Frame
+    frame: LabelFrame
     angle: float  # rad, of the camera
 
-    def note(self, matter: Matter) -> str:
+    def note(self, matter: AlignmentProblem) -> str:
         frame = self.frame
         edge = f", edge {frame.across_mm:+.2f} mm from the labels' zero" if matter.side else ""
         return (
@@ -154,36 +167,36 @@ class Aligned(NamedTuple):
 
 
 def _compare_folder(
-    parts: Parts, known: Calibrated, as_labelled: bool, notes: list[str], left_out: LeftOut
-) -> Compared | None:
+    parts: Parts, known: Calibration, as_labelled: bool, notes: list[str], left_out: LeftOut
+) -> ComparedFolder | None:
     """A folder aligned and compared, with notes and the images left out; None where it cannot be."""
     folder = _read_folder(parts, known, left_out)
     if isinstance(folder, str):
         notes.append(f"{parts.scored.name}: {folder}")
         return None
-    matter = folder.matter
+    matter = folder.problem
     frame = find_frame(matter, folder.start, ("surface_mm",) if as_labelled else tuple(STEPS))
-    aligned = Aligned(frame, folder.angle - matter.turn(frame))
+    aligned = FolderAlignment(frame, folder.angle - matter.turn(frame))
     notes.append(f"{folder.name}: {aligned.note(matter)}")
-    contacts = framed(folder.contacts, frame)
-    moved, converged = _solved(folder.name, contacts, matter.side, known)
+    contacts = apply_frame(folder.contacts, frame)
+    moved, converged = _solve_contacts(folder.name, contacts, matter.side, known)
     left_out += _lost(folder.images, ~converged, "out of the simulator's reach, or not converged")
     kept = np.flatnonzero(converged)
-    if len(kept) < LEAST_LABELLED:
+    if len(kept) < MIN_LABELLED:
         notes.append(f"{folder.name}: too few contacts converged")
         return None
-    seen = folder.seen.turned(folder.mirrored, aligned.angle).take(kept)
+    seen = folder.observation.turned(folder.mirrored, aligned.angle).take(kept)
     return _compared(folder.name, seen, contacts.take(kept), moved[kept], known)
 
 
-def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder | str:
+def _read_folder(parts: Parts, known: Calibration, left_out: LeftOut) -> RecordedFolder | str:
     """A folder's labelled contacts, or why it has none that can be compared."""
     align, scored = parts.align, parts.scored
     seen = align.observe(known.sensor)
     rows = np.flatnonzero(align.labelled & seen.sure)
-    if len(rows) < LEAST_LABELLED:
+    if len(rows) < MIN_LABELLED:
         return (
-            f"{len(rows)} images to align by are labelled and followed, fewer than {LEAST_LABELLED}"
+            f"{len(rows)} images to align by are labelled and followed, fewer than {MIN_LABELLED}"
         )
     assert align.poses is not None  # else none would be labelled
     moves = None if align.moves is None else align.moves[rows]
@@ -195,17 +208,17 @@ def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder |
     left_out += _lost(scored.names, ~labelled, "its label cannot be read")
     left_out += _lost(scored.names, labelled & ~compared.sure, "its pins cannot be followed")
     kept = np.flatnonzero(labelled & compared.sure)
-    if len(kept) < LEAST_LABELLED:
-        return f"{len(kept)} contacts are labelled and followed, fewer than {LEAST_LABELLED}"
+    if len(kept) < MIN_LABELLED:
+        return f"{len(kept)} contacts are labelled and followed, fewer than {MIN_LABELLED}"
     assert scored.poses is not None  # else none would be labelled
-    return Folder(
+    return RecordedFolder(
         scored.name,
-        Matter(turned, reading.contacts, reading.side, known.values, known.sensor),
-        Frame(reading.surface_mm),
+        AlignmentProblem(turned, reading.contacts, reading.side, known.values, known.sensor),
+        LabelFrame(reading.surface_mm),
         reading.mirrored,
         reading.angle,
         compared.take(kept),
-        motions(
+        read_motions(
             scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]
         ),
         tuple(scored.names[i] for i in kept),
@@ -213,33 +226,39 @@ def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder |
 
 
 def _compared(
-    name: str, seen: Seen, contacts: Motions, moved: np.ndarray, known: Calibrated
-) -> Compared:
-    flat, place = settled(known.values, known.sensor, seen.size, seen.place, moved)
+    name: str,
+    seen: PinObservation,
+    contacts: LabelledMotions,
+    moved: np.ndarray,
+    known: Calibration,
+) -> ComparedFolder:
+    flat, place = fit_positions(known.values, known.sensor, seen.size, seen.positions, moved)
     scale = 128 / seen.size
-    recorded, simulated = centred(seen.place * scale, place * scale)
-    return Compared(
+    recorded, simulated = centre_motions(seen.positions * scale, place * scale)
+    return ComparedFolder(
         name,
         recorded,
         simulated,
         explained_by_labels(contacts, recorded),
         seen.lattice.ring,
-        np.nanmean(seen.place, axis=0) * scale,
-        mm_per_px(known.values, known.sensor, 128, flat),
+        np.nanmean(seen.positions, axis=0) * scale,
+        compute_mm_per_px(known.values, known.sensor, 128, flat),
         np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,
     )
 
 
-def _solved(
-    name: str, contacts: Motions, side: int, known: Calibrated
+def _solve_contacts(
+    name: str, contacts: LabelledMotions, side: int, known: Calibration
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `displacements`, some contacts at a time."""
+    """As `simulate_displacements`, some contacts at a time."""
     values, parts = known.values, []
     with Progress(f"contacts of {name}", len(contacts), unit="contacts") as progress:
         for begin in range(0, len(contacts), CHUNK):
             some = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
             parts.append(
-                displacements(known.sensor, some, side, values.friction, 0.0, values.skin_to_gel)
+                simulate_displacements(
+                    known.sensor, some, side, values.friction, 0.0, values.skin_to_gel
+                )
             )
             progress.advance(len(some))
     return np.concatenate([moved for moved, _ in parts]), np.concatenate(
@@ -251,14 +270,14 @@ def _lost(names: tuple[str, ...], lost: np.ndarray, why: str) -> LeftOut:
     return [{"image": names[i], "why": why} for i in np.flatnonzero(lost)]
 
 
-def explained_by_labels(contacts: Motions, motion: np.ndarray) -> np.ndarray:
+def explained_by_labels(contacts: LabelledMotions, motion: np.ndarray) -> np.ndarray:
     """Predict motions (N, P, 2) px, each from the labels of contacts of other folds.
 
     Kernel ridge regression, with the width and the ridge that do best over all folds. What is left
     over is what no simulator of the labelled motion can explain: the robot's errors, the camera's
     pixels, and for few contacts what the regression has not learnt yet.
     """
-    x, y = _features(contacts), np.nan_to_num(less_mean(motion)).reshape(len(motion), -1)
+    x, y = _features(contacts), np.nan_to_num(subtract_mean(motion)).reshape(len(motion), -1)
     folds = PredefinedSplit(np.random.default_rng(0).permutation(len(x)) % FOLDS)
     best, error = np.zeros_like(y), np.inf
     for width, ridge in product(WIDTHS, RIDGES):
@@ -270,7 +289,7 @@ def explained_by_labels(contacts: Motions, motion: np.ndarray) -> np.ndarray:
     return best.reshape(motion.shape)
 
 
-def _features(contacts: Motions) -> np.ndarray:
+def _features(contacts: LabelledMotions) -> np.ndarray:
     """Place and depth, heading, tilt, slide and turn as the sensor feels them: (N, F) of unit spread."""
     count, yaw = len(contacts), contacts.yaw
     end, slide = contacts.tip[:, 1], contacts.tip[:, 1] - contacts.tip[:, 0]

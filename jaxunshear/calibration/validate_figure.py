@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
-from jaxunshear.calibration.validation import Compared, by_kind, r2, rms
+from jaxunshear.calibration.validation import ComparedFolder, compute_r2, compute_rms, split_by_kind
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE, png_of
 
@@ -14,18 +14,18 @@ PIN = 22  # points squared
 AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
 
 
-def validate_figure(parts: list[Compared]) -> bytes:
+def validate_figure(parts: list[ComparedFolder]) -> bytes:
     """A PNG of compared folders; it shows no recorded image."""
-    mine = by_kind(parts)
+    mine = split_by_kind(parts)
     with rc_context(STYLE):
         figure = Figure(figsize=(13, 4.2 * len(mine)), layout="constrained", dpi=110)
         panels = figure.subplots(len(mine), 3, squeeze=False, width_ratios=(1, 1, 0.9))
         for row, (kind, chosen) in zip(panels, mine.items(), strict=True):
-            most = max(float(np.nanmax(rms(part.recorded, axis=0))) for part in chosen)
+            most = max(float(np.nanmax(compute_rms(part.recorded, axis=0))) for part in chosen)
             for part in chosen:
-                heat = _map(row[0], part, rms(part.recorded, axis=0), most)
-                _map(row[1], part, rms(part.recorded - part.simulated, axis=0), most)
-                _axes_of(row[1], part)
+                heat = _map(row[0], part, compute_rms(part.recorded, axis=0), most)
+                _map(row[1], part, compute_rms(part.recorded - part.simulated, axis=0), most)
+                _draw_residual_axes(row[1], part)
             figure.colorbar(
                 heat, ax=list(row[:2]), label="px of 128, rms over contacts", shrink=0.8
             )
@@ -35,7 +35,7 @@ def validate_figure(parts: list[Compared]) -> bytes:
         return png_of(figure)
 
 
-def _map(axes: Axes, part: Compared, values: np.ndarray, most: float) -> PathCollection:
+def _map(axes: Axes, part: ComparedFolder, values: np.ndarray, most: float) -> PathCollection:
     axes.set(xticks=[], yticks=[], aspect="equal")
     axes.grid(False)
     for side in axes.spines.values():
@@ -44,7 +44,7 @@ def _map(axes: Axes, part: Compared, values: np.ndarray, most: float) -> PathCol
     return axes.scatter(x, y, c=values, s=PIN, cmap="viridis", vmin=0, vmax=most)
 
 
-def _axes_of(axes: Axes, part: Compared) -> None:
+def _draw_residual_axes(axes: Axes, part: ComparedFolder) -> None:
     off = np.nan_to_num(part.recorded - part.simulated)
     spread = np.einsum("npi,npj->pij", off, off) / max(1, len(off))
     size, direction = np.linalg.eigh(spread)
@@ -56,14 +56,14 @@ def _axes_of(axes: Axes, part: Compared) -> None:
     )
 
 
-def _rings(axes: Axes, kind: str, parts: list[Compared]) -> None:
+def _rings(axes: Axes, kind: str, parts: list[ComparedFolder]) -> None:
     shells = np.unique(parts[0].shell)
     for label, field, colour in (
         ("simulated", "simulated", COLOURS[DISENTANGLED]),
         ("regression from labels", "ceiling", FAINT),
     ):
         scores = [
-            r2(
+            compute_r2(
                 np.concatenate([part.ring(shell).recorded.ravel() for part in parts]),
                 np.concatenate([getattr(part.ring(shell), field).ravel() for part in parts]),
             )

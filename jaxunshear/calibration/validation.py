@@ -1,7 +1,7 @@
 """Simulated against recorded motions, pin by pin: how much of what every pin does the simulator explains.
 
-    flat, place = settled(values, sensor, seen.size, seen.place, moved)  # where the simulator puts the recorded pins, (N, P, 2) px
-    r2(*centred(seen.place, place))
+    flat, place = fit_positions(values, sensor, seen.size, seen.place, moved)  # where the simulator puts the recorded pins, (N, P, 2) px
+    compute_r2(*centre_motions(seen.place, place))
 
 Nobody knows where a pin stands untouched, so that every pin counts less its own mean over the contacts of a folder. Real rings have
 phases of their own: the simulated motion is interpolated to where the real pins stand.
@@ -11,20 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxunshear.calibration.prediction import Values, interpolation_at, seen_at, spread
-from jaxunshear.calibration.statistics import less_mean
+from jaxunshear.calibration.pin_statistics import subtract_mean
+from jaxunshear.calibration.prediction import (
+    SensorValues,
+    compute_interpolation_at,
+    interpolate_displacements,
+    project_tips,
+)
 from jaxunshear.scene.pin_layout import compute_pin_tips, compute_tips_at
 from jaxunshear.settings.sensor import Sensor
 
-FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
-SETTLING = (
+MAX_ANGLE_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
+POSITION_ROUNDS = (
     3  # rounds in which the places of untouched pins follow from the mean of the touched ones
 )
 KINDS = {"tap": True, "slide": False}
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedFolder:
     """The contacts of one folder, in px of a 128-px image, every pin less its mean over them; NaN where a pin was not seen."""
 
     name: str
@@ -36,7 +41,7 @@ class Compared:
     mm_per_px: np.ndarray  # (P,) at the height of each pin
     taps: np.ndarray  # (N,) bool, of no slide
 
-    def take(self, rows: np.ndarray) -> "Compared":
+    def take(self, rows: np.ndarray) -> "ComparedFolder":
         return replace(
             self,
             **{
@@ -45,7 +50,7 @@ class Compared:
             },
         )
 
-    def ring(self, shell: int) -> "Compared":
+    def ring(self, shell: int) -> "ComparedFolder":
         here = self.shell == shell
         pins = {name: getattr(self, name)[:, here] for name in ("recorded", "simulated", "ceiling")}
         return replace(
@@ -57,44 +62,49 @@ class Compared:
         )
 
 
-def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.ndarray:
+def locate_pins(values: SensorValues, sensor: Sensor, size: int, rest: np.ndarray) -> np.ndarray:
     """(P, 2) mm of arc from the apex, where pins stand that the camera sees untouched at `rest` (P, 2) px from the middle."""
     own = values.sensor(sensor)
-    angle = np.radians(np.linspace(0, FARTHEST_DEG, 500))
+    angle = np.radians(np.linspace(0, MAX_ANGLE_DEG, 500))
     line = np.stack([angle * own.dome_radius_mm, np.zeros_like(angle)], -1)
-    seen = seen_at(values, sensor, size, compute_tips_at(own, line))[:, 0]
+    seen = project_tips(values, sensor, size, compute_tips_at(own, line))[:, 0]
     radius = np.linalg.norm(rest, axis=-1)
     arc = np.interp(radius, seen, line[:, 0])
     return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
 
 
-def places(
-    values: Values, sensor: Sensor, size: int, flat: np.ndarray, moved: np.ndarray
+def project_positions(
+    values: SensorValues, sensor: Sensor, size: int, flat: np.ndarray, moved: np.ndarray
 ) -> np.ndarray:
     """(N, P, 2) px from the middle, of pins at `flat` (P, 2) mm of arc, for displacements (N, Q, 3) mm of the probe's pins."""
-    weights = interpolation_at(sensor, flat)
-    return seen_at(
-        values, sensor, size, compute_tips_at(values.sensor(sensor), flat) + spread(weights, moved)
+    weights = compute_interpolation_at(sensor, flat)
+    return project_tips(
+        values,
+        sensor,
+        size,
+        compute_tips_at(values.sensor(sensor), flat) + interpolate_displacements(weights, moved),
     )
 
 
-def settled(
-    values: Values, sensor: Sensor, size: int, place: np.ndarray, moved: np.ndarray
+def fit_positions(
+    values: SensorValues, sensor: Sensor, size: int, place: np.ndarray, moved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`stand` (P, 2) and `places` (N, P, 2) of pins that are recorded at `place` (N, P, 2): their mean over contacts gives where they
+    """`locate_pins` (P, 2) and `project_positions` (N, P, 2) of pins that are recorded at `place` (N, P, 2): their mean over contacts gives where they
     stand, once it is known how far the contacts move it."""
     wanted, own = np.nanmean(place, axis=0), values.sensor(sensor)
-    flat = stand(values, sensor, size, wanted)
-    for _ in range(SETTLING):
-        simulated = places(values, sensor, size, flat, moved)
-        drift = np.mean(simulated, axis=0) - seen_at(
+    flat = locate_pins(values, sensor, size, wanted)
+    for _ in range(POSITION_ROUNDS):
+        simulated = project_positions(values, sensor, size, flat, moved)
+        drift = np.mean(simulated, axis=0) - project_tips(
             values, sensor, size, compute_tips_at(own, flat)
         )
-        flat = stand(values, sensor, size, wanted - drift)
-    return flat, places(values, sensor, size, flat, moved)
+        flat = locate_pins(values, sensor, size, wanted - drift)
+    return flat, project_positions(values, sensor, size, flat, moved)
 
 
-def mm_per_px(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np.ndarray:
+def compute_mm_per_px(
+    values: SensorValues, sensor: Sensor, size: int, flat: np.ndarray
+) -> np.ndarray:
     """(P,) at the height of each untouched pin."""
     own, camera = values.sensor(sensor), values.camera(size)
     apex = compute_pin_tips(own)[0, 2]
@@ -106,21 +116,21 @@ def mm_per_px(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np
     )
 
 
-def centred(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def centre_motions(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both (N, P, 2), each pin less its mean over the contacts in which both are known."""
     known = np.isfinite(recorded) & np.isfinite(simulated)
-    return less_mean(np.where(known, recorded, np.nan)), less_mean(
+    return subtract_mean(np.where(known, recorded, np.nan)), subtract_mean(
         np.where(known, simulated, np.nan)
     )
 
 
-def r2(recorded: np.ndarray, simulated: np.ndarray) -> float:
-    """Share of the recorded motion (N, P, 2), as `centred` gives it, that the simulated one explains; NaN where nothing moves."""
+def compute_r2(recorded: np.ndarray, simulated: np.ndarray) -> float:
+    """Share of the recorded motion (N, P, 2), as `centre_motions` gives it, that the simulated one explains; NaN where nothing moves."""
     off, size = np.nansum((recorded - simulated) ** 2), np.nansum(recorded**2)
     return float(1 - off / size) if size > 0 else float("nan")
 
 
-def rms(vectors: np.ndarray, axis: int | None = None) -> np.ndarray:
+def compute_rms(vectors: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Root of the mean squared length of vectors (..., 2), NaN left out."""
     square = np.sum(vectors**2, axis=-1)
     return np.sqrt(np.nanmean(square, axis=axis))
@@ -129,17 +139,17 @@ def rms(vectors: np.ndarray, axis: int | None = None) -> np.ndarray:
 Row = dict[str, float | int | str | None]
 
 
-def rows_of(parts: list[Compared]) -> list[Row]:
+def build_rows(parts: list[ComparedFolder]) -> list[Row]:
     """Score taps and slides over all folders, in full and by ring."""
     rows: list[Row] = []
-    for kind, mine in by_kind(parts).items():
+    for kind, mine in split_by_kind(parts).items():
         rows += _scores(kind, mine)
         for shell in np.unique(mine[0].shell):
             rows += _scores(f"{kind}.ring.{shell}", [part.ring(shell) for part in mine])
     return rows
 
 
-def by_kind(parts: list[Compared]) -> dict[str, list[Compared]]:
+def split_by_kind(parts: list[ComparedFolder]) -> dict[str, list[ComparedFolder]]:
     """Part taps from slides, folders without any left out; only those kinds that there are."""
     kinds = {
         kind: [
@@ -152,7 +162,7 @@ def by_kind(parts: list[Compared]) -> dict[str, list[Compared]]:
     return {kind: mine for kind, mine in kinds.items() if mine}
 
 
-def _scores(name: str, parts: list[Compared]) -> list[Row]:
+def _scores(name: str, parts: list[ComparedFolder]) -> list[Row]:
     recorded = np.concatenate([part.recorded.reshape(-1, 2) for part in parts])
     simulated = np.concatenate([part.simulated.reshape(-1, 2) for part in parts])
     ceiling = np.concatenate([part.ceiling.reshape(-1, 2) for part in parts])
@@ -160,11 +170,11 @@ def _scores(name: str, parts: list[Compared]) -> list[Row]:
     off = recorded - simulated
     contacts = sum(len(part.recorded) for part in parts)
     figures = [
-        ("r2", "1", r2(recorded, simulated)),
-        ("residual_px", "px", float(rms(off))),
-        ("residual_mm", "mm", float(rms(off * scale[:, None]))),
-        ("motion_px", "px", float(rms(recorded))),
-        ("ceiling_r2", "1", r2(recorded, ceiling)),
+        ("r2", "1", compute_r2(recorded, simulated)),
+        ("residual_px", "px", float(compute_rms(off))),
+        ("residual_mm", "mm", float(compute_rms(off * scale[:, None]))),
+        ("motion_px", "px", float(compute_rms(recorded))),
+        ("ceiling_r2", "1", compute_r2(recorded, ceiling)),
     ]
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}

@@ -72,11 +72,13 @@ def _validate(arguments: argparse.Namespace) -> Json:
         raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
-    from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
+    from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, read_calibration
     from jaxunshear.calibration.validate import validate
 
     calibrated = (
-        SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
+        DEFAULT_CALIBRATION
+        if arguments.calibration is None
+        else read_calibration(arguments.calibration)
     )
     found = validate(
         arguments.recordings,

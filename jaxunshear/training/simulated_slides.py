@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.calibration.calibrated import SHIPPED
-from jaxunshear.calibration.labels import depth_axis
-from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
+from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION
+from jaxunshear.calibration.labels import find_depth_axis
+from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.reader import Batch
 from jaxunshear.dataset.recorded_set import RecordedSet, SlideSimulator
@@ -51,17 +51,19 @@ def make_slide_simulator(
     chunk: int = CHUNK,
 ) -> SlideSimulator:
     """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
-    on where it stopped. Where `simulate` is not given it is `shear` of the training taps; files have `chunk` contacts. Raises UserError."""
+    on where it stopped. Where `simulate` is not given it is `simulate_shear` of the training taps; files have `chunk` contacts. Raises UserError."""
     place = (
         Path(data_dir).absolute()
         / "simulated_slides"
         / f"{config_name(stored.settings, sensor)}-{_digest()}"
     )
     view = functools.cache(
-        lambda: view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED)
+        lambda: fit_label_view(
+            _taps(stored, "train"), stored.lattice(), stored.size, DEFAULT_CALIBRATION
+        )
     )
     if simulate is None:
-        simulate = lambda *slides: shear(view(), *slides)  # noqa: E731
+        simulate = lambda *slides: simulate_shear(view(), *slides)  # noqa: E731
     motions = {
         split: _motions(stored, split, place / split, simulate, chunk)
         for split in ("train", "validation")
@@ -78,13 +80,15 @@ def make_slide_simulator(
 
 def _digest() -> str:
     """Of what decides the simulated motions."""
-    known = (SHIPPED.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
+    known = (DEFAULT_CALIBRATION.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
     return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:8]
 
 
-def _taps(stored: RecordedSet, split: str) -> Taps:
+def _taps(stored: RecordedSet, split: str) -> RecordedTaps:
     rows = stored.labelled_taps(split)
-    return Taps(np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"])
+    return RecordedTaps(
+        np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"]
+    )
 
 
 def _motions(
@@ -124,7 +128,7 @@ def _motions(
 def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -> None:
     generator = np.random.default_rng([VERSION, *path.parent.name.encode(), int(path.stem)])
     move = np.zeros((len(rows), 6))
-    along = [axis for axis in range(3) if axis != depth_axis(pose)]
+    along = [axis for axis in range(3) if axis != find_depth_axis(pose)]
     move[:, along] = generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
     move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
     motion, fine = simulate(pose[rows], move, generator.uniform(*FRICTION, len(rows)))
@@ -132,7 +136,7 @@ def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -
 
 
 def _vary_slides(
-    taps: Taps,
+    taps: RecordedTaps,
     row: np.ndarray,
     motion: np.ndarray,
     move: np.ndarray,

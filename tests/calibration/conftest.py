@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.calibration.labels import HALF_PLANE, motions, to_paths
-from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths, read_motions
+from jaxunshear.calibration.rendering import render_images
 from jaxunshear.contact.simulate import follow
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import Sensor
@@ -70,10 +70,12 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Truth:
     poses[:, 3:5] = rng.uniform(-6, 6, (count, 2))
     poses[:, 5] = rng.uniform(-60, 60, count)
     moves[6:, :2] = rng.uniform(-0.6, 0.6, (count - 6, 2))
-    contacts = motions(poses, moves)
-    solved, _ = follow(sensor, (HALF_PLANE,), to_paths(contacts, sensor, SURFACE_MM, 0, friction))
+    contacts = read_motions(poses, moves)
+    solved, _ = follow(
+        sensor, (EDGE_STIMULUS,), make_paths(contacts, sensor, SURFACE_MM, 0, friction)
+    )
     assert solved.converged.all()
-    images = render(camera, sensor, solved.pins, seed=1)
+    images = render_images(camera, sensor, solved.pins, seed=1)
     folder = tmp_path_factory.mktemp("recording")
     write_recording(folder, np.ascontiguousarray(np.rot90(images, axes=(1, 2))), poses, moves)
     return Truth(folder, sensor, camera, friction)

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.alignment import Matter, find_frame, turn_between
-from jaxunshear.calibration.labels import Frame, framed, motions, to_paths
-from jaxunshear.calibration.prediction import Values, probe, skin_to_gel
-from jaxunshear.calibration.statistics import Seen, camera_turn
-from jaxunshear.calibration.validation import places
+from jaxunshear.calibration.alignment import AlignmentProblem, estimate_rotation, find_frame
+from jaxunshear.calibration.labels import LabelFrame, apply_frame, make_paths, read_motions
+from jaxunshear.calibration.pin_statistics import PinObservation, compute_camera_rotation
+from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio, make_probe_sensor
+from jaxunshear.calibration.validation import project_positions
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.scene.paths import DEPTH, TILT_X, X
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
-VALUES = Values(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, skin_to_gel(SENSOR))
-TRUE = Frame(1.4, -1.3, 0.8, 1.9)
+VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))
+TRUE = LabelFrame(1.4, -1.3, 0.8, 1.9)
 
 
 def _contacts(count=24):
@@ -27,13 +27,13 @@ def _contacts(count=24):
         rng.uniform(-180, 180, count),
     )
     moves[:, :2] = rng.uniform(-2, 2, (count, 2))
-    return motions(poses, moves)
+    return read_motions(poses, moves)
 
 
 def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
     """In place of the simulator: pins follow depth, distance and tilt smoothly, each in its own way; one contact is never solved."""
-    end = to_paths(contacts, sensor, surface_mm, side, friction).points[:, -1]
-    tips = compute_pin_tips(probe(sensor, ratio)) / 20
+    end = make_paths(contacts, sensor, surface_mm, side, friction).points[:, -1]
+    tips = compute_pin_tips(make_probe_sensor(sensor, ratio)) / 20
     yaw = np.radians(end[:, 2])
     turn = np.stack([np.cos(yaw), np.sin(yaw)], -1)
     along = tips[:, :2] @ turn.T  # (Q, N)
@@ -48,20 +48,22 @@ def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
 
 
 def _recorded(contacts):
-    moved, _ = _like_a_skin(SENSOR, framed(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel)
-    place = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
+    moved, _ = _like_a_skin(SENSOR, apply_frame(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel)
+    place = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
     shell = np.repeat(np.arange(11), [1] + [6 * k for k in range(1, 11)])
     count = np.zeros(len(place))
     lattice = make_lattice(place.mean(axis=0), shell)
-    return Seen(128, lattice, place, place[..., 0], count, count == 0, count, count, count)
+    return PinObservation(
+        128, lattice, place, place[..., 0], count, count == 0, count, count, count
+    )
 
 
 def test_a_frame_is_found_again():
     contacts = _contacts()
-    matter = Matter(_recorded(contacts), contacts, 1, VALUES, SENSOR, _like_a_skin)
-    found = find_frame(matter, Frame(2.2))
+    matter = AlignmentProblem(_recorded(contacts), contacts, 1, VALUES, SENSOR, _like_a_skin)
+    found = find_frame(matter, LabelFrame(2.2))
     assert np.allclose(found, TRUE, atol=0.1)
-    reported = find_frame(matter, Frame(2.2), ("surface_mm",))
+    reported = find_frame(matter, LabelFrame(2.2), ("surface_mm",))
     assert reported[1:] == (0, 0, 0) and reported.surface_mm != 2.2
     assert abs(matter.turn(found)) < 0.01
 
@@ -69,22 +71,24 @@ def test_a_frame_is_found_again():
 def test_a_surface_without_an_edge_has_no_place_across():
     contacts = _contacts()
     of_an_edge = lambda *words: _like_a_skin(words[0], words[1], 1, *words[3:])  # noqa: E731
-    matter = Matter(_recorded(contacts), contacts, 0, VALUES, SENSOR, of_an_edge)
-    assert find_frame(matter, Frame(2.0)).across_mm == 0
+    matter = AlignmentProblem(_recorded(contacts), contacts, 0, VALUES, SENSOR, of_an_edge)
+    assert find_frame(matter, LabelFrame(2.0)).across_mm == 0
 
 
 def test_a_shifted_frame_shifts_depth_and_edge():
     contacts = _contacts()
-    plain = to_paths(contacts, SENSOR, 1.4, 1, 0.4).points
-    assert np.allclose(to_paths(framed(contacts, Frame(1.4)), SENSOR, 0.0, 1, 0.4).points, plain)
-    shifted = to_paths(framed(contacts, Frame(1.4, -1.3)), SENSOR, 0.0, 1, 0.4).points
+    plain = make_paths(contacts, SENSOR, 1.4, 1, 0.4).points
+    assert np.allclose(
+        make_paths(apply_frame(contacts, LabelFrame(1.4)), SENSOR, 0.0, 1, 0.4).points, plain
+    )
+    shifted = make_paths(apply_frame(contacts, LabelFrame(1.4, -1.3)), SENSOR, 0.0, 1, 0.4).points
     assert np.allclose(shifted - plain, [-1.3, 0, 0, 0, 0, 0])
 
 
 def test_a_tilted_top_is_deeper_on_one_side():
     """The top turned about y by a small angle: tips at +x come to lie lower, by x times the angle, and all sensors lean by it."""
     contacts = _contacts()
-    tilted = framed(contacts, Frame(0.0, 0.0, 0.0, 2.0))
+    tilted = apply_frame(contacts, LabelFrame(0.0, 0.0, 0.0, 2.0))
     lower = contacts.tip[..., 2] - tilted.tip[..., 2]
     assert np.allclose(lower, np.radians(2.0) * contacts.tip[..., 0], atol=0.01)
     assert np.allclose(tilted.tilt_deg, 2.0)
@@ -92,6 +96,6 @@ def test_a_tilted_top_is_deeper_on_one_side():
 
 def test_motions_are_turned_back():
     motion = np.random.default_rng(0).normal(size=(5, 7, 2))
-    assert turn_between(motion @ camera_turn(0.3), motion) == pytest.approx(0.3)
+    assert estimate_rotation(motion @ compute_camera_rotation(0.3), motion) == pytest.approx(0.3)
     motion[0, 0] = np.nan
-    assert turn_between(motion @ camera_turn(-0.2), motion) == pytest.approx(-0.2)
+    assert estimate_rotation(motion @ compute_camera_rotation(-0.2), motion) == pytest.approx(-0.2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
-from jaxunshear.calibration.sampling import Recorded
+from jaxunshear.calibration.sampling import RecordedImages
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import compute_outer_fraction
 from jaxunshear.settings.image import Camera
@@ -24,7 +24,7 @@ def _quiet(text: str) -> None:
 def results(simulated, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     return calibrate(
-        simulated.folder, out, SMALL, GUESS, held=("pin_spacing_mm", "distance_mm"), log=_quiet
+        simulated.folder, out, SMALL, GUESS, fixed=("pin_spacing_mm", "distance_mm"), log=_quiet
     ), out
 
 
@@ -111,13 +111,13 @@ def test_what_is_no_recording_is_refused(tmp_path):
     with pytest.raises(UserError, match="49 pins are found"):
         calibrate(tmp_path / "few", log=_quiet)
     with pytest.raises(UserError, match="cannot be held"):
-        calibrate(tmp_path / "few", held=("colour",), log=_quiet)
+        calibrate(tmp_path / "few", fixed=("colour",), log=_quiet)
 
 
 def test_an_image_whose_slide_cannot_be_read_is_no_tap():
     moves = np.ones((20, 6))
     moves[4] = np.nan
-    part = Recorded(
+    part = RecordedImages(
         "one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves
     )
     np.testing.assert_array_equal(part.labelled, np.arange(20) != 4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.fit import DETERMINED, PRIOR_PX, _bootstrap
+from jaxunshear.calibration.fit import MAX_INTERVAL_SHARE, PRIOR_PX, _bootstrap
 
 PRIOR = np.array([0.3, 2.0])  # standard deviations
 
@@ -19,7 +19,7 @@ def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, 
     slopes[:, 1:, 0], slopes[:, 0, 1] = 1.0, slope * PRIOR_PX / PRIOR[1]
     drawn = _bootstrap(slopes, lambda generator: residual, np.ones(100), np.zeros(2), PRIOR)
     width = np.ptp(np.percentile(drawn, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
-    assert width[0] < DETERMINED / 4
-    assert (width[1] < DETERMINED) == known
+    assert width[0] < MAX_INTERVAL_SHARE / 4
+    assert (width[1] < MAX_INTERVAL_SHARE) == known
     if slope < 0.01:
         assert width[1] == pytest.approx(1, abs=0.15)

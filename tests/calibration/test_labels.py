@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxunshear.calibration.labels import INLAND_MM, motions, to_paths
+from jaxunshear.calibration.labels import FLAT_DISTANCE_MM, make_paths, read_motions
 from jaxunshear.settings.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
@@ -23,7 +23,9 @@ def _work_to_scene() -> np.ndarray:
 @pytest.mark.parametrize("side", [1, -1])
 def test_points_hold_the_undeformed_dome(side):
     """The lowest point of a sphere that stands as the labels say has the path's depth and place."""
-    paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=1.0, side=side, friction=0.3)
+    paths = make_paths(
+        read_motions(POSES, MOVES), TACTIP_331, surface_mm=1.0, side=side, friction=0.3
+    )
     polar, around = np.meshgrid(
         np.radians(np.arange(0, 40, 0.05)), np.radians(np.arange(0, 360, 0.5)), indexing="ij"
     )
@@ -46,7 +48,7 @@ def test_points_hold_the_undeformed_dome(side):
 
 
 def test_yaw_and_tilt_make_up_the_turn():
-    paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=0.0, side=1, friction=0.3)
+    paths = make_paths(read_motions(POSES, MOVES), TACTIP_331, surface_mm=0.0, side=1, friction=0.3)
     for i in range(len(POSES)):
         yaw, _, tilt_x, tilt_y = paths.points[i, 2, 2:]
         turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_rotvec(
@@ -64,14 +66,14 @@ def test_twist_takes_the_short_way():
     for last in (170.0, 190.0):
         pose = np.array([[0, 0, 3.0, 0, 0, last], [0, 1, 3.5, 0, 0, 0]])
         move = np.array([[0, 0, 0, 0, 0, 40.0], [0, 0, 0, 0, 0, 0]])
-        points = to_paths(motions(pose, move), TACTIP_331, 0.0, 0, 0.3).points
+        points = make_paths(read_motions(pose, move), TACTIP_331, 0.0, 0, 0.3).points
         assert abs(points[0, 2, 2] - points[0, 1, 2]) == pytest.approx(40)
 
 
 def test_flat_contacts_end_inland():
-    contacts = motions(POSES[:1], MOVES[:1])
-    points = to_paths(contacts, TACTIP_331, surface_mm=1.5, side=0, friction=0.3).points[0]
-    np.testing.assert_allclose(points[2, 0], -INLAND_MM)
+    contacts = read_motions(POSES[:1], MOVES[:1])
+    points = make_paths(contacts, TACTIP_331, surface_mm=1.5, side=0, friction=0.3).points[0]
+    np.testing.assert_allclose(points[2, 0], -FLAT_DISTANCE_MM)
     np.testing.assert_allclose(points[2, :2] - points[1, :2], contacts.slide[0])
     np.testing.assert_allclose(points[:, 3], [0, 2.5, 2.5])
 
@@ -82,7 +84,7 @@ def test_the_depth_axis_is_the_one_that_varies():
     poses[:, 1], poses[:, 5] = [-3, -2, -1], [-10, 0, 20]
     moves = np.zeros((3, 6))
     moves[:, 0] = [2, -1, 0.5]
-    contacts = motions(poses, moves)
+    contacts = read_motions(poses, moves)
     np.testing.assert_allclose(-contacts.tip[:, 1, 2], [-3, -2, -1])
     np.testing.assert_allclose(np.abs(contacts.tilt_deg), [10, 0, 20], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(contacts.slide, axis=-1), [2, 1, 0.5])
@@ -90,7 +92,7 @@ def test_the_depth_axis_is_the_one_that_varies():
 
 
 def test_taps_have_no_slide():
-    contacts = motions(POSES, None)
+    contacts = read_motions(POSES, None)
     np.testing.assert_array_equal(contacts.slide, 0)
     assert contacts.across
 
@@ -100,7 +102,9 @@ def test_where_along_the_edge_a_contact_lies_does_not_matter(side):
     """A simulated half plane has an end; recordings may be made far from their origin."""
     poses = np.tile([300.0, 1.0, -40.0, 0, 0, 5.0], (3, 1)) + np.diag([0.5, 1.0, 0.2, 0, 0, 0])[:3]
     moves = np.tile([0.3, 0.4, 0, 0, 0, 0], (3, 1))
-    paths = to_paths(motions(poses, moves), TACTIP_331, -43.0, side, 0.5)
+    paths = make_paths(read_motions(poses, moves), TACTIP_331, -43.0, side, 0.5)
     np.testing.assert_allclose(paths.points[:, -1, 1], 0, atol=1e-9)
-    near = to_paths(motions(poses - [300, 0, 0, 0, 0, 0], moves), TACTIP_331, -43.0, side, 0.5)
+    near = make_paths(
+        read_motions(poses - [300, 0, 0, 0, 0, 0], moves), TACTIP_331, -43.0, side, 0.5
+    )
     np.testing.assert_allclose(paths.points, near.points, atol=1e-9)

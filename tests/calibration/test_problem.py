@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.calibration.fit import fit
-from jaxunshear.calibration.labels import motions
-from jaxunshear.calibration.prediction import PROBE_RINGS, Values, skin_to_gel
-from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
-from jaxunshear.calibration.rendering import render
-from jaxunshear.calibration.statistics import observe
+from jaxunshear.calibration.labels import read_motions
+from jaxunshear.calibration.pin_statistics import observe_pins
+from jaxunshear.calibration.prediction import PROBE_RINGS, SensorValues, compute_modulus_ratio
+from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
+from jaxunshear.calibration.rendering import render_images
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
 from tests.calibration.conftest import GUESS, SMALL
@@ -21,12 +21,14 @@ RINGS = SMALL.rings
 
 @pytest.fixture(scope="module")
 def group():
-    seen = observe(
-        render(GUESS, SMALL, np.repeat(compute_pin_tips(SMALL)[None], COUNT, axis=0)), SMALL
+    seen = observe_pins(
+        render_images(GUESS, SMALL, np.repeat(compute_pin_tips(SMALL)[None], COUNT, axis=0)), SMALL
     )
     poses = np.zeros((COUNT, 6))
     poses[:, 2] = 1.0 + 0.1 * np.arange(COUNT)
-    return Group("one", seen, motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1))))
+    return RecordedGroup(
+        "one", seen, read_motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1)))
+    )
 
 
 def _problem(group, lost):
@@ -40,12 +42,12 @@ def _problem(group, lost):
         converged[LOST] = not lost(friction)
         return moved, converged
 
-    start = Values(
+    start = SensorValues(
         GUESS.mm_across,
         GUESS.distance_mm,
         SMALL.pin_spacing_mm,
         FRICTION,
-        skin_to_gel(SMALL),
+        compute_modulus_ratio(SMALL),
         (0.0,),
     )
     held = ("mm_across", "distance_mm", "pin_spacing_mm")
@@ -67,17 +69,17 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, at_start):
     places = plain[others, RINGS:] - plain[others, RINGS:].mean(axis=0)
     assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
     residual = made.all(made.values(x))
-    assert (residual[LOST, 0] == UNSOLVED_PX and not residual[LOST, 1:].any()) == at_start
+    assert (residual[LOST, 0] == UNSOLVED_RESIDUAL_PX and not residual[LOST, 1:].any()) == at_start
 
 
 def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(group):
     """Touches widen the rings by 0 to 8 per cent; which of them are in a sample is chance."""
-    start = Values(
+    start = SensorValues(
         GUESS.mm_across,
         GUESS.distance_mm,
         SMALL.pin_spacing_mm,
         FRICTION,
-        skin_to_gel(SMALL),
+        compute_modulus_ratio(SMALL),
         (0.0,),
     )
     generator = np.random.default_rng(0)
@@ -85,7 +87,7 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
     for _ in range(12):
         widened = group.seen.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
         seen = group.seen.take(np.zeros(20, int))._replace(place=widened)
-        fitted = fit([Group("one", seen)], SMALL, start, held=("distance_mm",))
+        fitted = fit([RecordedGroup("one", seen)], SMALL, start, fixed=("distance_mm",))
         found.append(fitted.values.mm_across)
         half.append((fitted.high["mm_across"] - fitted.low["mm_across"]) / 2)
     assert 0.6 < np.mean(half) / (1.96 * np.std(found, ddof=1)) < 1.7
@@ -93,12 +95,12 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
 
 @pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED, SMALL])
 def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
-    start = Values(
+    start = SensorValues(
         GUESS.mm_across,
         GUESS.distance_mm,
         sensor.pin_spacing_mm,
         FRICTION,
-        skin_to_gel(sensor),
+        compute_modulus_ratio(sensor),
         (0.0,),
     )
     made = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)

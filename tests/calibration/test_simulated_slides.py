@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.calibrated import Calibrated
-from jaxunshear.calibration.labels import motions
-from jaxunshear.calibration.prediction import displacements
-from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
-from jaxunshear.calibration.validation import places
+from jaxunshear.calibration.calibration_result import Calibration
+from jaxunshear.calibration.labels import read_motions
+from jaxunshear.calibration.prediction import simulate_displacements
+from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
+from jaxunshear.calibration.validation import project_positions
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import compute_rings, make_lattice
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
-KNOWN = Calibrated("small", SMALL, GUESS, 0.35)
+KNOWN = Calibration("small", SMALL, GUESS, 0.35)
 TURN = np.array([[0.0, 1.0], [1.0, 0.0]])  # a camera behind the pins: turned, and mirrored
 MIDDLE = 63.0
 COUNT = 40
@@ -21,13 +21,16 @@ COUNT = 40
 
 def _at(moved):
     """Pins (N, P, 2) px in the images of that camera."""
-    return places(KNOWN.values, SMALL, 128, compute_pin_lattice(SMALL), moved) @ TURN.T + MIDDLE
+    return (
+        project_positions(KNOWN.values, SMALL, 128, compute_pin_lattice(SMALL), moved) @ TURN.T
+        + MIDDLE
+    )
 
 
 def _moved(poses, moves, friction):
     values = KNOWN.values
-    moved, converged = displacements(
-        SMALL, motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel
+    moved, converged = simulate_displacements(
+        SMALL, read_motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel
     )
     assert converged.all()
     return moved
@@ -40,7 +43,7 @@ def taps():
     poses[:, 1] = generator.uniform(-2, 1, COUNT)  # an edge
     poses[:, 2] = generator.uniform(0.5, 1.4, COUNT) - SURFACE_MM
     poses[:, 5] = generator.uniform(-180, 180, COUNT)
-    return Taps(_at(_moved(poses, None, KNOWN.friction)), poses)
+    return RecordedTaps(_at(_moved(poses, None, KNOWN.friction)), poses)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +55,7 @@ def lattice(taps):
 
 @pytest.fixture(scope="module")
 def view(taps, lattice):
-    return view_of(taps, lattice, 128, KNOWN)
+    return fit_label_view(taps, lattice, 128, KNOWN)
 
 
 @pytest.mark.long
@@ -62,7 +65,7 @@ def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
     move, friction = np.zeros((6, 6)), generator.uniform(0.2, 0.6, 6)
     move[:, :2], move[:, 5] = generator.uniform(-1, 1, (6, 2)), generator.uniform(-5, 5, 6)
     poses = taps.pose[:6]
-    motion, fine = shear(view, poses, move, friction)
+    motion, fine = simulate_shear(view, poses, move, friction)
     true = _at(_moved(poses, move, friction)) - _at(_moved(poses, None, friction))
     assert fine.all() and np.sqrt(np.mean(true**2)) > 0.2
     assert np.sqrt(np.mean((motion - true) ** 2)) < 0.15 * np.sqrt(np.mean(true**2))
@@ -70,14 +73,14 @@ def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
 
 @pytest.mark.long
 def test_no_slide_drags_nothing(taps, view):
-    motion, fine = shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
+    motion, fine = simulate_shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
     assert fine.all() and not motion.any()
 
 
 @pytest.mark.long
 def test_what_gives_too_little_is_refused(taps, lattice):
     with pytest.raises(UserError, match="10 taps have a label and all pins"):
-        view_of(Taps(taps.pins[:10], taps.pose[:10]), lattice, 128, KNOWN)
-    shuffled = Taps(taps.pins[np.random.default_rng(2).permutation(COUNT)], taps.pose)
+        fit_label_view(RecordedTaps(taps.pins[:10], taps.pose[:10]), lattice, 128, KNOWN)
+    shuffled = RecordedTaps(taps.pins[np.random.default_rng(2).permutation(COUNT)], taps.pose)
     with pytest.raises(UserError, match="do not go with their images"):
-        view_of(shuffled, lattice, 128, KNOWN)
+        fit_label_view(shuffled, lattice, 128, KNOWN)

@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.labels import motions
-from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.rendering import render
-from jaxunshear.calibration.report import summaries_of
-from jaxunshear.calibration.statistics import (
-    central,
-    left_behind,
-    observe,
-    pin_diameters,
-    ring_motion,
-    ring_radii,
-    slide_bin,
-    summaries,
+from jaxunshear.calibration.labels import read_motions
+from jaxunshear.calibration.pin_statistics import (
+    average_central_pins,
+    compute_lag,
+    compute_ring_motion,
+    compute_ring_radii,
+    find_slide_bin,
+    measure_pin_diameters,
+    observe_pins,
+    summarise_pins,
 )
+from jaxunshear.calibration.problem import RecordedGroup
+from jaxunshear.calibration.rendering import render_images
+from jaxunshear.calibration.report import summaries_of
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import compute_outer_fraction
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -27,13 +27,13 @@ from jaxunshear.settings.sensor import TACTIP_331
 @pytest.fixture(scope="module")
 def images():
     """Two of undisturbed pins, 128 px."""
-    return render(
+    return render_images(
         Camera(frame_px=128), TACTIP_331, np.repeat(compute_pin_tips(TACTIP_331)[None], 2, axis=0)
     )
 
 
 def _means(images):
-    rows = summaries(observe(images, TACTIP_331))
+    rows = summarise_pins(observe_pins(images, TACTIP_331))
     return {row.name: np.nanmean(row.values) for row in rows if np.isfinite(row.values).any()}
 
 
@@ -64,23 +64,26 @@ def test_size_changes_nothing(images):
 
 
 def test_a_turned_camera_changes_no_ring(images):
-    seen = observe(images, TACTIP_331)
+    seen = observe_pins(images, TACTIP_331)
     for turned in (seen.turned(False, 0.7), seen.turned(True, -1.2)):
-        for a, b in zip(summaries(seen), summaries(turned), strict=True):
+        for a, b in zip(summarise_pins(seen), summarise_pins(turned), strict=True):
             np.testing.assert_allclose(a.values, b.values, atol=1e-9)
 
 
 def test_turned_is_a_turn_of_the_image(images):
     """Seen by a mirrored camera and by one turned by a quarter: the places of the transposed and the rotated image."""
-    seen = observe(images[:1], TACTIP_331)
-    quarter = observe(np.rot90(images[:1], -1, axes=(1, 2)), TACTIP_331)
+    seen = observe_pins(images[:1], TACTIP_331)
+    quarter = observe_pins(np.rot90(images[:1], -1, axes=(1, 2)), TACTIP_331)
     turned = seen.turned(False, np.pi / 2)
-    off = np.min(np.linalg.norm(quarter.place[0][:, None] - turned.place[0][None], axis=-1), axis=1)
+    off = np.min(
+        np.linalg.norm(quarter.positions[0][:, None] - turned.positions[0][None], axis=-1), axis=1
+    )
     assert off.max() < 0.1
-    transposed = observe(np.swapaxes(images[:1], 1, 2), TACTIP_331)
+    transposed = observe_pins(np.swapaxes(images[:1], 1, 2), TACTIP_331)
     flipped = seen.turned(True, np.pi / 2)
     off = np.min(
-        np.linalg.norm(transposed.place[0][:, None] - flipped.place[0][None], axis=-1), axis=1
+        np.linalg.norm(transposed.positions[0][:, None] - flipped.positions[0][None], axis=-1),
+        axis=1,
     )
     assert off.max() < 0.1
 
@@ -96,8 +99,8 @@ def test_diameters():
     ):  # the last two touch
         image[np.hypot(rows - row, columns - column) <= radius] = 255
     pins = np.array([[16, 16], [44, 16], [20, 44], [30, 44]], float)
-    np.testing.assert_allclose(pin_diameters(image, pins), [8, 12, 10, 10], rtol=0.04)
-    assert np.isnan(pin_diameters(image, np.array([[1.0, 1.0]])))[0]
+    np.testing.assert_allclose(measure_pin_diameters(image, pins), [8, 12, 10, 10], rtol=0.04)
+    assert np.isnan(measure_pin_diameters(image, np.array([[1.0, 1.0]])))[0]
 
 
 def test_left_behind():
@@ -105,43 +108,45 @@ def test_left_behind():
     slide = np.array([[2.0, 0.0], [0.0, 1.5], [-1.0, 1.0]])
     yaw = np.radians([0, 90, 200])
     stays = -(slide @ [1, 1j]) * np.exp(-1j * yaw)  # in the sensor's frame
-    np.testing.assert_allclose(left_behind(stays, slide, yaw), np.linalg.norm(slide, axis=-1))
+    np.testing.assert_allclose(compute_lag(stays, slide, yaw), np.linalg.norm(slide, axis=-1))
     across = stays * 1j
-    np.testing.assert_allclose(left_behind(across, slide, yaw), 0, atol=1e-12)
-    assert np.isnan(left_behind(np.zeros(1, complex), np.zeros((1, 2)), np.zeros(1)))[0]
+    np.testing.assert_allclose(compute_lag(across, slide, yaw), 0, atol=1e-12)
+    assert np.isnan(compute_lag(np.zeros(1, complex), np.zeros((1, 2)), np.zeros(1)))[0]
     np.testing.assert_array_equal(
-        slide_bin(np.array([[0, 0], [0.5, 0], [0, -1.5], [6, 3]])), [-1, 0, 1, 5]
+        find_slide_bin(np.array([[0, 0], [0.5, 0], [0, -1.5], [6, 3]])), [-1, 0, 1, 5]
     )
 
 
 def test_central_pins_weigh_alike():
     motion = np.zeros((1, 4), complex)
     motion[0, 0], motion[0, 1] = 7, 0
-    assert central(motion)[0] == pytest.approx(1)
+    assert average_central_pins(motion)[0] == pytest.approx(1)
     shell = np.repeat([0, 1], [1, 6])
     place = np.zeros((2, 7, 2))
     place[1] = [3, -1]
-    np.testing.assert_allclose(np.diff(ring_motion(shell, place), axis=0), 3 - 1j)
+    np.testing.assert_allclose(np.diff(compute_ring_motion(shell, place), axis=0), 3 - 1j)
 
 
 def test_missing_pins_move_no_ring(images):
     """Hidden on one side, as the housing hides them after a slide."""
-    seen = observe(images, TACTIP_331)
-    shell, place = seen.lattice.ring, seen.place.copy()
+    seen = observe_pins(images, TACTIP_331)
+    shell, place = seen.lattice.ring, seen.positions.copy()
     place[0, -8:] = np.nan
-    full = ring_motion(shell, seen.place - seen.rest)
-    np.testing.assert_allclose(ring_motion(shell, place - seen.rest), full, atol=0.05)
+    full = compute_ring_motion(shell, seen.positions - seen.rest)
+    np.testing.assert_allclose(compute_ring_motion(shell, place - seen.rest), full, atol=0.05)
     np.testing.assert_allclose(
-        ring_radii(shell, place, seen.rest), ring_radii(shell, seen.place, seen.rest), atol=0.05
+        compute_ring_radii(shell, place, seen.rest),
+        compute_ring_radii(shell, seen.positions, seen.rest),
+        atol=0.05,
     )
 
 
 def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
-    seen = observe(images, TACTIP_331)
-    contacts = motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
+    seen = observe_pins(images, TACTIP_331)
+    contacts = read_motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
     reported = {
         row.name: row.values
-        for row in summaries_of(Group("one", seen, contacts), seen, np.array([True, False]))
+        for row in summaries_of(RecordedGroup("one", seen, contacts), seen, np.array([True, False]))
     }
     assert all(np.isnan(values[1]) for values in reported.values())
     assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331
@@ -150,13 +155,13 @@ def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
 
 def test_black_images_are_refused():
     with pytest.raises(UserError, match="at most 0 pins"):
-        observe(np.zeros((2, 128, 128), np.uint8), TACTIP_331)
+        observe_pins(np.zeros((2, 128, 128), np.uint8), TACTIP_331)
 
 
 def test_real_pins_can_be_followed(real_recordings):
-    from jaxunshear.calibration.sampling import sample
+    from jaxunshear.calibration.sampling import sample_folders
 
-    parts, _ = sample(real_recordings / "surface_3d_sample", 24, 0)
-    seen = observe(parts[0].images, TACTIP_331)
-    assert seen.sure.mean() > 0.9
-    assert np.abs(seen.found - 331).max() <= 5
+    parts, _ = sample_folders(real_recordings / "surface_3d_sample", 24, 0)
+    seen = observe_pins(parts[0].images, TACTIP_331)
+    assert seen.identified.mean() > 0.9
+    assert np.abs(seen.pin_counts - 331).max() <= 5

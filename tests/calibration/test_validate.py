@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.calibration.calibrated import SHIPPED, Calibrated, read_calibration
+from jaxunshear.calibration.calibration_result import (
+    DEFAULT_CALIBRATION,
+    Calibration,
+    read_calibration,
+)
 from jaxunshear.calibration.sampling import are_among, split_folders
-from jaxunshear.calibration.validate import _used, validate
+from jaxunshear.calibration.validate import _list_calibration_images, validate
 from jaxunshear.errors import UserError
 from jaxunshear.settings.image import Camera
 from tests.calibration.conftest import write_recording
@@ -25,7 +29,7 @@ def _value(results, name):
 
 @pytest.fixture(scope="module")
 def scored(simulated, tmp_path_factory):
-    known = Calibrated("truth", simulated.sensor, simulated.camera, simulated.friction, ())
+    known = Calibration("truth", simulated.sensor, simulated.camera, simulated.friction, ())
     out = tmp_path_factory.mktemp("out")
     return validate(simulated.folder, known, None, 0, out, _quiet), out
 
@@ -41,7 +45,7 @@ def test_its_own_recording_scores_nearly_one(scored):
 
 
 def test_another_friction_scores_less(scored, simulated):
-    wrong = Calibrated("wrong", simulated.sensor, simulated.camera, 3 * simulated.friction, ())
+    wrong = Calibration("wrong", simulated.sensor, simulated.camera, 3 * simulated.friction, ())
     results = validate(simulated.folder, wrong, None, 0, None, _quiet)
     assert _value(results, "r2.slide") < _value(scored[0], "r2.slide") - 0.02
 
@@ -89,22 +93,29 @@ def test_what_the_preset_was_fitted_to(tmp_path):
     for name in ("edge_2d/tap/csv_train", "edge_2d/shear/csv_train", "edge_2d/other", "new/train"):
         _recording(tmp_path / name, 3)
     notes: list[str] = []
-    used = _used(tmp_path / "edge_2d", SHIPPED, notes)
+    used = _list_calibration_images(tmp_path / "edge_2d", DEFAULT_CALIBRATION, notes)
     assert len(used) == 6 and not any("other" in name for name in used)
-    assert _used(tmp_path / "new" / "train", SHIPPED, notes) == ()
+    assert _list_calibration_images(tmp_path / "new" / "train", DEFAULT_CALIBRATION, notes) == ()
     assert (
-        _used(tmp_path / "edge_2d", replace(SHIPPED, used=("x.png",)), notes) == ("x.png",)
+        _list_calibration_images(
+            tmp_path / "edge_2d", replace(DEFAULT_CALIBRATION, image_names=("x.png",)), notes
+        )
+        == ("x.png",)
         and not notes
     )
 
 
 def test_a_calibration_is_read(tmp_path):
-    preset = {"sensor": asdict(SHIPPED.sensor), "camera": asdict(Camera()), "friction": 0.5}
+    preset = {
+        "sensor": asdict(DEFAULT_CALIBRATION.sensor),
+        "camera": asdict(Camera()),
+        "friction": 0.5,
+    }
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps({"preset": preset, "image_names": ["a/b.png"]}))
     found = read_calibration(file)
-    assert (found.sensor, found.camera, found.friction, found.used) == (
-        SHIPPED.sensor,
+    assert (found.sensor, found.camera, found.friction, found.image_names) == (
+        DEFAULT_CALIBRATION.sensor,
         Camera(),
         0.5,
         ("a/b.png",),

@@ -3,44 +3,50 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.labels import motions
-from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
+from jaxunshear.calibration.labels import read_motions
+from jaxunshear.calibration.prediction import (
+    SensorValues,
+    compute_interpolation,
+    compute_modulus_ratio,
+    make_probe_sensor,
+    predict_positions,
+)
 from jaxunshear.calibration.validate import explained_by_labels
 from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import (
-    Compared,
-    centred,
-    mm_per_px,
-    places,
-    r2,
-    rows_of,
-    settled,
-    stand,
+    ComparedFolder,
+    build_rows,
+    centre_motions,
+    compute_mm_per_px,
+    compute_r2,
+    fit_positions,
+    locate_pins,
+    project_positions,
 )
 from jaxunshear.image.lattice import compute_rings
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
-VALUES = Values(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, skin_to_gel(SENSOR))
+VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))
 NOISE_PX = 0.3
 
 
 def _moved(count: int = 30) -> np.ndarray:
     """Smooth displacements (N, Q, 3) mm of the probe's pins."""
     rng = np.random.default_rng(0)
-    tips = compute_pin_tips(probe(SENSOR, VALUES.skin_to_gel)) / 20
+    tips = compute_pin_tips(make_probe_sensor(SENSOR, VALUES.skin_to_gel)) / 20
     basis = np.concatenate(
         [np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1
     )
     return np.einsum("qk,nkx->nqx", basis, rng.normal(0, 0.3, (count, basis.shape[1], 3)))
 
 
-def _compared(noise_px: float = 0.0, count: int = 30) -> Compared:
-    place, rest = place_of(VALUES, SENSOR, 128, _moved(count))
+def _compared(noise_px: float = 0.0, count: int = 30) -> ComparedFolder:
+    place, rest = predict_positions(VALUES, SENSOR, 128, _moved(count))
     recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
-    one, other = centred(recorded, place)
-    return Compared(
+    one, other = centre_motions(recorded, place)
+    return ComparedFolder(
         "a",
         one,
         other,
@@ -57,15 +63,15 @@ def _value(rows, name):
 
 
 def test_pins_stand_where_the_camera_sees_them():
-    _, rest = place_of(VALUES, SENSOR, 128, None)
-    assert np.abs(stand(VALUES, SENSOR, 128, rest) - compute_pin_lattice(SENSOR)).max() < 2e-3
+    _, rest = predict_positions(VALUES, SENSOR, 128, None)
+    assert np.abs(locate_pins(VALUES, SENSOR, 128, rest) - compute_pin_lattice(SENSOR)).max() < 2e-3
 
 
 def test_places_on_the_lattice_are_those_of_the_calibration():
     moved = _moved()
-    here = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
-    assert np.abs(here - place_of(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
-    assert np.isfinite(interpolation(SENSOR)).all()
+    here = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
+    assert np.abs(here - predict_positions(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
+    assert np.isfinite(compute_interpolation(SENSOR)).all()
 
 
 def test_rings_with_phases_of_their_own_are_followed():
@@ -80,16 +86,16 @@ def test_rings_with_phases_of_their_own_are_followed():
         ],
         -1,
     )
-    recorded = places(VALUES, SENSOR, 128, flat, moved)
-    found, simulated = settled(VALUES, SENSOR, 128, recorded, moved)
+    recorded = project_positions(VALUES, SENSOR, 128, flat, moved)
+    found, simulated = fit_positions(VALUES, SENSOR, 128, recorded, moved)
     assert np.abs(found - flat).max() < 0.05
-    assert r2(*centred(recorded, simulated)) > 0.999
-    there = places(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
-    assert r2(*centred(recorded, there)) < 0.9
+    assert compute_r2(*centre_motions(recorded, simulated)) > 0.999
+    there = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
+    assert compute_r2(*centre_motions(recorded, there)) < 0.9
 
 
 def test_the_same_motions_score_one():
-    rows = rows_of([_compared()])
+    rows = build_rows([_compared()])
     for kind in ("tap", "slide"):
         assert _value(rows, f"r2.{kind}") == pytest.approx(1, abs=1e-9)
         assert _value(rows, f"residual_px.{kind}") < 1e-4
@@ -99,29 +105,29 @@ def test_the_same_motions_score_one():
 def test_noise_costs_what_it_should():
     clean, count = _compared(), 400
     noisy = _compared(NOISE_PX, count)
-    rows = rows_of([noisy])
+    rows = build_rows([noisy])
     left = NOISE_PX * np.sqrt(2 * (1 - 1 / count))
     assert _value(rows, "residual_px.slide") == pytest.approx(left, rel=0.02)
     motion = _value(rows, "motion_px.slide")
     assert _value(rows, "r2.slide") == pytest.approx(1 - left**2 / motion**2, abs=2e-3)
-    assert _value(rows, "r2.slide") < _value(rows_of([clean]), "r2.slide") - 1e-3
+    assert _value(rows, "r2.slide") < _value(build_rows([clean]), "r2.slide") - 1e-3
 
 
 def test_an_offset_of_a_pin_costs_nothing_and_a_missing_one_is_left_out():
-    place, _ = place_of(VALUES, SENSOR, 128, _moved())
+    place, _ = predict_positions(VALUES, SENSOR, 128, _moved())
     recorded = place + np.random.default_rng(2).normal(0, 3, place.shape[1:])
     recorded[:5, 7] = np.nan
-    assert r2(*centred(recorded, place)) == pytest.approx(1, abs=1e-9)
+    assert compute_r2(*centre_motions(recorded, place)) == pytest.approx(1, abs=1e-9)
 
 
 def test_half_the_motion_explains_three_quarters():
     one = _compared().recorded
-    assert r2(one, 0.5 * one) == pytest.approx(0.75)
-    assert np.isnan(r2(0 * one, one))
+    assert compute_r2(one, 0.5 * one) == pytest.approx(0.75)
+    assert np.isnan(compute_r2(0 * one, one))
 
 
 def test_rows_of_taps_and_slides_and_by_ring():
-    names = {row["name"] for row in rows_of([_compared(NOISE_PX)])}
+    names = {row["name"] for row in build_rows([_compared(NOISE_PX)])}
     assert {
         "r2.tap",
         "r2.slide",
@@ -135,11 +141,15 @@ def test_rows_of_taps_and_slides_and_by_ring():
 def test_scale_at_the_height_of_a_pin():
     """A step of 0.01 mm along the middle's tangent, seen."""
     flat = np.array([[0.0, 0.0]])
-    moved = np.zeros((1, len(compute_pin_tips(probe(SENSOR, 1.0))), 3))
+    moved = np.zeros((1, len(compute_pin_tips(make_probe_sensor(SENSOR, 1.0))), 3))
     step = moved.copy()
     step[..., 0] = 0.01
-    seen = places(VALUES, SENSOR, 128, flat, step) - places(VALUES, SENSOR, 128, flat, moved)
-    assert seen[0, 0, 0] * mm_per_px(VALUES, SENSOR, 128, flat)[0] == pytest.approx(0.01, rel=1e-3)
+    seen = project_positions(VALUES, SENSOR, 128, flat, step) - project_positions(
+        VALUES, SENSOR, 128, flat, moved
+    )
+    assert seen[0, 0, 0] * compute_mm_per_px(VALUES, SENSOR, 128, flat)[0] == pytest.approx(
+        0.01, rel=1e-3
+    )
 
 
 def test_labels_that_give_all_and_nothing():
@@ -155,10 +165,10 @@ def test_labels_that_give_all_and_nothing():
         :, None
     ]
     reported = reported - reported.mean(axis=0)
-    contacts = motions(poses, moves)
-    assert r2(reported, explained_by_labels(contacts, reported)) > 0.9
+    contacts = read_motions(poses, moves)
+    assert compute_r2(reported, explained_by_labels(contacts, reported)) > 0.9
     noise = rng.standard_normal((200, 3, 2))
-    assert r2(noise, explained_by_labels(contacts, noise)) < 0.05
+    assert compute_r2(noise, explained_by_labels(contacts, noise)) < 0.05
 
 
 def test_the_figure_is_a_png():

@@ -6,7 +6,7 @@ known = read_calibration(Path("runs/calibration/calibration.json"))
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
 from jaxunshear.errors import UserError
 from jaxunshear.settings.image import FITTED_CAMERA, Camera
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
@@ -14,20 +14,20 @@ from jaxunshear.storage import Json, read_object
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class Calibration:
     """What is validated; `used` names the images that it was fitted to, as `Recorded.names` has them; None: those of the preset."""
 
     name: str
     sensor: Sensor
     camera: Camera
     friction: float
-    used: tuple[str, ...] | None = None
+    image_names: tuple[str, ...] | None = None
 
     @property
-    def values(self) -> Values:
+    def values(self) -> SensorValues:
         camera = self.camera
-        ratio = skin_to_gel(self.sensor)
-        return Values(
+        ratio = compute_modulus_ratio(self.sensor)
+        return SensorValues(
             camera.mm_across,
             camera.distance_mm,
             self.sensor.pin_spacing_mm,
@@ -47,12 +47,12 @@ class Calibrated:
         }
 
 
-SHIPPED = Calibrated(
+DEFAULT_CALIBRATION = Calibration(
     f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION
 )
 
 
-def read_calibration(file: Path) -> Calibrated:
+def read_calibration(file: Path) -> Calibration:
     """A `calibration.json` of `jaxunshear calibrate`. Raises `UserError` where it is none."""
     found = read_object(file)
     try:
@@ -67,4 +67,4 @@ def read_calibration(file: Path) -> Calibrated:
         raise UserError(
             f"--calibration {file}: {type(error).__name__} {error}: give a calibration.json of `jaxunshear calibrate --out`"
         ) from None
-    return Calibrated(f"calibration {file.name}", sensor, camera, friction, used)
+    return Calibration(f"calibration {file.name}", sensor, camera, friction, used)
