@@ -18,11 +18,11 @@ import numpy as np
 
 from benchmarks.multiplications import TARGETS, multiplications, pose_multiplications
 from benchmarks.steps import dots, step_of, variables_of
-from jaxunshear.apps.export.parts import Part, Parts
-from jaxunshear.apps.robot.stream import perceive_of
+from jaxunshear.apps.export.parts import ExportedModel, ExportedNetwork
+from jaxunshear.apps.robot.stream import make_perceive_function
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.inference.perceiver import UNSHEARED
-from jaxunshear.inference.perception import forward_of
+from jaxunshear.inference.perception import make_forward
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import compiled_kernels
@@ -195,21 +195,25 @@ def _stream_sides(size: int, batch: int) -> Sides:
         return {DISENTANGLED: variables_of(partial(unshearnet.init, net)), POSENET: reader}
 
     def ours() -> Work:
-        forward = forward_of({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = jit_for_inference(perceive_of(forward, names_of(TARGETS)), fresh_variables())
+        forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
+        run = jit_for_inference(
+            make_perceive_function(forward, names_of(TARGETS)), fresh_variables()
+        )
         return lambda: jax.device_get(run(image)) is None
 
     def exported() -> Work:
-        from jaxunshear.apps.export.onnx_file import onnx_of, runner
+        from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
 
         if jax.default_backend() != "cpu":
             raise RuntimeError(
                 f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}"
             )
         known = jax.device_get(fresh_variables())
-        reads = Part(pose_net, known[POSENET])
-        parts = Parts(Part(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size)
-        run = runner(onnx_of(parts, 1, None, {}), parts)
+        reads = ExportedNetwork(pose_net, known[POSENET])
+        parts = ExportedModel(
+            ExportedNetwork(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size
+        )
+        run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
         return lambda: run(image[None]) is None
 
     def theirs(compiled: bool) -> Work:

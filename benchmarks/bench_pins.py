@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.dataset.fresh import fresh_contacts
+from jaxunshear.dataset.simulated_contacts import simulate_contacts
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_detection import detect_pins
 from jaxunshear.image.pin_tracking import fit_motion_prior, track_pins
@@ -48,7 +48,7 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
         nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
     )
     experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
-    contacts = fresh_contacts(experiment, FRAMES, seed)
+    contacts = simulate_contacts(experiment, FRAMES, seed)
     lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
     seen = {
         "tap": (contacts.tap, contacts.tap_pins),

@@ -52,7 +52,7 @@ PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
     "fit": ("run",),
     "sweep": ("sweep.run", "sweep.work"),
-    "evaluate": ("run", "evaluation.other_recordings", "evaluation.transfer"),
+    "evaluate": ("run", "evaluation.other_recordings", "evaluation.sim_to_real"),
     "ablate": ("evaluation.code_swap_test", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
@@ -76,7 +76,7 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
     "benchmarks explore": ("benchmarks.bench_explore",),
 }
 EARLIER = {  # where these modules were at earlier commits
-    "jaxunshear.evaluation.transfer": "jaxunshear.applications.transfer",
+    "jaxunshear.evaluation.sim_to_real": "jaxunshear.applications.transfer",
     "jaxunshear.inference.infer": "jaxunshear.infer",
 }
 MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits

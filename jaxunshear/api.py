@@ -6,7 +6,7 @@
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
 
-What the commands do with a model are functions, too: `servo`, `reconstruct`, `geometry`, `find_pins`.
+What the commands do with a model are functions, too: `servo`, `reconstruct`, `score_geometry`, `find_pins`.
 """
 
 import warnings
@@ -20,16 +20,16 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.dataset.recorded_pins import Pins, find_pins
-from jaxunshear.downstream.geometry_scores import Felt, geometry
-from jaxunshear.downstream.objects import Objects, reconstruct
-from jaxunshear.downstream.servo import Course
-from jaxunshear.downstream.walk_scores import Followed, servo
+from jaxunshear.downstream.geometry_scores import GeometryResult, score_geometry
+from jaxunshear.downstream.object_reconstruction import ReconstructionResult, reconstruct
+from jaxunshear.downstream.servo import ServoTask
+from jaxunshear.downstream.servo_scores import ServoResult, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.sensor_check import NO_MINIMUM
-from jaxunshear.inference.perceiver import Answers, Perceiver, frame_for, perceiver
-from jaxunshear.inference.perception import BATCH, in_batches
+from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_frame, load_perceiver
+from jaxunshear.inference.perception import BATCH, run_in_batches
 from jaxunshear.inference.suitability import learnt_note, suits_recordings
 from jaxunshear.model.dispatch import encode
 from jaxunshear.model.inference import jit_for_inference
@@ -42,16 +42,16 @@ from jaxunshear.training.checkpoint import has_model, load_best, read_net, read_
 
 __all__ = [
     "Codes",
-    "Course",
-    "Felt",
-    "Followed",
+    "GeometryResult",
     "Model",
-    "Objects",
     "Pins",
+    "ReconstructionResult",
+    "ServoResult",
+    "ServoTask",
     "find_pins",
-    "geometry",
     "load_model",
     "reconstruct",
+    "score_geometry",
     "servo",
 ]
 
@@ -141,13 +141,13 @@ class Model:
             name: np.asarray(value) for name, value in unscale_outputs(outputs, self.slides).items()
         }
 
-    def _answers(self, images: np.ndarray) -> Answers:
+    def _answers(self, images: np.ndarray) -> Predictions:
         return self._in_batches(images, self.perceiver.answer)
 
     def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
         """A few images are not filled up to a full batch: to find their pins takes longer than to compile once more."""
         images = self._checked(images)
-        return in_batches(run, images, min(BATCH, len(images)))
+        return run_in_batches(run, images, min(BATCH, len(images)))
 
     def _checked(self, images: np.ndarray) -> np.ndarray:
         images = np.asarray(images)
@@ -175,7 +175,7 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
     """
     folder = model_folder(Path(name))
     experiment = load_settings(folder)
-    frame = None if like is None else frame_for(Path(like), experiment)
+    frame = None if like is None else find_pin_frame(Path(like), experiment)
     encoder = None
     slides: Targets = ()
     if has_model(folder / DISENTANGLED):
@@ -184,11 +184,11 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
             lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED)
         )
         slides = read_slides(folder / DISENTANGLED)
-    network = perceiver(folder, experiment, True, frame)
+    network = load_perceiver(folder, experiment, True, frame)
     return Model(
         folder,
         experiment,
-        network._replace(least=NO_MINIMUM) if force else network,
+        network._replace(min_plausibility=NO_MINIMUM) if force else network,
         encoder,
         slides,
     )

@@ -31,12 +31,12 @@ from jaxunshear.settings.targets import RECORDED, SLIDES
 from jaxunshear.storage import Json
 
 LAYOUTS = (TACTIP_331, TACTIP_127)
-SAMPLED = 40  # frames whose pins are found, shared by the folders
-LEAST_SAMPLED = 8  # in each of many folders
-LEAST_PX = 32  # side of the prepared frames
-LEAST_PINS = 20  # frames with fewer show none
+INSPECTED_IMAGES = 40  # frames whose pins are found, shared by the folders
+MIN_INSPECTED_PER_FOLDER = 8  # in each of many folders
+MIN_PX = 32  # side of the prepared frames
+MIN_PINS = 20  # frames with fewer show none
 PINS_RATIO = (0.85, 1.1)  # found pins over a layout's, within which it is tried
-MOST_LISTED = 20  # problems in the text; --json has all
+MAX_LISTED_IMAGES = 20  # problems in the text; --json has all
 UNREADABLE, OTHER_SIZE = "cannot be read", "of another size"
 
 
@@ -103,7 +103,7 @@ def check_recordings(path: Path) -> Diagnosis:
     rows: dict[Path, list[int]] = {}
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
-    share = max(LEAST_SAMPLED, SAMPLED // len(rows))
+    share = max(MIN_INSPECTED_PER_FOLDER, INSPECTED_IMAGES // len(rows))
     with Progress(f"doctor {path.name}", len(recordings)) as progress:
         some = (_check_folder(recordings, own, share, problems, progress) for own in rows.values())
         folders = tuple(some)
@@ -179,7 +179,7 @@ def _check_pins(files: list[Path]) -> PinCheck | None:
 
 
 def _follow_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
-    preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), LEAST_PX, LARGEST_PX)))
+    preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), MIN_PX, LARGEST_PX)))
     view = combine_views([find_view(preprocess, raw) for raw in raws])
     found = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
     median = float(np.median([len(each.pins) for each in found]))
@@ -205,7 +205,7 @@ def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str
         return _join("doctor", path / largest), advice
     if pins.inverted:
         return "", "the pins are dark on a light ground: invert the frames, then check them again"
-    if pins.median < LEAST_PINS:
+    if pins.median < MIN_PINS:
         return "", "no pins are found: frames must show the light pins of a TacTip on a dark ground"
     if pins.layout is None:
         known = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
@@ -251,9 +251,9 @@ def describe(diagnosis: Diagnosis) -> list[str]:
     lost = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%}){why}"
     lines += ["", f"left out: {lost}"]
     problems = diagnosis.problems
-    lines += [f"problem: {problem}" for problem in problems[:MOST_LISTED]]
-    if len(problems) > MOST_LISTED:
-        lines.append(f"problem: {len(problems) - MOST_LISTED} more, listed by --json")
+    lines += [f"problem: {problem}" for problem in problems[:MAX_LISTED_IMAGES]]
+    if len(problems) > MAX_LISTED_IMAGES:
+        lines.append(f"problem: {len(problems) - MAX_LISTED_IMAGES} more, listed by --json")
     lines.append(f"next: {diagnosis.command or 'no command can use these frames'}")
     return [*lines, f"note: {diagnosis.advice}"] if diagnosis.advice else lines
 

@@ -30,7 +30,7 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.inference.perception import trained
+    from jaxunshear.inference.perception import load_networks
     from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
     from jaxunshear.training.examples import FRAME
 
@@ -54,7 +54,7 @@ def release(run_dir: Path, out: Path) -> Path:
     names = [name for name in PARTS if name in needed or has_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
-    _, variables, targets = trained(run_dir, names)
+    _, variables, targets = load_networks(run_dir, names)
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name in names:

@@ -105,14 +105,16 @@ def absent(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """For commands that walk and reconstruct: 8 steps around the disk, and scales of few taps."""
-    from jaxunshear.dataset import fresh
+    from jaxunshear.dataset import simulated_contacts
     from jaxunshear.downstream import servo
-    from jaxunshear.downstream.contour import outline
+    from jaxunshear.downstream.contour import trace_contour
     from jaxunshear.scene.stimuli import STIMULI
 
-    steps = 8 * 0.5 / outline(STIMULI["disk"]).length
-    monkeypatch.setattr(servo, "Course", functools.partial(servo.Course, patience=steps))
-    monkeypatch.setattr(fresh, "KNOWN", 12)
+    steps = 8 * 0.5 / trace_contour(STIMULI["disk"]).length
+    monkeypatch.setattr(
+        servo, "ServoTask", functools.partial(servo.ServoTask, max_outline_lengths=steps)
+    )
+    monkeypatch.setattr(simulated_contacts, "SCALE_TAPS", 12)
 
 
 def call_with(

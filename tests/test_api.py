@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.api import Course, reconstruct
+from jaxunshear.api import ServoTask, reconstruct
 from jaxunshear.api import servo as walk
 from jaxunshear.downstream import servo
-from jaxunshear.downstream.contour import outline
+from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.errors import UserError
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.rest_positions import compute_rest_lattice
@@ -103,7 +103,7 @@ def test_the_example_of_uses_runs(capsys):
     assert example.count(walks) == 1
     exec(
         example.replace(
-            walks, f"{walks}, patience={2 * 0.5 / outline(STIMULI['disk']).length * 0.999}"
+            walks, f"{walks}, patience={2 * 0.5 / trace_contour(STIMULI['disk']).length * 0.999}"
         ),
         names,
     )
@@ -125,10 +125,10 @@ def test_the_example_of_uses_runs(capsys):
 @pytest.mark.parametrize(
     ("course", "ways", "reason"),
     [
-        (Course("disk", starts=0), None, "--starts 0"),
-        (Course("surface"), None, "no outline that closes"),
-        (Course("disk", depth_mm=30.0), None, "--depth 30: use more than 0"),
-        (Course("disk"), ("smell",), "perception 'smell' is unknown"),
+        (ServoTask("disk", starts=0), None, "--starts 0"),
+        (ServoTask("surface"), None, "no outline that closes"),
+        (ServoTask("disk", depth_mm=30.0), None, "--depth 30: use more than 0"),
+        (ServoTask("disk"), ("smell",), "perception 'smell' is unknown"),
     ],
 )
 def test_walks_that_cannot_start_are_refused_at_once(model, course, ways, reason):

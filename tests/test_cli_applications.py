@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.downstream import servo
-from jaxunshear.downstream.geometry import WAYS
+from jaxunshear.downstream.geometry import HEIGHT_METHODS
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
@@ -128,7 +128,7 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert all((out / f"disk-{name}.png").is_file() for name in ("skin", "voronoi"))
     answer = command("reconstruct", *words[:-1], "disk,leaf")
     assert answer.code == 2 and "--stimulus leaf" in answer.err
-    course, walks = servo.stored_walks(out / "disk.npz")
+    course, walks = servo.load_trajectories(out / "disk.npz")
     walks.end[0] = servo.WALKING
     servo._store(out / "disk.npz", course, walks)
     answer = command("reconstruct", *words)
@@ -176,7 +176,7 @@ def test_geometry_scores_and_draws(command, brief, tmp_path, model):
         f"{s}/{k}/{w}"
         for s in ("all", "disk", "clover", "teardrop")
         for k in ("tap", "sheared", "disentangled", "untouched")
-        for w in WAYS
+        for w in HEIGHT_METHODS
     }
     assert (
         rows["all/tap/areas"]["contacts"] == 15

@@ -10,7 +10,7 @@ from jaxunshear.cli.options import Commands, Model, choose_exit_code
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
 from jaxunshear.results.applications import Streamed
-from jaxunshear.results.folders import results_folder
+from jaxunshear.results.folders import find_results_folder
 
 WORK: dict[str, ModuleType] = {
     "pins": pins,
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     keep_freed_memory()
     model = _model(arguments) if arguments.model else None
     finished = model is not None and (model[0] / "results.json").is_file()
-    home = results_folder(model[0] if model and finished else Path(), arguments.command)
+    home = find_results_folder(model[0] if model and finished else Path(), arguments.command)
     out = home if arguments.command == "stream" else arguments.out or home
     check_new_folder(out)
     if out.resolve() != home.resolve():

@@ -31,7 +31,7 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScores:
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.downstream.geometry import INVERSE
-    from jaxunshear.downstream.geometry_scores import geometry
+    from jaxunshear.downstream.geometry_scores import score_geometry
     from jaxunshear.report import geometry_figure
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.storage import write_bytes
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
     paired, _ = simulated_of(experiment, "geometry")
-    felt = geometry(folder, experiment, arguments.contacts)
+    felt = score_geometry(folder, experiment, arguments.contacts)
     figure = geometry_figure.of_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
     write_bytes(out / "geometry.png", figure)
     columns = (
@@ -59,10 +59,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     print(plain_table([plain(row) for row in felt.table.rows], columns))
     print(out / "geometry.png")
     if arguments.path is not None:
-        from jaxunshear.downstream.recorded_geometry import heights_of_recordings
+        from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
 
-        shown = heights_of_recordings(
-            arguments.path, experiment, felt.lattice, felt.ways[INVERSE], felt.networks
+        shown = estimate_recorded_heights(
+            arguments.path, experiment, felt.lattice, felt.methods[INVERSE], felt.networks
         )
         write_bytes(out / "recordings.png", geometry_figure.of_recordings(felt.lattice, shown))
         print(out / "recordings.png")

@@ -28,8 +28,8 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
-    from jaxunshear.downstream.objects import reconstruct
-    from jaxunshear.downstream.servo import stored_walks
+    from jaxunshear.downstream.object_reconstruction import reconstruct
+    from jaxunshear.downstream.servo import load_trajectories
     from jaxunshear.report.object_figure import PICTURES, object_figure
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
         )
     rows: list[ObjectScore] = []
     for found in reconstruct(
-        folder, experiment, [stored_walks(out / f"{name}.npz") for name in names]
+        folder, experiment, [load_trajectories(out / f"{name}.npz") for name in names]
     ):
         name = str(found.course.stimulus)
         rows += found.scores

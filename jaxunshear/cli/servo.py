@@ -35,15 +35,15 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
-    from jaxunshear.downstream.servo import Course
-    from jaxunshear.downstream.walk_scores import servo
+    from jaxunshear.downstream.servo import ServoTask
+    from jaxunshear.downstream.servo_scores import servo
     from jaxunshear.report.walk_figure import walk_figure
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
     stimuli = stimuli_of(arguments.stimulus)
     courses = [
-        Course(touched, arguments.starts, arguments.depth, seed=arguments.seed)
+        ServoTask(touched, arguments.starts, arguments.depth, seed=arguments.seed)
         for touched in stimuli
     ]
     ways = tuple(arguments.ways.split(",")) if arguments.ways else None

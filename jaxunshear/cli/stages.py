@@ -202,7 +202,7 @@ def _finished(arguments: argparse.Namespace) -> Experiment:
 def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.other_recordings import format_table, score_recordings
-    from jaxunshear.evaluation.transfer import score_transfer
+    from jaxunshear.evaluation.sim_to_real import score_transfer
     from jaxunshear.results.stored import write
 
     if recorded_of(experiment):

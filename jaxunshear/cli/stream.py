@@ -54,9 +54,9 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
-    from jaxunshear.apps.robot.sources import frames_of, truth_of
-    from jaxunshear.apps.robot.stream import robot_of, stream
-    from jaxunshear.inference.perceiver import frame_for
+    from jaxunshear.apps.robot.frame_sources import make_label_reader, open_frames
+    from jaxunshear.apps.robot.stream import load_stream_model, stream
+    from jaxunshear.inference.perceiver import find_pin_frame
     from jaxunshear.inference.suitability import learnt_note
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
@@ -70,10 +70,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     folder, experiment = model
     source = Path(arguments.source)
     like = arguments.like or (source if source.is_dir() else None)
-    frame = frame_for(like, experiment) if like else None
-    robot = robot_of(folder, experiment, frame, arguments.force)
-    frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
-    truth = truth_of(arguments.source, experiment)
+    frame = find_pin_frame(like, experiment) if like else None
+    robot = load_stream_model(folder, experiment, frame, arguments.force)
+    frames, live = open_frames(arguments.source, robot.preprocess, arguments.fps)
+    truth = make_label_reader(arguments.source, experiment)
     with _lines(arguments.lines) as lines:
         summary = stream(
             frames, live, robot, lines, arguments.images, not arguments.no_images, truth

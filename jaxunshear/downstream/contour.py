@@ -1,7 +1,7 @@
 """The outline of a stimulus by arc length, in its target frame: what a contour following has to close.
 
->>> line = outline(STIMULI["disk"])
->>> line.length, off(line, np.array([[1.0, 0.0]]))        # (314.2 mm, [1.0] mm)
+>>> line = trace_contour(STIMULI["disk"])
+>>> line.length, measure_contour_distances(line, np.array([[1.0, 0.0]]))        # (314.2 mm, [1.0] mm)
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class Contour(NamedTuple):
         )
 
 
-def outline(stimulus: Stimulus) -> Contour:
+def trace_contour(stimulus: Stimulus) -> Contour:
     """The longest closed curve on which the signed distance is zero, to about 0.01 mm."""
     line = np.arange(-REACH_MM, REACH_MM + GRID_MM / 2, GRID_MM)
     distance = compute_distances(stimulus, np.stack(np.meshgrid(line, line), -1))
@@ -73,12 +73,14 @@ def _on_edge(stimulus: Stimulus, points: np.ndarray) -> tuple[np.ndarray, np.nda
     return normal, points - distance[:, None] * normal
 
 
-def off(line: Contour, xy: np.ndarray) -> np.ndarray:
+def measure_contour_distances(line: Contour, xy: np.ndarray) -> np.ndarray:
     """Distances (N,) mm of points (N, 2) from the curve."""
     return cKDTree(line.points).query(xy)[0]
 
 
-def advance(line: Contour, arc_mm: np.ndarray, xy: np.ndarray, window_mm: float) -> np.ndarray:
+def update_arc_positions(
+    line: Contour, arc_mm: np.ndarray, xy: np.ndarray, window_mm: float
+) -> np.ndarray:
     """Where along the curve points (N, 2) are that were at `arc_mm` (N,) before: the nearest place within a window about it.
 
     Lengths grow beyond `length` when a point goes round again.

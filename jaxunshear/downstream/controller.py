@@ -1,6 +1,6 @@
 """The paper's controller (appendix C): proportional and integral, towards a pose normal to the edge, with a step along it.
 
->>> move, turn, memory = control(Gains(), Memory(jnp.zeros(1), jnp.zeros(1)), edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
+>>> move, turn, memory = control(ControllerGains(), ControllerState(jnp.zeros(1), jnp.zeros(1)), edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
 >>> move, turn                                    # ([[-0.8, 0.5]] mm and [6.] deg, in the sensor frame)
 """
 
@@ -12,7 +12,7 @@ from jax import Array
 
 
 @dataclass(frozen=True)
-class Gains:
+class ControllerGains:
     """Of appendix C; it names no limits: ours keep one wrong answer from throwing the sensor off the object."""
 
     proportional: float = 0.5
@@ -23,7 +23,7 @@ class Gains:
     limit_deg: float = 20.0  # what a tip of a millimetre needs
 
 
-class Memory(NamedTuple):
+class ControllerState(NamedTuple):
     """Sums of the errors so far, zero at the start."""
 
     normal_mm: Array  # (B,)
@@ -31,27 +31,27 @@ class Memory(NamedTuple):
 
 
 def control(
-    gains: Gains, memory: Memory, edge_mm: Array, edge_deg: Array
-) -> tuple[Array, Array, Memory]:
+    gains: ControllerGains, memory: ControllerState, edge_mm: Array, edge_deg: Array
+) -> tuple[Array, Array, ControllerState]:
     """What to do about an edge seen at `edge_mm` (B,), negative inside, whose outward normal points to `edge_deg` (B,).
 
     Returns the move (B, 2) in mm and the turn (B,) in deg, both in the sensor frame: x across the edge, outwards, y along it,
     counter-clockwise around the object. Where a limit is met its sum does not grow further (anti-windup).
     """
-    across, normal_mm = _corrected(
+    across, normal_mm = _compute_correction(
         -edge_mm, memory.normal_mm, gains.proportional, gains.integral_mm, gains.limit_mm
     )
-    turn, turn_deg = _corrected(
+    turn, turn_deg = _compute_correction(
         edge_deg, memory.turn_deg, gains.proportional, gains.integral_deg, gains.limit_deg
     )
     return (
         jnp.stack([across, jnp.full_like(across, gains.step_mm)], -1),
         turn,
-        Memory(normal_mm, turn_deg),
+        ControllerState(normal_mm, turn_deg),
     )
 
 
-def _corrected(
+def _compute_correction(
     error: Array, total: Array, proportional: float, integral: float, limit: float
 ) -> tuple[Array, Array]:
     grown = total + error

@@ -1,9 +1,9 @@
 """Contact geometry from pins: by the paper's Voronoi cells, or by the inverse of the skin.
 
->>> ways = ways_of(lattice, known)                             # by name, from taps of known indentation
+>>> ways = make_height_estimators(lattice, known)                             # by name, from taps of known indentation
 >>> heights = ways["inverse"](motion)                          # (N, P) mm, from motions (N, P, 2) px
->>> surface(lattice.place, heights[0], 64)                     # (64, 64) smooth heights over the pins
->>> read_at(lattice.place + motion[0], heights[0], places)     # the same surface at (M, 2) places
+>>> interpolate_surface(lattice.place, heights[0], 64)                     # (64, 64) smooth heights over the pins
+>>> interpolate_heights(lattice.place + motion[0], heights[0], places)     # the same surface at (M, 2) places
 
 `areas`    the area of each pin's Voronoi cell in the image (paper section 4.2; Cramphorn et al. 2018)
 `inverse`  a linear map of all pins' motion: cells hold only how the skin is stretched, but pins also
@@ -21,44 +21,50 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Voronoi, cKDTree
 from sklearn.linear_model import Ridge
 
-from jaxunshear.dataset.fresh import FreshContacts
+from jaxunshear.dataset.simulated_contacts import SimulatedContacts
 from jaxunshear.errors import UserError
 from jaxunshear.image.identity_repair import fill_missing
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 
-AREAS, INVERSE = WAYS = ("areas", "inverse")
-NOISE = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px
-FELT_MM = 0.2  # images of the untouched sensor of 128 px give up to 0.1
+AREAS, INVERSE = HEIGHT_METHODS = ("areas", "inverse")
+NOISE_SPACINGS = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px
+MIN_INDENTATION_MM = 0.2  # images of the untouched sensor of 128 px give up to 0.1
 
 
-class Way(NamedTuple):
-    heights: Callable[[np.ndarray], np.ndarray]  # motions (N, P, 2) px of all pins -> (N, P)
-    mm: float  # a unit of height
+class HeightEstimator(NamedTuple):
+    estimate: Callable[[np.ndarray], np.ndarray]  # motions (N, P, 2) px of all pins -> (N, P)
+    mm_per_unit: float  # a unit of height
 
     def __call__(self, motion: np.ndarray) -> np.ndarray:
-        return self.mm * self.heights(motion)
+        return self.mm_per_unit * self.estimate(motion)
 
 
-def ways_of(lattice: Lattice, known: FreshContacts) -> dict[str, Way]:
+def make_height_estimators(
+    lattice: Lattice, known: SimulatedContacts
+) -> dict[str, HeightEstimator]:
     """Return both ways by name, each with its factor to mm from taps of known indentation."""
-    motion = known_motions(lattice, known)
+    motion = measure_tap_motions(lattice, known)
     followed = ~np.isnan(motion[:, 0, 0])
     motion, true = motion[followed], known.indentation_mm[followed]
-    usual = cell_areas(lattice, np.zeros_like(lattice.rest)).mean()
+    usual = compute_cell_areas(lattice, np.zeros_like(lattice.rest)).mean()
     inverse = fit_inverse(lattice, motion, true)
     heights: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        AREAS: lambda moved: np.stack([cell_areas(lattice, each) for each in moved]) / usual - 1,
-        INVERSE: lambda moved: indentation_of(inverse, moved),
+        AREAS: lambda moved: (
+            np.stack([compute_cell_areas(lattice, each) for each in moved]) / usual - 1
+        ),
+        INVERSE: lambda moved: estimate_indentation(inverse, moved),
     }
-    return {name: Way(each, _factor(each(motion), true)) for name, each in heights.items()}
+    return {
+        name: HeightEstimator(each, _factor(each(motion), true)) for name, each in heights.items()
+    }
 
 
 def _factor(heights: np.ndarray, true: np.ndarray) -> float:
     return float(np.sum(true * heights) / np.sum(heights**2))
 
 
-def known_motions(lattice: Lattice, known: FreshContacts) -> np.ndarray:
+def measure_tap_motions(lattice: Lattice, known: SimulatedContacts) -> np.ndarray:
     """Follow the pins of taps: motions (N, P, 2) px.
 
     Raises `UserError` if hardly any tap shows its pins well enough.
@@ -79,30 +85,30 @@ def fit_inverse(lattice: Lattice, motion: np.ndarray, indentation: np.ndarray) -
     The taps have motions (N, P, 2) px and indentations (N, P) mm. The ridge is as if the pins were
     off by NOISE.
     """
-    ridge = Ridge(len(motion) * (NOISE * lattice.spacing) ** 2, fit_intercept=False)
+    ridge = Ridge(len(motion) * (NOISE_SPACINGS * lattice.spacing) ** 2, fit_intercept=False)
     return ridge.fit(motion.reshape(len(motion), -1), indentation).coef_.T
 
 
-def indentation_of(inverse: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def estimate_indentation(inverse: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Turn motions (N, P, 2) px into indentation (N, P) mm.
 
     All of a contact's is zero if no skin is pressed in by FELT_MM: nothing is touched.
     """
     found = motion.reshape(len(motion), len(inverse)) @ inverse
-    return np.where(found.max(axis=-1, keepdims=True, initial=0) < FELT_MM, 0.0, found)
+    return np.where(found.max(axis=-1, keepdims=True, initial=0) < MIN_INDENTATION_MM, 0.0, found)
 
 
-def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+def compute_relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(..., P) area of each pin's cell over that of the undeformed sensor, less one; motion (..., P, 2) px, NaN for pins not seen."""
-    rest = cell_areas(lattice, np.zeros_like(lattice.rest))
+    rest = compute_cell_areas(lattice, np.zeros_like(lattice.rest))
     each = motion.reshape(-1, *motion.shape[-2:])
     return np.reshape(
-        [cell_areas(lattice, fill_missing(lattice, one)) / rest - 1 for one in each],
+        [compute_cell_areas(lattice, fill_missing(lattice, one)) / rest - 1 for one in each],
         motion.shape[:-1],
     )
 
 
-def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+def compute_cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(P,) px^2, areas of the Voronoi cells of the pins moved by (P, 2) px."""
     rim = np.flatnonzero(lattice.ring == lattice.ring.max())
     outward = lattice.rest[rim] - lattice.middle
@@ -119,14 +125,14 @@ def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     return np.bincount(pairs.ravel(), np.repeat(width * side / 4, 2), len(points))[: len(motion)]
 
 
-def surface(place: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:
+def interpolate_surface(place: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:
     """(cells, cells) heights on a square grid over the pins (P, 2), rows along y: cubic (Clough-Tocher), NaN beyond the rim."""
     low, high = place.min(axis=0), place.max(axis=0)
     x, y = (np.linspace(low[i], high[i], cells) for i in (0, 1))
     return CloughTocher2DInterpolator(place, heights)(*np.meshgrid(x, y))
 
 
-def read_at(place: np.ndarray, heights: np.ndarray, where: np.ndarray) -> np.ndarray:
+def interpolate_heights(place: np.ndarray, heights: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Heights (M, ...) at points (M, 2), of the cubic surface through (P, ...) at `place` (P, 2); beyond the rim of the nearest."""
     found = CloughTocher2DInterpolator(place, heights)(where)
     beyond = np.flatnonzero(np.isnan(found.reshape(len(where), -1)[:, 0]))

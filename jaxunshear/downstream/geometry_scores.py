@@ -12,14 +12,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset import fresh
-from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts, untouched_images
-from jaxunshear.downstream.geometry import Way, read_at, ways_of
+from jaxunshear.dataset import simulated_contacts
+from jaxunshear.dataset.simulated_contacts import (
+    SimulatedContacts,
+    render_untouched_images,
+    simulate_contacts,
+)
+from jaxunshear.downstream.geometry import (
+    HeightEstimator,
+    interpolate_heights,
+    make_height_estimators,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import compute_intervals
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
-from jaxunshear.inference.perception import Unshear, lattice_of, unshearers, unshearing_of
+from jaxunshear.inference.perception import (
+    Unshear,
+    compute_model_lattice,
+    list_unshearing_networks,
+    load_unshearers,
+)
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.storage import Json
@@ -36,44 +49,50 @@ class Geometry(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Felt:
+class GeometryResult:
     """Contacts that no network has seen, their heights, and how well these agree with the truth."""
 
     lattice: Lattice  # where pins stand untouched
-    contacts: FreshContacts
+    contacts: SimulatedContacts
     geometry: Geometry
-    ways: Mapping[str, Way]  # from pins to heights
+    methods: Mapping[str, HeightEstimator]  # from pins to heights
     networks: Mapping[str, Unshear]  # that unshear
     table: GeometryScores
 
 
-def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
+def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> GeometryResult:
     """Contact geometry by the networks of a finished run in `folder`, of about `count` fresh contacts; scales are fitted to other taps.
     Raises UserError."""
     if count < 3:
         raise UserError(f"--contacts {count}: use at least 3")
     paired, _ = simulated_of(experiment, "geometry")
-    networks = unshearers(folder, experiment, unshearing_of(folder))
+    networks = load_unshearers(folder, experiment, list_unshearing_networks(folder))
     if not networks:
         raise UserError(
             f"{folder} holds no trained network that unshears: train one first, or name another --model"
         )
-    lattice = lattice_of(experiment)
-    ways = ways_of(lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
-    contacts = fresh_contacts(experiment, count)
-    found = geometry_of(
-        lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks
+    lattice = compute_model_lattice(experiment)
+    ways = make_height_estimators(
+        lattice, simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, seed=1)
+    )
+    contacts = simulate_contacts(experiment, count)
+    found = estimate_geometry(
+        lattice,
+        contacts,
+        render_untouched_images(experiment, len(contacts.stimulus)),
+        ways,
+        networks,
     )
     scales = {name: way.mm for name, way in ways.items()}
     table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
-    return Felt(lattice, contacts, found, ways, networks, table)
+    return GeometryResult(lattice, contacts, found, ways, networks, table)
 
 
-def geometry_of(
+def estimate_geometry(
     lattice: Lattice,
-    contacts: FreshContacts,
+    contacts: SimulatedContacts,
     untouched: np.ndarray,
-    ways: Mapping[str, Way],
+    ways: Mapping[str, HeightEstimator],
     networks: Mapping[str, Unshear],
 ) -> Geometry:
     """Heights of taps, sheared images, what each network makes of these, and images (N, S, S) of the sensor that touches nothing."""
@@ -98,7 +117,7 @@ def geometry_of(
                 felt[row, sure] = way(motion[sure])
             ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
         for one in sure:
-            felt[:, one] = read_at(
+            felt[:, one] = interpolate_heights(
                 lattice.rest + motion[one], felt[:, one].T, contacts.tap_pins[one]
             ).T
         height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
@@ -106,7 +125,7 @@ def geometry_of(
 
 
 def _scores(
-    names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry
+    names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> list[GeometryScore]:
     """For each stimulus, kind and way, and for all stimuli."""
     rows = []
@@ -135,7 +154,7 @@ def _scores(
 
 def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndarray) -> Json:
     """Fields of a score: of heights (M, P) mm of the `matched` ones of N contacts; the untouched sensor has no true height."""
-    each = {"correlation": correlation(height, true)}
+    each = {"correlation": compute_correlation(height, true)}
     if kind != UNTOUCHED:
         each["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
     spans = compute_intervals(each, np.flatnonzero(matched), SEED)
@@ -144,7 +163,7 @@ def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndar
     return found | ({"largest_mm": float(np.abs(height).max())} if kind == UNTOUCHED else {})
 
 
-def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def compute_correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Pearson's, row by row, (N,) of (N, P); 0 where a row is flat."""
     a, b = (x - x.mean(axis=-1, keepdims=True) for x in (a, b))
     scale = np.sqrt(np.sum(a**2, axis=-1) * np.sum(b**2, axis=-1))

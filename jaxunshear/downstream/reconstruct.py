@@ -4,7 +4,7 @@ Each step gives, of the skin around the sensor's axis, how high it stands or how
 averaged over all steps that touched a cell, this makes a band along the outline, which is interpolated to a map of the entire object.
 The object is where the map is above a level; or, of growth, which is greatest over an edge, what the ridge of the map surrounds.
 
-Read `fuse`, then `interpolated` and `ridge_shape`.
+Read `fuse_heights`, then `interpolate_map` and `extract_ridge_shape`.
 """
 
 from typing import NamedTuple
@@ -18,17 +18,17 @@ from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.downstream.contour import Contour, off
+from jaxunshear.downstream.contour import Contour, measure_contour_distances
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells
-DEEP = 0.75  # of the deepest hollow of a map: what is as deep is the inside
-LEAST = 0.02  # pins a cell, blurred, for it to count as touched
+DEEP_FRACTION = 0.75  # of the deepest hollow of a map: what is as deep is the inside
+MIN_PINS_PER_CELL = 0.02  # pins a cell, blurred, for it to count as touched
 
 
-class Fused(NamedTuple):
+class HeightMap(NamedTuple):
     """Mean height on a square grid, rows along y; NaN where nothing was touched."""
 
     line: np.ndarray  # (K,) mm, target frame: of its columns along x, and of its rows along y
@@ -40,19 +40,21 @@ class Fused(NamedTuple):
         return np.stack(np.meshgrid(self.line, self.line), -1)
 
 
-def skin_places(sensor: Sensor) -> np.ndarray:
+def compute_skin_positions(sensor: Sensor) -> np.ndarray:
     """(P, 2) mm in the sensor frame: the outer face of the undeformed skin above each pin, seen from above."""
     centre = np.array([0, 0, sensor.dome_radius_mm])
     outward = compute_pin_tips(sensor) - centre
     return sensor.dome_radius_mm * outward[:, :2] / np.linalg.norm(outward, axis=-1, keepdims=True)
 
 
-def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
+def transform_to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Places (P, 2) or (T, P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
     return point[:, None, :2] + rotate_2d(place, np.radians(point[:, 2])[:, None])
 
 
-def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float) -> Fused:
+def fuse_heights(
+    point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float
+) -> HeightMap:
     """Values (T, Q) of skin at (T, Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid
     around them that reaches at least `cover_mm` from the origin.
 
@@ -60,7 +62,7 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
     """
     followed = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
     put = place[followed]
-    x, y = np.moveaxis(to_target(point[followed], put), -1, 0)
+    x, y = np.moveaxis(transform_to_target(point[followed], put), -1, 0)
     reach = max(
         cover_mm,
         np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM,
@@ -72,31 +74,31 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
         return ndimage.gaussian_filter(cells, BLUR_MM / CELL_MM)
 
     total = gathered(np.ones_like(x))
-    touched = total > LEAST
+    touched = total > MIN_PINS_PER_CELL
     mean = np.divide(
         gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched
     )
-    return Fused((edges[1:] + edges[:-1]) / 2, mean)
+    return HeightMap((edges[1:] + edges[:-1]) / 2, mean)
 
 
-def ridge_shape(fused: Fused) -> np.ndarray:
+def extract_ridge_shape(fused: HeightMap) -> np.ndarray:
     """(K, K) bool: what the ridge of the heights surrounds, for heights that are greatest over an edge and lie lower on both sides of it.
 
     Of the map's hollows, which water would fill before it ran off at the border, the deepest are the inside; from there and from the
     border a watershed climbs to the ridge. Nothing is a hollow where no ridge closes.
     """
-    heights = np.pad(interpolated(fused), 1, constant_values=np.nan)
+    heights = np.pad(interpolate_map(fused), 1, constant_values=np.nan)
     if np.isnan(heights).all():
         return np.zeros(fused.value.shape, bool)
     heights = np.nan_to_num(heights, nan=np.nanmin(heights))
     border = np.pad(np.zeros(fused.value.shape, bool), 1, constant_values=True)
     flooded = reconstruction(np.where(border, heights, heights.max()), heights, method="erosion")
     depth = flooded - heights
-    hollow = (depth > DEEP * depth.max()) & (depth > 0)
+    hollow = (depth > DEEP_FRACTION * depth.max()) & (depth > 0)
     return (watershed(heights, np.where(hollow, 2, border.astype(int))) == 2)[1:-1, 1:-1]
 
 
-def interpolated(fused: Fused) -> np.ndarray:
+def interpolate_map(fused: HeightMap) -> np.ndarray:
     """(K, K): what was felt, and between it linear over the cells that were not, from the felt ones beside them; NaN outside of all
     that was felt."""
     felt = ~np.isnan(fused.value)
@@ -108,23 +110,23 @@ def interpolated(fused: Fused) -> np.ndarray:
     return full
 
 
-class Likeness(NamedTuple):
+class ShapeScore(NamedTuple):
     iou: float  # area shared over area of either
     mean_mm: float  # between the outlines, both ways
     hausdorff_mm: float  # the largest distance of a point of one from the other
-    iou_felt: float  # over the cells that were touched alone
+    iou_touched: float  # over the cells that were touched alone
 
 
-def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Contour) -> Likeness:
+def score_shape(fused: HeightMap, shape: np.ndarray, true: np.ndarray, line: Contour) -> ShapeScore:
     """Of a shape (K, K) with the true one (K, K), whose outline is `line`. Infinite distances where the shape is empty."""
     felt = ~np.isnan(fused.value)
     iou, iou_felt = _iou(shape, true), _iou(shape & felt, true & felt)
     curves = find_contours(np.pad(shape, 1).astype(float), 0.5)
     if not curves:
-        return Likeness(iou, float("inf"), float("inf"), iou_felt)
+        return ShapeScore(iou, float("inf"), float("inf"), iou_felt)
     outline = fused.line[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
-    there, back = off(line, outline), cKDTree(outline).query(line.points)[0]
-    return Likeness(
+    there, back = measure_contour_distances(line, outline), cKDTree(outline).query(line.points)[0]
+    return ShapeScore(
         iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.dataset.recordings import read_recordings
-from jaxunshear.downstream.geometry import Way
+from jaxunshear.downstream.geometry import HeightEstimator
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.image.sensor_check import (
@@ -18,15 +18,20 @@ from jaxunshear.image.sensor_check import (
 from jaxunshear.inference.perception import Unshear
 from jaxunshear.settings.experiment import Experiment
 
-SHOWN = 8
+SHOWN_IMAGES = 8
 
 
-def heights_of_recordings(
-    path: Path, experiment: Experiment, lattice: Lattice, way: Way, networks: Mapping[str, Unshear]
+def estimate_recorded_heights(
+    path: Path,
+    experiment: Experiment,
+    lattice: Lattice,
+    way: HeightEstimator,
+    networks: Mapping[str, Unshear],
 ) -> tuple[list[str], dict[str, np.ndarray]]:
     """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows of images that are not understood."""
     _, names, images = zip(
-        *islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN), strict=True
+        *islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN_IMAGES),
+        strict=True,
     )
     stack = np.stack(images)
     motions = {"as recorded": measure_motions(lattice, stack)} | {

@@ -23,10 +23,10 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.contact.contact_results import Skins
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import RENDER_BATCH, pack_bits, render_images
-from jaxunshear.downstream.contour import Contour, advance, outline
-from jaxunshear.downstream.controller import Gains, Memory, control
+from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_positions
+from jaxunshear.downstream.controller import ControllerGains, ControllerState, control
 from jaxunshear.errors import UserError
-from jaxunshear.inference.perception import Perceive
+from jaxunshear.inference.perception import EdgeEstimator
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import make_edge_labeler
@@ -37,9 +37,9 @@ from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline, Touched
 from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
-LOST_MM = 8.0  # from the edge: farther than any network has seen
+MAX_EDGE_DISTANCE_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step
-UNSOLVED = 5  # contacts in a row that may fail to converge
+MAX_FAILURES_IN_ROW = 5  # contacts in a row that may fail to converge
 SAVE_EVERY = 50  # steps
 
 ENDS = (
@@ -54,27 +54,27 @@ WALKING, CLOSED, LOST, UNTOUCHED, UNSTABLE, LATE = range(6)
 
 
 @dataclass(frozen=True)
-class Course:
+class ServoTask:
     """Where and how the walks go."""
 
     stimulus: Touched
     starts: int = 5
     depth_mm: float = 3.0
-    off_mm: float = 1.0  # starts lie within this of the edge, at random,
-    off_deg: float = 10.0  # and are turned by as much
+    start_offset_mm: float = 1.0  # starts lie within this of the edge, at random,
+    start_rotation_deg: float = 10.0  # and are turned by as much
     seed: int = 0
-    gains: Gains = field(default_factory=Gains)
-    patience: float = 1.6  # outlines' lengths that a walk may take
+    gains: ControllerGains = field(default_factory=ControllerGains)
+    max_outline_lengths: float = 1.6  # outlines' lengths that a walk may take
 
 
 @dataclass
-class Walks:
+class Trajectories:
     """W walks of up to T steps (numpy), one row for each way of perceiving and start; NaN after a walk's end."""
 
-    way: np.ndarray  # (W,) names
+    method: np.ndarray  # (W,) names
     start: np.ndarray  # (W,) which of the starts
     point: np.ndarray  # (W, T, 3) x, y mm and yaw deg of the sensor, target frame
-    seen: (
+    perceived: (
         np.ndarray
     )  # (W, T, 2) the edge's distance mm and direction deg in the sensor frame, as perceived
     true: np.ndarray  # (W, T, 2) the same as it is
@@ -82,51 +82,51 @@ class Walks:
     arc_mm: np.ndarray  # (W,) where along the outline
     way_mm: np.ndarray  # (W,) how far along it since the start
     end: np.ndarray  # (W,) index into ENDS
-    unsolved: np.ndarray  # (W,) contacts that did not converge
-    in_row: np.ndarray  # (W,) of these the latest in a row
+    failed_contacts: np.ndarray  # (W,) contacts that did not converge
+    failures_in_row: np.ndarray  # (W,) of these the latest in a row
     force_n: np.ndarray  # (W, N, 3) on the contact nodes: the skins' memory
     sums: np.ndarray  # (2, W) the controllers' memory
     perceive_s: np.ndarray  # (W,) spent so far
     simulate_s: np.ndarray  # () spent so far
     steps: np.ndarray  # () done
-    made: np.ndarray  # () text: `made_with`
+    provenance: np.ndarray  # () text: `compute_servo_digest`
 
 
 def follow_contour(
-    course: Course,
+    task: ServoTask,
     sensor: Sensor,
     settings: PairedData,
-    ways: Mapping[str, Perceive | None],
+    methods: Mapping[str, EdgeEstimator | None],
     file: Path | None = None,
     digests: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[Walks, Contour]:
+) -> tuple[Trajectories, Contour]:
     """Walks from every start by every way of perceiving (None: the true pose), until each has closed the outline or come to grief.
 
     `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call
     goes on from there. None: nowhere.
     `digests` of the networks of each way identify walks of other networks.
     """
-    stimulus = make_stimulus(course.stimulus)
-    line = outline(stimulus)
-    made = made_with(sensor, settings, digests)
-    walks = _stored(file, course, tuple(ways), made) or _at_starts(
-        course, line, tuple(ways), settings, made
+    stimulus = make_stimulus(task.stimulus)
+    line = trace_contour(stimulus)
+    made = compute_servo_digest(sensor, settings, digests)
+    walks = _load_matching_trajectories(file, task, tuple(methods), made) or _make_trajectories(
+        task, line, tuple(methods), settings, made
     )
     total = walks.point.shape[1]
     steer, report = jax.jit(control, static_argnums=0), make_edge_labeler(stimulus)
-    with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
+    with Progress(f"servo {task.stimulus}", total, "steps", done=int(walks.steps)) as progress:
         while walks.steps < total and np.any(walks.end == WALKING):
-            _take_step(walks, course, sensor, settings, line, ways, steer, report)
+            _take_step(walks, task, sensor, settings, line, methods, steer, report)
             progress.advance()
             if walks.steps % SAVE_EVERY == 0:
-                _store(file, course, walks)
+                _store(file, task, walks)
         progress.total = float(walks.steps)  # all have come to an end before their time
     walks.end[walks.end == WALKING] = LATE
-    _store(file, course, walks)
+    _store(file, task, walks)
     return walks, line
 
 
-def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
+def compute_servo_digest(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
     """A digest of all but the course that decides walks: simulator, sensor, how images are made of it, the networks of each way."""
     seen = {
         name: dataclasses.asdict(getattr(settings, name))
@@ -141,56 +141,56 @@ def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) 
     return hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def first_points(course: Course, line: Contour) -> np.ndarray:
+def sample_start_points(course: ServoTask, line: Contour) -> np.ndarray:
     """(starts, 3) x, y, yaw: evenly around the outline, then off it and turned by random amounts."""
     generator = np.random.default_rng([course.seed, 5])
     place = line.at((np.arange(course.starts) + generator.uniform()) * line.length / course.starts)
-    aside = generator.uniform(-course.off_mm, course.off_mm, course.starts)
-    turned = generator.uniform(-course.off_deg, course.off_deg, course.starts)
+    aside = generator.uniform(-course.start_offset_mm, course.start_offset_mm, course.starts)
+    turned = generator.uniform(-course.start_rotation_deg, course.start_rotation_deg, course.starts)
     normal = line.normal[place]
     yaw = np.degrees(np.arctan2(normal[:, 1], normal[:, 0]))
     return np.column_stack([line.points[place] + aside[:, None] * normal, yaw + turned])
 
 
-def _at_starts(
-    course: Course, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str
-) -> Walks:
+def _make_trajectories(
+    course: ServoTask, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str
+) -> Trajectories:
     count = len(ways) * course.starts
-    total = int(np.ceil(course.patience * line.length / course.gains.step_mm))
+    total = int(np.ceil(course.max_outline_lengths * line.length / course.gains.step_mm))
     size = settings.preprocess.size
     point = np.full((count, total, 3), np.nan)
-    point[:, 0] = np.tile(first_points(course, line), (len(ways), 1))
+    point[:, 0] = np.tile(sample_start_points(course, line), (len(ways), 1))
     nowhere = np.full((count, total, 2), np.nan)
     nearest = np.argmin(np.linalg.norm(line.points - point[:, 0, None, :2], axis=-1), axis=1)
     zero = np.zeros(count)
-    return Walks(
-        way=np.repeat(ways, course.starts),
+    return Trajectories(
+        method=np.repeat(ways, course.starts),
         start=np.tile(np.arange(course.starts), len(ways)),
         point=point,
-        seen=nowhere,
+        perceived=nowhere,
         true=nowhere.copy(),
         images=np.zeros((count, total, -(-size * size // 8)), np.uint8),
         arc_mm=nearest * line.length / len(line.points),
         way_mm=zero.copy(),
         end=np.full(count, WALKING),
-        unsolved=zero.astype(int),
-        in_row=zero.astype(int),
+        failed_contacts=zero.astype(int),
+        failures_in_row=zero.astype(int),
         force_n=np.zeros((count, 0, 3)),
         sums=np.zeros((2, count)),
         perceive_s=zero.copy(),
         simulate_s=np.array(0.0),
         steps=np.array(0),
-        made=np.array(made),
+        provenance=np.array(made),
     )
 
 
 def _take_step(
-    walks: Walks,
-    course: Course,
+    walks: Trajectories,
+    course: ServoTask,
     sensor: Sensor,
     settings: PairedData,
     line: Contour,
-    ways: Mapping[str, Perceive | None],
+    ways: Mapping[str, EdgeEstimator | None],
     steer: Callable,
     report: Callable,
 ) -> None:
@@ -202,33 +202,38 @@ def _take_step(
     _perceive(walks, ways, images, step, rows)
 
     walks.arc_mm[rows], before = (
-        advance(line, walks.arc_mm[rows], here[rows, :2], WINDOW_MM),
+        update_arc_positions(line, walks.arc_mm[rows], here[rows, :2], WINDOW_MM),
         walks.arc_mm[rows],
     )
     walks.way_mm[rows] += walks.arc_mm[rows] - before
-    ended[np.abs(walks.true[:, step, 0]) > LOST_MM] = LOST
+    ended[np.abs(walks.true[:, step, 0]) > MAX_EDGE_DISTANCE_MM] = LOST
     ended[(walks.way_mm >= line.length) & (ended == WALKING)] = CLOSED
     walks.end[rows] = ended[rows]
 
-    seen = jnp.asarray(np.nan_to_num(walks.seen[:, step]), jnp.float32)
+    seen = jnp.asarray(np.nan_to_num(walks.perceived[:, step]), jnp.float32)
     move, turn, memory = steer(
-        course.gains, Memory(*jnp.asarray(walks.sums, jnp.float32)), seen[:, 0], seen[:, 1]
+        course.gains, ControllerState(*jnp.asarray(walks.sums, jnp.float32)), seen[:, 0], seen[:, 1]
     )
     walks.sums[:] = np.asarray(memory)
     walks.steps += 1
     going = rows[ended[rows] == WALKING]
     if walks.steps < walks.point.shape[1]:
-        walks.point[going, step + 1] = _moved(
+        walks.point[going, step + 1] = _apply_motion(
             here[going], np.asarray(move)[going], np.asarray(turn)[going]
         )
 
 
 def _touch(
-    walks: Walks, course: Course, sensor: Sensor, settings: PairedData, step: int, rows: np.ndarray
+    walks: Trajectories,
+    course: ServoTask,
+    sensor: Sensor,
+    settings: PairedData,
+    step: int,
+    rows: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves the walks `rows` on to this step's points: images (W, S, S), and how the contact ends a walk (W,)."""
     began = time.perf_counter()
-    count, own = len(walks.way), make_stimulus(course.stimulus).friction
+    count, own = len(walks.method), make_stimulus(course.stimulus).friction
     friction = own if settings.friction is None else settings.friction
     points = np.zeros((len(rows), 2, 6))
     points[:, 0, :3] = walks.point[rows, max(step - 1, 0)]
@@ -247,10 +252,10 @@ def _touch(
 
     ended = np.full(count, WALKING)
     ended[rows[contacts.stuck + contacts.slipping == 0]] = UNTOUCHED
-    walks.unsolved[rows] += ~contacts.converged
-    walks.in_row[rows] = np.where(contacts.converged, 0, walks.in_row[rows] + 1)
+    walks.failed_contacts[rows] += ~contacts.converged
+    walks.failures_in_row[rows] = np.where(contacts.converged, 0, walks.failures_in_row[rows] + 1)
     finite = np.isfinite(contacts.pins).all(axis=(1, 2))
-    ended[rows[(walks.in_row[rows] >= UNSOLVED) | ~finite]] = UNSTABLE
+    ended[rows[(walks.failures_in_row[rows] >= MAX_FAILURES_IN_ROW) | ~finite]] = UNSTABLE
 
     size = settings.preprocess.size
     images = np.zeros((count, size, size), np.uint8)
@@ -266,30 +271,30 @@ def _touch(
 
 
 def _perceive(
-    walks: Walks,
-    ways: Mapping[str, Perceive | None],
+    walks: Trajectories,
+    ways: Mapping[str, EdgeEstimator | None],
     images: np.ndarray,
     step: int,
     rows: np.ndarray,
 ) -> None:
-    walking = np.zeros(len(walks.way), bool)
+    walking = np.zeros(len(walks.method), bool)
     walking[rows] = True
     for way, perceive in ways.items():
-        mine = np.flatnonzero(walks.way == way)
+        mine = np.flatnonzero(walks.method == way)
         if not walking[mine].any():
             continue
         began = time.perf_counter()
         seen = walks.true[mine, step] if perceive is None else np.stack(perceive(images[mine]), -1)
         walks.perceive_s[mine] += (time.perf_counter() - began) / len(mine)
-        walks.seen[mine, step] = np.where(walking[mine, None], seen, np.nan)
+        walks.perceived[mine, step] = np.where(walking[mine, None], seen, np.nan)
 
 
-def _moved(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def _apply_motion(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Points (B, 3) after moves (B, 2) and turns (B,) in the sensor frame."""
     return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 
-def stored_walks(file: Path) -> tuple[Course, Walks]:
+def load_trajectories(file: Path) -> tuple[ServoTask, Trajectories]:
     """What `follow_contour` kept in a file. Raises `UserError` where it is damaged."""
     try:
         kept = read_npz(file)
@@ -297,24 +302,26 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
         touched = asked["stimulus"]
         own = {
             "stimulus": touched if isinstance(touched, str) else Outline(**touched),
-            "gains": Gains(**asked["gains"]),
+            "gains": ControllerGains(**asked["gains"]),
         }
-        return Course(**asked | own), Walks(**kept)
+        return ServoTask(**asked | own), Trajectories(**kept)
     except (*BROKEN_NPZ, TypeError) as error:
         raise UserError(
             f"{file} cannot be read ({error}): delete it and run the same command again"
         ) from error
 
 
-def _store(file: Path | None, course: Course, walks: Walks) -> None:
+def _store(file: Path | None, course: ServoTask, walks: Trajectories) -> None:
     if file is not None:
         write_npz(file, {"course": np.array(json.dumps(dataclasses.asdict(course)))} | vars(walks))
 
 
-def _stored(file: Path | None, course: Course, ways: tuple[str, ...], made: str) -> Walks | None:
+def _load_matching_trajectories(
+    file: Path | None, course: ServoTask, ways: tuple[str, ...], made: str
+) -> Trajectories | None:
     if file is None or not file.exists():
         return None
-    before, walks = stored_walks(file)
+    before, walks = load_trajectories(file)
     if before != course or tuple(dict.fromkeys(walks.way.tolist())) != ways:
         raise UserError(f"{file} holds walks with other settings: give another --out, or delete it")
     if str(walks.made) != made:

@@ -10,7 +10,7 @@ from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import Perceiver
 
-SAMPLED = 20  # frames that a folder is judged by
+SAMPLED_FRAMES = 20  # frames that a folder is judged by
 Frames = Iterator[tuple[int, str, np.ndarray]]  # row, name, image (S, S) uint8 of {0, 255}
 
 
@@ -23,13 +23,13 @@ def open_frames(
     networks over pins find no pins in.
     """
     if force:
-        return network._replace(least=NO_MINIMUM), recordings.frames(network.view)
+        return network._replace(min_plausibility=NO_MINIMUM), recordings.frames(network.view)
     found = judge_images(_sample(recordings, network), network.expected)
     if found.inverted:
         recordings.notes.append(f"{found.reason}: they are turned")
         frames = recordings.frames(network.view)
         # what dark pins leave when they are turned looks less like the sensor than light pins do
-        return network._replace(least=NO_MINIMUM), (
+        return network._replace(min_plausibility=NO_MINIMUM), (
             (row, name, invert_image(image)) for row, name, image in frames
         )
     if not found.ok:
@@ -40,7 +40,7 @@ def open_frames(
 def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
     """(N, S, S): up to SAMPLED frames, evenly spaced."""
     files, problem, images = recordings.files, "", []
-    for file in files[:: -(-len(files) // SAMPLED)]:
+    for file in files[:: -(-len(files) // SAMPLED_FRAMES)]:
         view = network.view or recordings.common_view(file.parent)
         try:
             images.append(prepare_frame(network.preprocess, read_image(file), view))

@@ -16,8 +16,14 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.png import encode_png, to_uint8
+from jaxunshear.inference.inference_stats import (
+    LabelErrors,
+    Log,
+    RejectedImages,
+    count_rows,
+    make_row,
+)
 from jaxunshear.inference.suitability import learnt_note
-from jaxunshear.inference.tally import LabelErrors, LeftOut, Log, count_rows, make_row
 from jaxunshear.places import check_beside
 from jaxunshear.plain import csv_text
 from jaxunshear.progress import Progress
@@ -29,7 +35,7 @@ from jaxunshear.storage import Json, write_bytes, write_text
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
     from jaxunshear.inference.frames import Frames
-    from jaxunshear.inference.perceiver import Answers, Perceiver
+    from jaxunshear.inference.perceiver import Perceiver, Predictions
 
 BATCH = 32
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
@@ -62,7 +68,7 @@ def unshear_recordings(
     )
     recordings, network, frames = _read(path, network, force)
     targets = _targets(recordings.names)
-    left_out = LeftOut(recordings)
+    left_out = RejectedImages(recordings)
     table: list[Json] = []
     seconds: list[float] = []
     errors = LabelErrors(network.names, recordings)
@@ -124,7 +130,7 @@ def pose_of_recordings(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
     recordings, network, frames = _read(path, network, force)
-    left_out = LeftOut(recordings)
+    left_out = RejectedImages(recordings)
     table: list[Json] = []
     measured: list[Measurement] = []
     errors = LabelErrors(network.names, recordings)
@@ -153,9 +159,9 @@ def pose_of_recordings(
 
 
 def _perceiver(model: Path, experiment: Experiment, recorded_too: bool, like: Path) -> "Perceiver":
-    from jaxunshear.inference.perceiver import frame_for, perceiver
+    from jaxunshear.inference.perceiver import find_pin_frame, load_perceiver
 
-    return perceiver(model, experiment, recorded_too, frame_for(like, experiment))
+    return load_perceiver(model, experiment, recorded_too, find_pin_frame(like, experiment))
 
 
 def _settings_for(path: Path, model: Path) -> Experiment:
@@ -186,7 +192,7 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 
 def _answers(
     recordings: "Recordings", network: "Perceiver", frames: "Frames", label: str
-) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
+) -> "Iterator[tuple[list[int], list[str], Predictions, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
     size = recordings.preprocess.size
     network.answer(np.zeros((BATCH, size, size), np.uint8))

@@ -1,6 +1,6 @@
 """A trained model as a laboratory uses it: prepared frames in; unsheared images and poses out, whatever its networks read.
 
->>> perceive = perceiver(Path("runs/recorded"), experiment, recorded_too=True)
+>>> perceive = load_perceiver(Path("runs/recorded"), experiment, recorded_too=True)
 >>> answers = perceive.answer(images)                  # (B, S, S) uint8 of {0, 255}, prepared by perceive.preprocess
 >>> answers.poses["unsheared"]["y_mm"]                 # (B,)
 """
@@ -40,7 +40,7 @@ from jaxunshear.image.sensor_check import (
     explain_rejection,
     measure_sensor_appearance,
 )
-from jaxunshear.inference.perception import lattice_of, trained, unit
+from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
 from jaxunshear.model.dispatch import predict, unshear
@@ -64,20 +64,20 @@ EDGE = "edge_deg"  # the target that turns with the image
 NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
 
 
-Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
+PinTransform = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 
 
-class Seen(NamedTuple):
+class NetworkInputs(NamedTuple):
     """What networks are given of a batch."""
 
-    given: (
+    values: (
         np.ndarray
     )  # images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, NaN where one is not seen
-    sure: np.ndarray  # (B,) whether pins were identified, or none are needed
+    identified: np.ndarray  # (B,) whether pins were identified, or none are needed
     pins: np.ndarray | None = None  # (B, P, 2) px in the image, of networks over pins
 
 
-class Values(NamedTuple):
+class NetworkOutputs(NamedTuple):
     """What networks give for a batch, whether they understood it or not."""
 
     unsheared: np.ndarray | None  # (B, S, S) in [0, 1]
@@ -85,38 +85,40 @@ class Values(NamedTuple):
     pins: dict[str, np.ndarray]  # by way, (B, P, 2) px, of networks over pins alone
 
 
-class Answers(NamedTuple):
+class Predictions(NamedTuple):
     """The same, all of it NaN where an image was not understood."""
 
     unsheared: np.ndarray | None
     poses: dict[str, dict[str, np.ndarray]]
     pins: dict[str, np.ndarray]
-    doubt: np.ndarray  # (B,) of text: why an image was not understood; empty where it was
+    rejection: np.ndarray  # (B,) of text: why an image was not understood; empty where it was
 
 
 class Perceiver(NamedTuple):
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: each folder's own
-    names: tuple[str, ...]  # of the poses that it reads
-    read: Callable[[np.ndarray], Seen]  # of images (B, S, S) uint8 of {0, 255}
-    run: Callable[[Seen], Values]
+    targets: tuple[str, ...]  # of the poses that it reads
+    read: Callable[[np.ndarray], NetworkInputs]  # of images (B, S, S) uint8 of {0, 255}
+    run: Callable[[NetworkInputs], NetworkOutputs]
     expected: SensorAppearance  # how its sensor appears in prepared images
-    least: float = MIN_PLAUSIBILITY  # plausibility of an image that is understood
+    min_plausibility: float = MIN_PLAUSIBILITY  # plausibility of an image that is understood
 
-    def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
+    def state_doubts(self, images: np.ndarray, seen: NetworkInputs) -> np.ndarray:
         """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
         likely = [
-            1.0 if self.least == NO_MINIMUM else compute_plausibility(image, self.expected)
+            1.0
+            if self.min_plausibility == NO_MINIMUM
+            else compute_plausibility(image, self.expected)
             for image in images
         ]
         return np.array(
             [
-                explain_rejection(*each, self.least)
-                for each in zip(seen.sure.tolist(), likely, strict=True)
+                explain_rejection(*each, self.min_plausibility)
+                for each in zip(seen.identified.tolist(), likely, strict=True)
             ]
         )
 
-    def answer(self, images: np.ndarray) -> Answers:
+    def answer(self, images: np.ndarray) -> Predictions:
         """Answer images (B, S, S) uint8 of {0, 255}."""
         seen = self.read(images)
         doubts, values = self.state_doubts(images, seen), self.run(seen)
@@ -124,14 +126,14 @@ class Perceiver(NamedTuple):
         def keep_known(value: np.ndarray) -> np.ndarray:
             return np.where((doubts == "").reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
 
-        shown: Values = jax.tree.map(keep_known, values)
-        return Answers(shown.unsheared, shown.poses, shown.pins, doubts)
+        shown: NetworkOutputs = jax.tree.map(keep_known, values)
+        return Predictions(shown.unsheared, shown.poses, shown.pins, doubts)
 
 
-def perceiver(
-    model: Path, experiment: Experiment, recorded_too: bool, frame: SensorFrame | None = None
+def load_perceiver(
+    model: Path, experiment: Experiment, with_sheared_poses: bool, frame: SensorFrame | None = None
 ) -> Perceiver:
-    """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
+    """The networks in the folder of a run. Poses of images as they are are read only where `with_sheared_poses`. `frame` says where pins stand
     in the images that are to be read; networks over simulated pins need it. Raises UserError."""
     keep_freed_memory()
     wanted = [name for name in NETWORKS if has_model(model / name)]
@@ -141,12 +143,15 @@ def perceiver(
         raise UserError(
             f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
         )
-    nets, variables, targets = trained(model, wanted)
+    nets, variables, targets = load_networks(model, wanted)
     names = next(
         (names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ()
     )
-    run = jit_for_inference(partial(_forward, nets, targets, recorded_too), variables)
-    learnt, expected = frame_learnt(model, experiment), expected_by(model, experiment)
+    run = jit_for_inference(partial(_forward, nets, targets, with_sheared_poses), variables)
+    learnt, expected = (
+        load_training_frame(model, experiment),
+        load_sensor_appearance(model, experiment),
+    )
     if over_pins(experiment):
         rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
         frame = learnt or frame
@@ -154,14 +159,16 @@ def perceiver(
             raise UserError(
                 f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE_REMEDY}"
             )
-        return _of_pins(experiment, run, names, frame, rest, expected)
+        return _make_pin_perceiver(experiment, run, names, frame, rest, expected)
 
-    def read(images: np.ndarray) -> Seen:
-        return Seen(unit(images), np.ones(len(images), bool))
+    def read(images: np.ndarray) -> NetworkInputs:
+        return NetworkInputs(scale_to_unit(images), np.ones(len(images), bool))
 
-    def run_networks(seen: Seen) -> Values:
-        after, poses = jax.device_get(run(seen.given))
-        return Values(None if after is None else after[..., 0], _in_order(poses, names), {})
+    def run_networks(seen: NetworkInputs) -> NetworkOutputs:
+        after, poses = jax.device_get(run(seen.values))
+        return NetworkOutputs(
+            None if after is None else after[..., 0], _order_poses(poses, names), {}
+        )
 
     return Perceiver(
         experiment.paired.preprocess,
@@ -173,14 +180,14 @@ def perceiver(
     )
 
 
-def frame_learnt(model: Path, experiment: Experiment) -> SensorFrame | None:
+def load_training_frame(model: Path, experiment: Experiment) -> SensorFrame | None:
     """What the recordings that a model learnt from have in common; None where it learnt from simulated touches. Raises UserError."""
     return (
         parse_frame(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
     )
 
 
-def frame_for(path: Path, experiment: Experiment) -> SensorFrame | None:
+def find_pin_frame(path: Path, experiment: Experiment) -> SensorFrame | None:
     """Where pins stand in recordings at `path`, for networks over simulated pins; None for others, which know. Raises UserError."""
     if isinstance(experiment.paired, Recorded) or not over_pins(experiment):
         return None
@@ -188,19 +195,21 @@ def frame_for(path: Path, experiment: Experiment) -> SensorFrame | None:
     return find_recordings_frame(read_recordings(path, preprocess), preprocess, experiment.sensor)
 
 
-def expected_by(model: Path, experiment: Experiment) -> SensorAppearance:
+def load_sensor_appearance(model: Path, experiment: Experiment) -> SensorAppearance:
     """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
-    if frame := frame_learnt(model, experiment):
+    if frame := load_training_frame(model, experiment):
         return measure_sensor_appearance(frame.rest, frame.size)
-    return measure_sensor_appearance(lattice_of(experiment).rest, experiment.paired.preprocess.size)
+    return measure_sensor_appearance(
+        compute_model_lattice(experiment).rest, experiment.paired.preprocess.size
+    )
 
 
-Answered = tuple[Array | None, dict[str, dict[str, Array]]]
+ForwardResult = tuple[Array | None, dict[str, dict[str, Array]]]
 
 
 def _forward(
     nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Array
-) -> Answered:
+) -> ForwardResult:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
     def pose(name: str, given: Array) -> dict[str, Array]:
@@ -219,14 +228,14 @@ def _forward(
     return after, poses
 
 
-def _in_order(
+def _order_poses(
     poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]
 ) -> dict[str, dict[str, np.ndarray]]:
     """In the order of the targets, which a compiled program forgets."""
     return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
 
 
-def _of_pins(
+def _make_pin_perceiver(
     experiment: Experiment,
     run: Callable[..., Tree],
     names: tuple[str, ...],
@@ -237,16 +246,16 @@ def _of_pins(
     """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
     where these are not the frame's."""
     lattice = make_lattice(to_detection_px(frame, frame.rest), frame.ring)
-    there, back, degrees = between(frame.rest, frame.rest if rest is None else rest)
+    there, back, degrees = make_frame_transforms(frame.rest, frame.rest if rest is None else rest)
 
-    def read(images: np.ndarray) -> Seen:
+    def read(images: np.ndarray) -> NetworkInputs:
         motion, sure = track_images(lattice, images, independent=True)
         pins = to_image_px(frame, lattice.rest + motion)
-        return Seen(there(pins).astype(np.float32), sure, pins)
+        return NetworkInputs(there(pins).astype(np.float32), sure, pins)
 
-    def run_networks(seen: Seen) -> Values:
+    def run_networks(seen: NetworkInputs) -> NetworkOutputs:
         assert seen.pins is not None
-        after, poses = jax.device_get(run(seen.given))
+        after, poses = jax.device_get(run(seen.values))
         places, drawn = {AS_RECORDED: seen.pins}, None
         if after is not None:
             places[UNSHEARED] = back(after)
@@ -256,13 +265,15 @@ def _of_pins(
         for pose in poses.values():
             if EDGE in pose:
                 pose[EDGE] = wrap_degrees(pose[EDGE] + degrees)
-        return Values(drawn, _in_order(poses, names), places)
+        return NetworkOutputs(drawn, _order_poses(poses, names), places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
     return Perceiver(preprocess, frame.view, names, read, run_networks, expected)
 
 
-def between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:
+def make_frame_transforms(
+    here: np.ndarray, known: np.ndarray
+) -> tuple[PinTransform, PinTransform, float]:
     """From pins (B, P, 2) px that stand at `here` (P, 2) to those that stand at `known`, back again, and by how many degrees the former
     are turned against the latter: pins' motions are turned and scaled as the two lattices are."""
     centred, target = here - here.mean(axis=0), known - known.mean(axis=0)

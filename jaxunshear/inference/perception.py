@@ -1,6 +1,6 @@
 """What a robot takes an image for: ways from a binary image to the edge's distance and direction, each with its own networks only.
 
->>> perceive = perceptions(Path("runs/standard"), experiment, ("sheared", "disentangled"))["disentangled"]
+>>> perceive = make_edge_estimators(Path("runs/standard"), experiment, ("sheared", "disentangled"))["disentangled"]
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
 
 Ways have the same names whether a run's networks read images or pins, which are then found and followed in the image first.
@@ -43,8 +43,8 @@ from jaxunshear.training.checkpoint import (
     read_targets,
 )
 
-TRUE = "true"  # the pose that the simulator knows
-WAYS = {  # name: the networks it runs, in this order
+TRUE_POSE = "true"  # the pose that the simulator knows
+METHODS = {  # name: the networks it runs, in this order
     "sheared": (POSENET,),
     ENTANGLED: (ENTANGLED, POSENET),
     DISENTANGLED: (DISENTANGLED, POSENET),
@@ -53,7 +53,7 @@ WAYS = {  # name: the networks it runs, in this order
     "learnt": (POSENET_SHEARED,),
 }
 # images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN where pins are needed and not identified for sure
-Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+EdgeEstimator = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
 # (B,); of networks over pins both are pins (B, P, 2) px
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
@@ -61,18 +61,20 @@ BATCH = 32
 # images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
 # images (B, S, S) -> what networks read, whether that is known (B,)
-See = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+InputReader = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 Images = TypeVar("Images", np.ndarray, Array)
 
 
-def ways_of(model: Path) -> tuple[str, ...]:
+def list_methods(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
     return tuple(
-        way for way, networks in WAYS.items() if all(has_model(model / name) for name in networks)
+        way
+        for way, networks in METHODS.items()
+        if all(has_model(model / name) for name in networks)
     )
 
 
-def trained(
+def load_networks(
     model: Path, names: Iterable[str]
 ) -> tuple[dict[str, Net], dict[str, Variables], dict[str, Targets]]:
     """Settings, variables and pose targets of networks in the folder of a run, by name each. Raises `UserError` where one is missing,
@@ -85,23 +87,27 @@ def trained(
     return nets, variables, {name: read_targets(folder) for name, folder in folders.items()}
 
 
-def unshearing_of(model: Path) -> tuple[str, ...]:
+def list_unshearing_networks(model: Path) -> tuple[str, ...]:
     """The trained networks in a folder that unshear."""
     return tuple(name for name in UNSHEARING if has_model(model / name))
 
 
-def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> dict[str, Perceive]:
-    """A function for each of `ways`. Raises `UserError` for an unknown way, or where a network is missing."""
-    unknown = [way for way in ways if way not in WAYS]
+def make_edge_estimators(
+    model: Path, experiment: Experiment, methods: tuple[str, ...]
+) -> dict[str, EdgeEstimator]:
+    """A function for each of `methods`. Raises `UserError` for an unknown way, or where a network is missing."""
+    unknown = [way for way in methods if way not in METHODS]
     if unknown:
-        raise UserError(f"perception '{unknown[0]}' is unknown: use {TRUE}, {', '.join(WAYS)}")
-    see = _see_of(experiment)
-    return {way: _perception(model, see, way) for way in ways}
+        raise UserError(
+            f"perception '{unknown[0]}' is unknown: use {TRUE_POSE}, {', '.join(METHODS)}"
+        )
+    see = _make_input_reader(experiment)
+    return {way: _perception(model, see, way) for way in methods}
 
 
-def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
-    """Of the networks of each of `ways`; that of the true pose has none. Raises `UserError` where a network is missing."""
-    parts = {way: WAYS.get(way, ()) for way in ways}
+def compute_network_digests(model: Path, methods: Iterable[str]) -> dict[str, str]:
+    """Of the networks of each of `methods`; that of the true pose has none. Raises `UserError` where a network is missing."""
+    parts = {way: METHODS.get(way, ()) for way in methods}
     own = {
         name: compute_weights_digest(model / name)
         for name in dict.fromkeys(name for names in parts.values() for name in names)
@@ -109,21 +115,25 @@ def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
     return {way: " ".join(own[name] for name in names) for way, names in parts.items()}
 
 
-def unsheared_by(way: str) -> str:
+def find_unshearing_network(method: str) -> str:
     """The network, if there is one of the name, that unshears the images of walks by this way of perceiving."""
-    return DISENTANGLED if way == TRUE else way
+    return DISENTANGLED if method == TRUE_POSE else method
 
 
-def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> dict[str, Unshear]:
+def load_unshearers(
+    model: Path, experiment: Experiment, names: tuple[str, ...]
+) -> dict[str, Unshear]:
     """By network: images in, motions of the unsheared pins out. They are found in the unsheared images, or networks over pins give
     them. Raises `UserError`."""
-    lattice = lattice_of(experiment)
-    nets, variables, _ = trained(model, names)
-    unshearer = _of_pins if over_pins(experiment) else _of_images
+    lattice = compute_model_lattice(experiment)
+    nets, variables, _ = load_networks(model, names)
+    unshearer = _make_pin_unshearer if over_pins(experiment) else _make_image_unshearer
     return {name: unshearer(nets[name], variables[name], lattice) for name in names}
 
 
-def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: int = BATCH) -> Tree:
+def run_in_batches(
+    run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: int = BATCH
+) -> Tree:
     """`run` of any number of images or pins, (N, ...), in batches of one shape to compile; what it gives are arrays (B, ...), or a tree
     of them."""
     parts = []
@@ -134,11 +144,11 @@ def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: in
     return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
-def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forward:
+def make_forward(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forward:
     """Return the function of networks by name, in the order in which they run, a PoseNet last; `targets` by network."""
 
     def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
-        seen = unit(given) if given.dtype == np.uint8 else given
+        seen = scale_to_unit(given) if given.dtype == np.uint8 else given
         *unshearing, reader = nets.items()
         for name, net in unshearing:
             seen = unshear(net, variables[name], seen)
@@ -148,23 +158,23 @@ def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forwa
     return forward
 
 
-def load_forward(model: Path, way: str) -> tuple[Forward, Variables, Targets]:
+def load_forward(model: Path, method: str) -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
-    nets, variables, targets = trained(model, WAYS[way])
-    return forward_of(nets, targets), variables, targets[WAYS[way][-1]]
+    nets, variables, targets = load_networks(model, METHODS[method])
+    return make_forward(nets, targets), variables, targets[METHODS[method][-1]]
 
 
-def lattice_of(experiment: Experiment) -> Lattice:
+def compute_model_lattice(experiment: Experiment) -> Lattice:
     """Where the simulated sensor's pins stand untouched. Raises `UserError` for a model that learnt from recordings."""
     paired, _ = simulated_of(experiment, "this")
     return compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
 
 
-def _see_of(experiment: Experiment) -> See:
+def _make_input_reader(experiment: Experiment) -> InputReader:
     """How the networks of a run are given images: as they are, or as the pins that are followed in each."""
     if not over_pins(experiment):
         return lambda images: (images, np.ones(len(images), bool))
-    lattice = lattice_of(experiment)
+    lattice = compute_model_lattice(experiment)
 
     def see(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         motion, sure = track_images(lattice, images, independent=True)
@@ -173,25 +183,25 @@ def _see_of(experiment: Experiment) -> See:
     return see
 
 
-def _of_images(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
+def _make_image_unshearer(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
     run = jit_for_inference(
-        lambda known, images: unshear(net, known, unit(images))[..., 0], variables
+        lambda known, images: unshear(net, known, scale_to_unit(images))[..., 0], variables
     )
-    return lambda images: measure_motions(lattice, in_batches(run, images))
+    return lambda images: measure_motions(lattice, run_in_batches(run, images))
 
 
-def _of_pins(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
+def _make_pin_unshearer(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
     run = jit_for_inference(lambda known, pins: unshear(net, known, pins), variables)
 
     def motions(images: np.ndarray) -> np.ndarray:
         motion, sure = track_images(lattice, images)
-        after = in_batches(run, (lattice.rest + motion).astype(np.float32)) - lattice.rest
+        after = run_in_batches(run, (lattice.rest + motion).astype(np.float32)) - lattice.rest
         return np.where(sure[:, None, None], after, np.nan)
 
     return motions
 
 
-def _perception(model: Path, see: See, way: str) -> Perceive:
+def _perception(model: Path, see: InputReader, way: str) -> EdgeEstimator:
     forward, variables, targets = load_forward(model, way)
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(
@@ -219,6 +229,6 @@ def confidence(image: Array) -> Array:
     return jnp.where(total > 0, jnp.sum(image**2) / jnp.where(total > 0, total, 1), 0)
 
 
-def unit(images: Images) -> Images:
+def scale_to_unit(images: Images) -> Images:
     """(B, S, S) uint8 -> (B, S, S, 1) float32 in [0, 1]."""
     return images[..., None].astype(np.float32) / 255

@@ -10,7 +10,7 @@ from jaxunshear.report import page
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import address_of, number, spanned
 from jaxunshear.report.walk_figure import WORDS
-from jaxunshear.results.folders import results_folder
+from jaxunshear.results.folders import find_results_folder
 from jaxunshear.storage import Json, read_object
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
@@ -27,7 +27,7 @@ def sections(run_dir: Path) -> list[Markup]:
         ("reconstruct", _objects),
         ("stream", _stream),
     ):
-        folder = results_folder(run_dir, name)
+        folder = find_results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
             continue

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.dataset.fresh import FreshContacts
-from jaxunshear.downstream.geometry import INVERSE, WAYS, surface
-from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, correlation
+from jaxunshear.dataset.simulated_contacts import SimulatedContacts
+from jaxunshear.downstream.geometry import HEIGHT_METHODS, INVERSE, interpolate_surface
+from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, compute_correlation
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
 
@@ -15,11 +15,13 @@ VIEW = {"elev": 42, "azim": -60}
 
 
 def of_contacts(
-    lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry
+    lattice: Lattice, names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> bytes:
     """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way."""
     height = {at: each for at, each in geometry.height_mm.items() if at[0] != UNTOUCHED}
-    sheared = correlation(np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm)
+    sheared = compute_correlation(
+        np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm
+    )
     full = np.all([~np.isnan(each[:, 0]) for each in height.values()], axis=0)
     kinds = list(dict.fromkeys(kind for kind, _ in height))
     lines = []
@@ -27,7 +29,7 @@ def of_contacts(
         here = np.flatnonzero((contacts.stimulus == index) & full)
         if len(here):
             row = int(here[np.argsort(sheared[here])[len(here) // 2]])
-            for way in WAYS:
+            for way in HEIGHT_METHODS:
                 heights = {kind: height[kind, way][row] for kind in kinds}
                 lines.append((f"{name}, {way}", {TRUTH: contacts.indentation_mm[row], **heights}))
     return _surfaces(lattice, lines, TRUTH)
@@ -67,7 +69,7 @@ def _surfaces(
                     0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=size
                 )
             else:
-                drawn = surface(lattice.rest, height, CELLS)
+                drawn = interpolate_surface(lattice.rest, height, CELLS)
                 axes.plot_surface(
                     x,
                     -y,
@@ -82,7 +84,7 @@ def _surfaces(
                 axes.set_zlim(*span)
                 axes.view_init(**VIEW)
                 if truth is not None and kind != truth:
-                    likeness = correlation(height[None], heights[truth][None])[0]
+                    likeness = compute_correlation(height[None], heights[truth][None])[0]
                     title += f"\ncorrelation {likeness:.2f}"
             axes.set_title(title, fontsize=size)
             if column == 0:

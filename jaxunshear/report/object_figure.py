@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.downstream.makers import SKIN, VORONOI
-from jaxunshear.downstream.objects import Solid
+from jaxunshear.downstream.object_reconstruction import ReconstructedObject
+from jaxunshear.downstream.shape_estimators import SKIN, VORONOI
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
@@ -14,7 +14,7 @@ PICTURES = {  # by maker: the end of a file's name, and what is shown
 }
 
 
-def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
+def object_figure(stimulus: str, solids: dict[str, ReconstructedObject], shown: str) -> bytes:
     """A PNG: of each way of perceiving, ABREAST side by side, above what was fused, below both shapes (grey both, orange missed,
     blue too much). Colours are even about the level that parts an object from what lies beside it, or about 0."""
     columns, rows = min(ABREAST, len(solids)), -(-len(solids) // ABREAST)

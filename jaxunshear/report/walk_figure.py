@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from jaxunshear.downstream.contour import Contour
-from jaxunshear.downstream.servo import CLOSED, ENDS, Walks
+from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
@@ -17,9 +17,9 @@ WORDS = {
 }
 
 
-def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
+def walk_figure(walks: Trajectories, line: Contour, stimulus: str) -> bytes:
     """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
-    ways = list(dict.fromkeys(walks.way.tolist()))
+    ways = list(dict.fromkeys(walks.method.tolist()))
     columns, rows = min(ABREAST, len(ways)), -(-len(ways) // ABREAST)
     figure = Figure(
         figsize=(PANEL_IN * columns, (PANEL_IN + 0.3) * rows + 0.3), layout="constrained", dpi=DPI
@@ -29,7 +29,7 @@ def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
         axes.set_axis_off()
     for axes, way in zip(panels, ways, strict=False):
         axes.add_patch(Polygon(line.points, facecolor="0.9", edgecolor="0.6", linewidth=0.8))
-        mine = np.flatnonzero(walks.way == way)
+        mine = np.flatnonzero(walks.method == way)
         for walk in mine:
             track = walks.point[walk, ~np.isnan(walks.point[walk, :, 0]), :2]
             axes.plot(*track.T, linewidth=0.9)

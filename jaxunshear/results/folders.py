@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-SHARED = {"reconstruct": "servo"}  # it works on what `servo` left
+SHARED_FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
 
 
-def results_folder(run: Path, command: str) -> Path:
-    return run / SHARED.get(command, command)
+def find_results_folder(run: Path, command: str) -> Path:
+    return run / SHARED_FOLDERS.get(command, command)

@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from jaxunshear.downstream.contour import advance, off, outline
+from jaxunshear.downstream.contour import (
+    measure_contour_distances,
+    trace_contour,
+    update_arc_positions,
+)
 from jaxunshear.scene.shapes import make_disk
 from jaxunshear.scene.stimuli import STIMULI, Stimulus, compute_signed_distance
 
 
 def test_a_disk_s_outline():
-    line = outline(STIMULI["disk"])
+    line = trace_contour(STIMULI["disk"])
     assert line.length == pytest.approx(2 * np.pi * 50, rel=1e-4)
     np.testing.assert_allclose(line.points[0], [0, 0], atol=0.06)  # the target
     middle = np.array([-50.0, 0.0])
@@ -24,7 +28,7 @@ def test_a_disk_s_outline():
     "name", [pytest.param("flower", marks=pytest.mark.long), "leaf", "spiral_1"]
 )
 def test_outlines_lie_on_the_edge_and_close(name):
-    line = outline(STIMULI[name])
+    line = trace_contour(STIMULI[name])
     assert (
         np.abs(compute_signed_distance(STIMULI[name], line.points.astype(np.float32))).max() < 0.02
     )
@@ -36,18 +40,18 @@ def test_outlines_lie_on_the_edge_and_close(name):
 
 
 def test_off_and_advance():
-    line = outline(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    line = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     angle = np.radians([10.0, 90.0])
     xy = np.stack([22 * np.cos(angle) - 20, 22 * np.sin(angle)], -1)
-    np.testing.assert_allclose(off(line, xy), 2, atol=0.01)
-    arc = advance(line, np.array([3.0, 31.0]), xy, 3.0)
+    np.testing.assert_allclose(measure_contour_distances(line, xy), 2, atol=0.01)
+    arc = update_arc_positions(line, np.array([3.0, 31.0]), xy, 3.0)
     np.testing.assert_allclose(arc, 20 * angle, atol=0.1)
 
 
 def test_arcs_go_round_and_round():
-    line = outline(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    line = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     arc, xy = np.array([0.0]), None
     for angle in np.radians(np.arange(0, 721, 5.0)):
         xy = np.array([[20 * np.cos(angle) - 20, 20 * np.sin(angle)]])
-        arc = advance(line, arc, xy, 3.0)
+        arc = update_arc_positions(line, arc, xy, 3.0)
     assert arc[0] == pytest.approx(2 * line.length, abs=0.2)

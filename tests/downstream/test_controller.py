@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.downstream.controller import Gains, Memory, control
+from jaxunshear.downstream.controller import ControllerGains, ControllerState, control
 
-WIDE = Gains(limit_mm=100.0, limit_deg=1000.0)
+WIDE = ControllerGains(limit_mm=100.0, limit_deg=1000.0)
 
 
 def at_rest(count):
-    return Memory(jnp.zeros(count), jnp.zeros(count))
+    return ControllerState(jnp.zeros(count), jnp.zeros(count))
 
 
 def run(gains, errors, jit):
@@ -35,7 +35,7 @@ def test_the_law_is_that_of_the_paper(jit):
 
 
 def test_corrections_keep_within_their_limits_and_do_not_wind_up():
-    gains = Gains()
+    gains = ControllerGains()
     moves, turns, memory = run(gains, [(5.0, 90.0)] * 50, True)
     assert np.abs(moves[:, 0]).max() <= gains.limit_mm and np.abs(turns).max() <= gains.limit_deg
     assert abs(float(memory.normal_mm[0])) <= 5.0 and abs(float(memory.turn_deg[0])) <= 90.0
@@ -49,7 +49,7 @@ def test_a_straight_edge_is_found_and_kept(start):
     call = jax.jit(control, static_argnums=0)
     (x, yaw), memory, off = start, at_rest(1), []
     for _ in range(120):
-        move, turn, memory = call(Gains(), memory, jnp.array([x]), jnp.array([-yaw]))
+        move, turn, memory = call(ControllerGains(), memory, jnp.array([x]), jnp.array([-yaw]))
         angle = np.radians(yaw)
         x += float(np.cos(angle) * move[0, 0] - np.sin(angle) * move[0, 1])
         yaw += float(turn[0])
@@ -58,6 +58,8 @@ def test_a_straight_edge_is_found_and_kept(start):
 
 
 def test_every_walk_is_on_its_own():
-    both, turns, _ = control(Gains(), at_rest(2), jnp.array([1.0, -2.0]), jnp.array([3.0, 0.0]))
-    alone, turn, _ = control(Gains(), at_rest(1), jnp.array([-2.0]), jnp.array([0.0]))
+    both, turns, _ = control(
+        ControllerGains(), at_rest(2), jnp.array([1.0, -2.0]), jnp.array([3.0, 0.0])
+    )
+    alone, turn, _ = control(ControllerGains(), at_rest(1), jnp.array([-2.0]), jnp.array([0.0]))
     assert jnp.array_equal(both[1], alone[0]) and turns[1] == turn[0]

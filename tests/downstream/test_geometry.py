@@ -8,16 +8,16 @@ import pytest
 from PIL import Image
 
 from jaxunshear.downstream.geometry import (
-    FELT_MM,
-    cell_areas,
+    MIN_INDENTATION_MM,
+    compute_cell_areas,
+    compute_relative_growth,
+    estimate_indentation,
     fit_inverse,
-    indentation_of,
-    read_at,
-    relative_growth,
-    surface,
+    interpolate_heights,
+    interpolate_surface,
 )
-from jaxunshear.downstream.geometry_scores import correlation
-from jaxunshear.downstream.recorded_geometry import heights_of_recordings
+from jaxunshear.downstream.geometry_scores import compute_correlation
+from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
 from jaxunshear.image.lattice import compute_rings, make_lattice
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
@@ -43,7 +43,7 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
         (tmp_path / name).mkdir()
         Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
     drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
-    names, heights = heights_of_recordings(
+    names, heights = estimate_recorded_heights(
         tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
     )
     assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
@@ -52,17 +52,17 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
 
 
 def test_an_undeformed_sensor_is_flat(lattice):
-    assert (relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
+    assert (compute_relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
 
 
 def test_the_same_shift_of_all_pins_changes_nothing(lattice):
     np.testing.assert_allclose(
-        relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9
+        compute_relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9
     )
 
 
 def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
-    growth = relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
+    growth = compute_relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
     inner = lattice.shell < lattice.shell.max()
     np.testing.assert_allclose(growth[inner], 1.1**2 - 1, rtol=1e-6)
     assert (growth[~inner] > 0).all()
@@ -73,14 +73,16 @@ def test_hexagons_have_their_closed_form():
     lattice = make_lattice(flat, compute_rings(TACTIP_127))
     inner = lattice.ring < lattice.ring.max()
     expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2
-    np.testing.assert_allclose(cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        compute_cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9
+    )
 
 
 def test_heights_rise_where_pins_are_drawn_apart(lattice):
     offset = lattice.place - lattice.middle
     bell = np.exp(-np.sum(offset**2, axis=-1) / (2 * 12.0**2))
-    growth = relative_growth(lattice, 0.2 * offset * bell[:, None])
-    assert correlation(growth[None], bell[None])[0] > 0.8
+    growth = compute_relative_growth(lattice, 0.2 * offset * bell[:, None])
+    assert compute_correlation(growth[None], bell[None])[0] > 0.8
     assert np.argmax(growth) < 7  # pin 0 is the middle, 1 to 6 around it
 
 
@@ -89,14 +91,16 @@ def test_missing_pins_follow_their_neighbours(lattice):
     with_gaps = motion.copy()
     with_gaps[[3, 40, 90]] = np.nan
     np.testing.assert_allclose(
-        relative_growth(lattice, with_gaps), relative_growth(lattice, motion), atol=0.03
+        compute_relative_growth(lattice, with_gaps),
+        compute_relative_growth(lattice, motion),
+        atol=0.03,
     )
 
 
 def test_surface_passes_through_its_pins_and_is_smooth(lattice):
     x, y = (lattice.place - lattice.middle).T / 40
     heights = 1 + x - 0.5 * y
-    drawn = surface(lattice.place, heights, 41)
+    drawn = interpolate_surface(lattice.place, heights, 41)
     assert drawn.shape == (41, 41) and np.isnan(drawn[0, 0])
     low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
     gx, gy = np.meshgrid(*(np.linspace(low[i], high[i], 41) for i in (0, 1)))
@@ -108,7 +112,7 @@ def test_surface_passes_through_its_pins_and_is_smooth(lattice):
 def test_correlation_knows_its_extremes():
     a = np.array([[1.0, 2, 3], [1, 2, 3], [5, 5, 5]])
     b = np.array([[2.0, 4, 6], [3, 2, 1], [1, 2, 3]])
-    np.testing.assert_allclose(correlation(a, b), [1, -1, 0])
+    np.testing.assert_allclose(compute_correlation(a, b), [1, -1, 0])
 
 
 def test_a_shift_of_all_pins_shows_where_they_are(lattice):
@@ -118,7 +122,7 @@ def test_a_shift_of_all_pins_shows_where_they_are(lattice):
     heights = x / lattice.spacing
     inner = lattice.shell < lattice.shell.max() - 1
     still, moved = (
-        read_at(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift)
+        interpolate_heights(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift)
     )
     np.testing.assert_allclose(still, heights, atol=1e-6)
     np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
@@ -127,7 +131,7 @@ def test_a_shift_of_all_pins_shows_where_they_are(lattice):
 def test_beyond_the_rim_the_nearest_height_counts(lattice):
     both = np.stack([lattice.place[:, 0], lattice.shell.astype(float)], -1)
     far = lattice.middle + np.array([[1e3, 0.0]])
-    found = read_at(lattice.place, both, far)
+    found = interpolate_heights(lattice.place, both, far)
     nearest = np.argmin(np.linalg.norm(lattice.place - far, axis=-1))
     np.testing.assert_array_equal(found[0], both[nearest])
 
@@ -150,15 +154,15 @@ def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):
     first = np.zeros((2 * pins, pins))
     first[0] = 1.0
     motion = np.zeros((4, pins, 2))
-    motion[:, 0, 0] = 0.9 * FELT_MM, 1.1 * FELT_MM, np.nan, 0.0
-    found = indentation_of(first, motion)
+    motion[:, 0, 0] = 0.9 * MIN_INDENTATION_MM, 1.1 * MIN_INDENTATION_MM, np.nan, 0.0
+    found = estimate_indentation(first, motion)
     assert (
         (found[[0, 3]] == 0).all()
-        and np.allclose(found[1], 1.1 * FELT_MM)
+        and np.allclose(found[1], 1.1 * MIN_INDENTATION_MM)
         and np.isnan(found[2]).all()
     )
 
 
 def test_pins_of_another_sensor_are_refused():
     with pytest.raises(ValueError, match="reshape"):
-        indentation_of(np.zeros((2 * 331, 331)), np.zeros((1, 127, 2)))
+        estimate_indentation(np.zeros((2 * 331, 331)), np.zeros((1, 127, 2)))

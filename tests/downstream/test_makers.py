@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.fresh import FreshContacts
-from jaxunshear.downstream.makers import SKIN, VORONOI, makers_of, parting_level
-from jaxunshear.downstream.reconstruct import skin_places
+from jaxunshear.dataset.simulated_contacts import SimulatedContacts
+from jaxunshear.downstream.reconstruct import compute_skin_positions
+from jaxunshear.downstream.shape_estimators import (
+    SKIN,
+    VORONOI,
+    find_separating_level,
+    make_shape_estimators,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.settings.image import Camera, Preprocess
@@ -18,19 +23,19 @@ def test_a_level_misses_as_much_as_it_adds():
     generator = np.random.default_rng(0)
     over = np.arange(20_000) < 15_000
     values = generator.normal(np.where(over, 3.0, 1.0), 0.5)
-    assert abs(parting_level(values, over) - 2.0) < 0.05
+    assert abs(find_separating_level(values, over) - 2.0) < 0.05
 
 
 def test_a_level_lies_between_what_does_not_overlap():
     values, over = np.array([1.0, 1.1, 1.2, 3.0, 3.1]), np.array([0, 0, 0, 1, 1]) > 0
-    assert 1.2 <= parting_level(values, over) <= 3.0
+    assert 1.2 <= find_separating_level(values, over) <= 3.0
 
 
 @pytest.fixture
 def makers():
     """Made-up taps: skin is pressed in on one side of an edge, and draws its pins apart there."""
     generator = np.random.default_rng(1)
-    place, pins = skin_places(TACTIP_331), len(LATTICE.rest)
+    place, pins = compute_skin_positions(TACTIP_331), len(LATTICE.rest)
     angle, aside = generator.uniform(0, 2 * np.pi, 60), generator.uniform(-3, 3, 60)
     distance = place @ np.stack([np.cos(angle), np.sin(angle)]) - aside
     distance = distance.T
@@ -38,7 +43,7 @@ def makers():
     spread = 0.1 * pressed[..., None] * (LATTICE.rest - LATTICE.middle)
     motion = spread + generator.normal(0, 0.05, spread.shape)
     assert pressed.shape == (60, pins)
-    return makers_of(TACTIP_331, LATTICE, motion, pressed, distance), motion
+    return make_shape_estimators(TACTIP_331, LATTICE, motion, pressed, distance), motion
 
 
 def test_makers_agree_on_what_they_are_given(makers):
@@ -63,9 +68,11 @@ def test_untouched_skin_stands_as_the_dome_does(makers):
 
 
 def test_small_images_are_refused():
-    from jaxunshear.downstream.geometry import known_motions
+    from jaxunshear.downstream.geometry import measure_tap_motions
 
     blank = np.zeros((2, 32, 32), np.uint8)
     none = np.zeros((2, 0))
     with pytest.raises(UserError, match="of 32 px: use a model of larger images"):
-        known_motions(LATTICE, FreshContacts(none, none, blank, blank, none, none, none, 0))
+        measure_tap_motions(
+            LATTICE, SimulatedContacts(none, none, blank, blank, none, none, none, 0)
+        )

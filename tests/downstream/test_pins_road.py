@@ -10,12 +10,17 @@ import pytest
 
 from jaxunshear.dataset.chunks import render_images
 from jaxunshear.downstream import servo
-from jaxunshear.downstream.contour import outline
-from jaxunshear.downstream.walk_scores import walk_scores
+from jaxunshear.downstream.contour import trace_contour
+from jaxunshear.downstream.servo_scores import score_trajectories
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.pin_tracking import measure_motions, track_images
 from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.inference.perception import perceptions, unshearers, unshearing_of, ways_of
+from jaxunshear.inference.perception import (
+    list_methods,
+    list_unshearing_networks,
+    load_unshearers,
+    make_edge_estimators,
+)
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.stimuli import STIMULI
@@ -96,18 +101,18 @@ def by_hand(model, name, pins):
 
 def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
     images, _ = seen
-    assert ways_of(model) == ("sheared", "disentangled") and unshearing_of(model) == (
-        "disentangled",
-    )
+    assert list_methods(model) == ("sheared", "disentangled") and list_unshearing_networks(
+        model
+    ) == ("disentangled",)
     pins = LATTICE.rest + track_images(LATTICE, images[:1]).motion
     after = by_hand(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
-        edge_mm, edge_deg = perceptions(model, EXPERIMENT, (way,))[way](images)
+        edge_mm, edge_deg = make_edge_estimators(model, EXPERIMENT, (way,))[way](images)
         expected = posenet.unscale_outputs(by_hand(model, "posenet", given), TARGETS)
         assert edge_mm[0] == pytest.approx(float(expected["edge_mm"][0]), abs=1e-4)
         assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()
-    motion = unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
+    motion = load_unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
     np.testing.assert_allclose(
         motion[0], after[0] - LATTICE.rest, atol=1e-4
     )  # not drawn and found again
@@ -116,8 +121,8 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
 
 def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
     unknown = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
-    steps = 4 * 0.5 / outline(STIMULI["disk"]).length
-    course = servo.Course("disk", starts=1, depth_mm=2.0, patience=steps)
+    steps = 4 * 0.5 / trace_contour(STIMULI["disk"]).length
+    course = servo.ServoTask("disk", starts=1, depth_mm=2.0, max_outline_lengths=steps)
     walks, line = servo.follow_contour(
         course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz"
     )
@@ -126,7 +131,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
         np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5
     )
     np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
-    row = walk_scores(walks, line, "disk")[0]
+    row = score_trajectories(walks, line, "disk")[0]
     assert row.steps == row.unfollowed == int(walks.steps) and row.seen_mean_mm is None
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from jaxunshear.downstream import servo
-from jaxunshear.downstream.contour import outline
+from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo import (
     CLOSED,
     LATE,
     LOST,
-    Course,
-    first_points,
+    ServoTask,
     follow_contour,
-    stored_walks,
+    load_trajectories,
+    sample_start_points,
 )
-from jaxunshear.downstream.walk_scores import seen_edge, walk_scores
+from jaxunshear.downstream.servo_scores import compute_perceived_edge, score_trajectories
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData
@@ -24,8 +24,10 @@ from jaxunshear.settings.outlines import traced
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 SETTINGS = PairedData()
-LENGTH = outline(STIMULI["disk"]).length
-COURSE = Course("disk", starts=2, depth_mm=2.0, patience=16 * 0.5 / LENGTH * 0.999)  # 16 steps
+LENGTH = trace_contour(STIMULI["disk"]).length
+COURSE = ServoTask(
+    "disk", starts=2, depth_mm=2.0, max_outline_lengths=16 * 0.5 / LENGTH * 0.999
+)  # 16 steps
 WAYS = {"true": None}
 
 
@@ -37,12 +39,12 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(tmp_pa
     # friction drags the skin against the way: along the edge, y of the sensor frame
     dragged = walks.force_n.sum(axis=1)
     assert (dragged[:, 1] < -0.1 * dragged[:, 2]).all()
-    row = walk_scores(walks, line, "disk")[0]
+    row = score_trajectories(walks, line, "disk")[0]
     assert row.name == "disk/true" and row.closed == 0 and row.ends == {"took too long": 2}
     assert row.completed == pytest.approx(7.5 / line.length, rel=0.15)
     assert len(row.walk_mm) == 2 and min(row.walk_mm) <= row.mean_mm <= max(row.walk_mm)
     np.testing.assert_allclose(
-        seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3
+        compute_perceived_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3
     )
 
 
@@ -66,7 +68,7 @@ def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
     assert len(taken) == full.steps == 16
     with pytest.raises(KeyboardInterrupt):
         follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": killed}, tmp_path / "disk.npz")
-    assert stored_walks(tmp_path / "disk.npz")[1].steps == 5
+    assert load_trajectories(tmp_path / "disk.npz")[1].steps == 5
     again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz")
     assert len(taken) == 25 + 11
     for field in ("point", "seen", "images", "force_n", "sums", "way_mm", "end"):
@@ -90,28 +92,30 @@ def test_a_walk_that_is_misled_is_lost_and_reported(tmp_path):
     }  # "go outwards"
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")
     assert (walks.end == LOST).all() and walks.steps < 16
-    row = walk_scores(walks, line, "disk")[0]
-    assert row.ends == {"lost the edge": 2} and row.largest_mm > servo.LOST_MM
+    row = score_trajectories(walks, line, "disk")[0]
+    assert row.ends == {"lost the edge": 2} and row.largest_mm > servo.MAX_EDGE_DISTANCE_MM
 
 
 def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
-    course = Course(
+    course = ServoTask(
         traced("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0
     )
     walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
-    assert stored_walks(tmp_path / "coin.npz")[0] == course
+    assert load_trajectories(tmp_path / "coin.npz")[0] == course
     assert walks.end[0] == CLOSED and walks.way_mm[0] >= line.length
-    row = walk_scores(walks, line, "coin")[0]
+    row = score_trajectories(walks, line, "coin")[0]
     assert (
         row.closed == 1 and row.completed == 1 and row.mean_mm < 0.5 and row.ends == {"closed": 1}
     )
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():
-    line = outline(STIMULI["disk"])
-    points = first_points(Course("disk", starts=4), line)
-    np.testing.assert_array_equal(points, first_points(Course("disk", starts=4), line))
-    assert not np.array_equal(points, first_points(Course("disk", starts=4, seed=1), line))
+    line = trace_contour(STIMULI["disk"])
+    points = sample_start_points(ServoTask("disk", starts=4), line)
+    np.testing.assert_array_equal(points, sample_start_points(ServoTask("disk", starts=4), line))
+    assert not np.array_equal(
+        points, sample_start_points(ServoTask("disk", starts=4, seed=1), line)
+    )
     apart = np.linalg.norm(points[:, None, :2] - points[None, :, :2], axis=-1) + 1e3 * np.eye(4)
     assert apart.min() > 60
 
@@ -137,7 +141,10 @@ def test_walks_touch_with_the_friction_of_the_data(asked, used):
     """Coulomb's law: where skin slips its pull is the friction times the pressure, and nowhere is it more."""
     settings = dataclasses.replace(SETTINGS, friction=asked)
     walks, _ = follow_contour(
-        dataclasses.replace(COURSE, patience=COURSE.patience / 4), TACTIP_331, settings, WAYS
+        dataclasses.replace(COURSE, max_outline_lengths=COURSE.max_outline_lengths / 4),
+        TACTIP_331,
+        settings,
+        WAYS,
     )
     x, y, pressure = walks.force_n[walks.force_n[..., 2] > 0].T
     assert (np.hypot(x, y) / pressure).max() == pytest.approx(used, rel=1e-3)

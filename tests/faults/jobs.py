@@ -143,9 +143,9 @@ def _count(name: str) -> Callable[[Path], object]:
 
 
 def _walks(work: Path) -> object:
-    from jaxunshear.downstream.servo import stored_walks
+    from jaxunshear.downstream.servo import load_trajectories
 
-    walks = [vars(stored_walks(file)[1]) for file in sorted((work / "servo").rglob("*.npz"))]
+    walks = [vars(load_trajectories(file)[1]) for file in sorted((work / "servo").rglob("*.npz"))]
     return [
         bits({name: each[name] for name in each if name not in ("perceive_s", "simulate_s")})
         for each in walks

@@ -9,12 +9,12 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.inference.perception import (
-    TRUE,
+    TRUE_POSE,
     confidence,
+    find_unshearing_network,
+    list_methods,
     load_forward,
-    perceptions,
-    unsheared_by,
-    ways_of,
+    make_edge_estimators,
 )
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.release import PARTS
@@ -81,14 +81,16 @@ def test_released_weights_perceive_as_the_run_does(model, images, tmp_path):
     for name in ("disentangled", "posenet"):
         checkpoint.write_weights(tmp_path / name, checkpoint.load_best(model / name), PARTS[name])
         shutil.copy(model / name / "model.json", tmp_path / name)
-    assert ways_of(tmp_path) == ways_of(model) == ("sheared", "disentangled")
+    assert list_methods(tmp_path) == list_methods(model) == ("sheared", "disentangled")
     of_run = viewed(model, "disentangled", images)[1]
     for name, answer in viewed(tmp_path, "disentangled", images)[1].items():
         np.testing.assert_allclose(answer, of_run[name], atol=0.1)  # kernels are float16
 
 
 def test_a_robot_gets_the_edge(model, images):
-    perceive = perceptions(model, Experiment("small", "none"), ("disentangled",))["disentangled"]
+    perceive = make_edge_estimators(model, Experiment("small", "none"), ("disentangled",))[
+        "disentangled"
+    ]
     edge_mm, edge_deg = perceive(images)
     _, pose = viewed(model, "disentangled", images)
     np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
@@ -96,16 +98,21 @@ def test_a_robot_gets_the_edge(model, images):
 
 
 def test_images_are_unsheared_whatever_gives_the_pose():
-    assert {unsheared_by(way) for way in (TRUE, "disentangled")} == {"disentangled"}
-    assert (unsheared_by("entangled"), unsheared_by("unet")) == ("entangled", "unet")
-    assert not {unsheared_by("sheared"), unsheared_by("learnt")} & set(UNSHEARING)
+    assert {find_unshearing_network(way) for way in (TRUE_POSE, "disentangled")} == {"disentangled"}
+    assert (find_unshearing_network("entangled"), find_unshearing_network("unet")) == (
+        "entangled",
+        "unet",
+    )
+    assert not {find_unshearing_network("sheared"), find_unshearing_network("learnt")} & set(
+        UNSHEARING
+    )
 
 
 def test_ways_are_those_whose_networks_are_there(model, tmp_path):
     shutil.copytree(model / "disentangled", tmp_path / "disentangled")
-    assert ways_of(tmp_path) == ()
+    assert list_methods(tmp_path) == ()
     shutil.copytree(model / "posenet", tmp_path / "posenet_sheared")
-    assert ways_of(tmp_path) == ("learnt",)
+    assert list_methods(tmp_path) == ("learnt",)
 
 
 def test_an_edge_that_is_none_is_refused(model, tmp_path):
@@ -115,7 +122,7 @@ def test_an_edge_that_is_none_is_refused(model, tmp_path):
     with pytest.raises(
         UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"
     ):
-        perceptions(tmp_path / "other", Experiment("small", "none"), ("sheared",))
+        make_edge_estimators(tmp_path / "other", Experiment("small", "none"), ("sheared",))
 
 
 def test_confidence_of_crisp_grey_and_black(images):

@@ -12,11 +12,18 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.dataset.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import transfer
+from jaxunshear.evaluation import sim_to_real
 from jaxunshear.evaluation.other_recordings import format_table
-from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
+from jaxunshear.evaluation.sim_to_real import align_to_labels, choose_scored_labels, score_transfer
 from jaxunshear.image.sensor_check import measure_sensor_appearance
-from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
+from jaxunshear.inference.perceiver import (
+    AS_RECORDED,
+    UNSHEARED,
+    NetworkInputs,
+    NetworkOutputs,
+    Perceiver,
+    make_frame_transforms,
+)
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.plain import plain
 from jaxunshear.scene.pin_layout import compute_pin_lattice
@@ -50,8 +57,8 @@ def test_sign_and_offset_are_found_in_taps(sign):
         "edge_deg": (sign * (labels[:, 5] - 170) + 20 * noise[2] + 180) % 360 - 180,
     }
     readings["edge_mm"][3] = np.nan  # a tap that could not be read
-    assert scored(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
-    found = {name: aligned_with(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
+    assert choose_scored_labels(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
+    found = {name: align_to_labels(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
     assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found[
         "z_mm"
@@ -63,11 +70,11 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
     labels = poses(50)
     labels[:, 0] = RNG.uniform(-3, 3, 50)
     with pytest.raises(UserError, match="not of a straight edge"):
-        scored({"edge_mm": labels[:, 1]}, labels)
+        choose_scored_labels({"edge_mm": labels[:, 1]}, labels)
     with pytest.raises(UserError, match="not of a straight edge"):
-        scored({"edge_mm": labels[:, 1]}, np.zeros((50, 6)))
+        choose_scored_labels({"edge_mm": labels[:, 1]}, np.zeros((50, 6)))
     with pytest.raises(UserError, match="no tap could be read"):
-        aligned_with("y_mm", {"edge_mm": np.full(50, np.nan)}, labels)
+        align_to_labels("y_mm", {"edge_mm": np.full(50, np.nan)}, labels)
 
 
 @pytest.mark.parametrize("degrees", [-12.0, 0.0, 20.0])
@@ -79,7 +86,7 @@ def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     )  # rows turn by +degrees
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
-    there, back, by = between(here, known)
+    there, back, by = make_frame_transforms(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
     assert by == pytest.approx(
@@ -100,10 +107,10 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             for start in range(0, len(here), size):
                 yield here[np.minimum(np.arange(start, start + size), len(here) - 1)], float(slid)
 
-    asked = batches(transfer.BATCH)
+    asked = batches(sim_to_real.BATCH)
 
     def values(seen):
-        assert len(seen.given) == transfer.BATCH
+        assert len(seen.given) == sim_to_real.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):
@@ -120,10 +127,10 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             return np.repeat(shown[:, :, None], 2, axis=2)
 
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
-        return Values(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
+        return NetworkOutputs(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
 
     def read(images):
-        return Seen(images, np.ones(len(images), bool))
+        return NetworkInputs(images, np.ones(len(images), bool))
 
     expected = measure_sensor_appearance(made.rest_px(), made.SIZE)
     network = Perceiver(preprocess, None, (), read, values, expected)
@@ -135,7 +142,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
     assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
-    assert mae[transfer.RAW_ZERO] == pytest.approx({"y_mm": 0.8, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
+    assert mae[sim_to_real.UNSHEARED_RAW_OFFSET] == pytest.approx(
+        {"y_mm": 0.8, "z_mm": 0, "Rz_deg": 5}, abs=1e-3
+    )
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
     reader = results.readers["pins"]
     assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx(

@@ -10,9 +10,9 @@ import pytest
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from jaxunshear.downstream.contour import outline
-from jaxunshear.downstream.objects import Solid
-from jaxunshear.downstream.reconstruct import Fused, Likeness
+from jaxunshear.downstream.contour import trace_contour
+from jaxunshear.downstream.object_reconstruction import ReconstructedObject
+from jaxunshear.downstream.reconstruct import HeightMap, ShapeScore
 from jaxunshear.downstream.servo import CLOSED
 from jaxunshear.report import page
 from jaxunshear.report.geometry_figure import of_recordings
@@ -61,11 +61,11 @@ def check(figure):
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15
-    solid = Solid(
-        Fused(x, np.where(shape, 1.0, -1.0)),
+    solid = ReconstructedObject(
+        HeightMap(x, np.where(shape, 1.0, -1.0)),
         shape,
         shape.T,
-        Likeness(0.93, 0.21, 1.0, 0.9),
+        ShapeScore(0.93, 0.21, 1.0, 0.9),
         0,
         0.0,
         None,
@@ -78,7 +78,7 @@ def test_objects_fit(drawn, count):
 
 @pytest.mark.parametrize("count", [1, 3, 7])
 def test_walks_fit(drawn, count):
-    line = outline(STIMULI["disk"])
+    line = trace_contour(STIMULI["disk"])
     tracks = np.repeat(line.points[None], 2 * count, 0)
     way = np.repeat(list(WORDS)[:count], 2)
     end = np.where(np.arange(2 * count) % 2, CLOSED, CLOSED + 1)

@@ -27,10 +27,10 @@ from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
     UNSHEARED,
-    Answers,
     Perceiver,
-    frame_for,
-    perceiver,
+    Predictions,
+    find_pin_frame,
+    load_perceiver,
 )
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pin_layout import compute_pin_tips
@@ -93,14 +93,14 @@ class Explorer:
         seen, pins = render_images(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
         rest = _untouched_px(touch.sensor, self.paired)
         images, note = {SHEARED: seen[0], TAP: seen[1]}, ""
-        poses = {TRUE: _true_pose(touch, self.perceive.names)}
+        poses = {TRUE: _true_pose(touch, self.perceive.targets)}
         if touch.sensor != self.experiment.sensor:
             note = judge_images(seen[:1], self.perceive.expected).reason
             note = f"the model does not know this sensor: {note or 'its pins only resemble those that it learnt from'}"
         else:
             # what the simulator draws is of this sensor, however far it is pressed
             note = _add_answer(
-                images, poses, self.perceive._replace(least=NO_MINIMUM).answer(seen[:1])
+                images, poses, self.perceive._replace(min_plausibility=NO_MINIMUM).answer(seen[:1])
             )
         return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
 
@@ -118,7 +118,9 @@ class Explorer:
         images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if found.inverted else image}
         poses: dict[str, dict[str, float]] = {}
         note = _add_answer(
-            images, poses, network._replace(least=NO_MINIMUM).answer(images[SHEARED][None])
+            images,
+            poses,
+            network._replace(min_plausibility=NO_MINIMUM).answer(images[SHEARED][None]),
         )
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
@@ -129,14 +131,16 @@ def make_explorer(
     """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
     paired, _ = simulated_of(experiment, "explore")
     pins = over_pins(experiment)
-    perceive = perceiver(
+    perceive = load_perceiver(
         folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None
     )
 
     @lru_cache(maxsize=1)
     def recordings() -> Perceiver:
         return (
-            perceiver(folder, experiment, True, frame_for(like, experiment) if like else None)
+            load_perceiver(
+                folder, experiment, True, find_pin_frame(like, experiment) if like else None
+            )
             if pins
             else perceive
         )
@@ -145,11 +149,11 @@ def make_explorer(
 
 
 def _add_answer(
-    images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers
+    images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Predictions
 ) -> str:
     """Adds the networks' answer on one image to its pictures and numbers; what hinders it, in one line."""
-    if answers.doubt[0]:
-        return f"no unsheared image: {answers.doubt[0]}"
+    if answers.rejection[0]:
+        return f"no unsheared image: {answers.rejection[0]}"
     if answers.unsheared is not None:
         images[UNSHEARED] = to_uint8(answers.unsheared[0])
     for way, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):

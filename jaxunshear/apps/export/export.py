@@ -23,8 +23,8 @@ from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.storage import write_bytes
 
 if TYPE_CHECKING:
-    from jaxunshear.apps.export.frames import Camera
-    from jaxunshear.apps.export.parts import Parts
+    from jaxunshear.apps.export.frames import ExportCamera
+    from jaxunshear.apps.export.parts import ExportedModel
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -51,16 +51,16 @@ def export_model(
             f"--preprocess: {model} reads pins, which are found outside of the file; leave it out"
         )
     _check_extra(out.suffix)
-    from jaxunshear.apps.export.parts import MOST, parts_of
+    from jaxunshear.apps.export.parts import MAX_DIFFERENCE, load_exported_model
 
-    parts = parts_of(folder, experiment)
+    parts = load_exported_model(folder, experiment)
     if out.suffix == ONNX:
         data, off = _onnx(parts, folder, experiment, batch, preprocess)
     else:
         data, off = _stablehlo(parts, batch)
-    if not off <= MOST:
+    if not off <= MAX_DIFFERENCE:
         raise UserError(
-            f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MOST:g}: not written"
+            f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MAX_DIFFERENCE:g}: not written"
         )
     write_bytes(out, data)
     print(
@@ -96,32 +96,38 @@ def _check_extra(suffix: str) -> None:
 
 
 def _onnx(
-    parts: "Parts", folder: Path, experiment: Experiment, batch: int | None, preprocess: Path | None
+    parts: "ExportedModel",
+    folder: Path,
+    experiment: Experiment,
+    batch: int | None,
+    preprocess: Path | None,
 ) -> tuple[bytes, float]:
-    from jaxunshear.apps.export.frames import camera_of, prepared
-    from jaxunshear.apps.export.onnx_file import onnx_of, runner
-    from jaxunshear.apps.export.parts import difference, examples
-    from jaxunshear.inference.perceiver import frame_learnt
+    from jaxunshear.apps.export.frames import preprocess_frames, read_camera
+    from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
+    from jaxunshear.inference.perceiver import load_training_frame
 
     camera = None
     if preprocess is not None:
-        learnt = frame_learnt(folder, experiment)
-        camera = camera_of(
+        learnt = load_training_frame(folder, experiment)
+        camera = read_camera(
             preprocess, experiment.paired.preprocess, learnt.view if learnt else None
         )
-    data = onnx_of(parts, batch, camera, _metadata(parts, experiment, camera))
-    run = runner(data, parts)
+    data = build_onnx(parts, batch, camera, _metadata(parts, experiment, camera))
+    run = make_onnx_runner(data, parts)
     if camera is None:
-        return data, difference(parts, run, examples(parts), batch)
-    return data, difference(parts, run, camera.frames, batch, partial(prepared, camera))
+        return data, measure_difference(parts, run, make_check_inputs(parts), batch)
+    return data, measure_difference(
+        parts, run, camera.frames, batch, partial(preprocess_frames, camera)
+    )
 
 
-def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
-    """`parts.function_of` as `jax.export.deserialize` reads it. `batch`: None for any."""
+def stablehlo_of(parts: "ExportedModel", batch: int | None) -> bytes:
+    """`parts.make_exported_function` as `jax.export.deserialize` reads it. `batch`: None for any."""
     import jax
     from jax import export
 
-    from jaxunshear.apps.export.parts import function_of
+    from jaxunshear.apps.export.parts import make_exported_function
     from jaxunshear.model import layer_choice
 
     many = export.symbolic_shape("batch")[0] if batch is None else batch
@@ -129,22 +135,28 @@ def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
     # layers that are compiled for this processor stay here; a GPU is not to round
     with layer_choice.use_layers(layer_choice.PLAIN), jax.default_matmul_precision("highest"):
         return bytes(
-            export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize()
+            export.export(jax.jit(make_exported_function(parts)), platforms=PLATFORMS)(
+                given
+            ).serialize()
         )
 
 
-def _stablehlo(parts: "Parts", batch: int | None) -> tuple[bytes, float]:
+def _stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
     import jax
     from jax import export
 
-    from jaxunshear.apps.export.parts import difference, examples
+    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
     data = stablehlo_of(parts, batch)
     run = jax.jit(export.deserialize(bytearray(data)).call)
-    return data, difference(parts, lambda each: jax.device_get(run(each)), examples(parts), batch)
+    return data, measure_difference(
+        parts, lambda each: jax.device_get(run(each)), make_check_inputs(parts), batch
+    )
 
 
-def _metadata(parts: "Parts", experiment: Experiment, camera: "Camera | None") -> dict[str, str]:
+def _metadata(
+    parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
+) -> dict[str, str]:
     """What a program needs to know of a file of ONNX, and its reader of the networks."""
     from jaxunshear.settings.targets import names_of
 
@@ -154,7 +166,7 @@ def _metadata(parts: "Parts", experiment: Experiment, camera: "Camera | None") -
         "size_px": str(parts.size),
         "names": ",".join(names),
         "units": ",".join(name.rpartition("_")[2] for name in names),
-        "pose_of": parts.way,
+        "pose_of": parts.method,
         "frame_of_poses": OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
         "learnt": learnt_note(experiment),
         "preprocess": json.dumps(asdict(experiment.paired.preprocess)),

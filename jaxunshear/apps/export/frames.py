@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.apps.export.graph import BYTE, FLOAT, Graph
+from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
 from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import LUMA
@@ -21,10 +21,10 @@ from jaxunshear.image.preprocess import (
 )
 from jaxunshear.settings.image import Preprocess
 
-SAMPLED = 8  # frames that the nodes are compared by
+CHECKED_FRAMES = 8  # frames that the nodes are compared by
 
 
-class Camera(NamedTuple):
+class ExportCamera(NamedTuple):
     """What the frames of a robot's camera have in common."""
 
     preprocess: Preprocess
@@ -32,11 +32,13 @@ class Camera(NamedTuple):
     frames: np.ndarray  # some of them, (N, H, W) or (N, H, W, channels) uint8
 
 
-def camera_of(path: Path, preprocess: Preprocess, view: View | None) -> Camera:
+def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> ExportCamera:
     """From an image, or a folder of them, as the camera will give them; `view` is the model's own, if it has one. Raises UserError."""
     recordings = read_recordings(path, preprocess)
     box = (view or recordings.common_view()).box
-    frames = [_read(file) for file in recordings.files[:: -(-len(recordings.files) // SAMPLED)]]
+    frames = [
+        _read(file) for file in recordings.files[:: -(-len(recordings.files) // CHECKED_FRAMES)]
+    ]
     first = frames[0]
     if any(frame.dtype != np.uint8 for frame in frames):
         raise UserError(
@@ -49,7 +51,7 @@ def camera_of(path: Path, preprocess: Preprocess, view: View | None) -> Camera:
         raise UserError(
             f"--preprocess {path}: the crop {left},{top},{right},{bottom} is no square: name other frames"
         )
-    return Camera(preprocess, box, np.stack(frames))
+    return ExportCamera(preprocess, box, np.stack(frames))
 
 
 def _read(file: Path) -> np.ndarray:
@@ -59,7 +61,7 @@ def _read(file: Path) -> np.ndarray:
         raise UserError(f"--preprocess {file}: {error}") from None
 
 
-def prepare(graph: Graph, camera: Camera, frame: str) -> str:
+def add_preprocessing(graph: OnnxGraph, camera: ExportCamera, frame: str) -> str:
     """Frames (B, H, W) or (B, H, W, channels) uint8 -> bool images (B, S, S)."""
     preprocess, (left, top, right, bottom) = camera.preprocess, camera.box
     height, width, *channels = camera.frames.shape[1:]
@@ -81,14 +83,14 @@ def prepare(graph: Graph, camera: Camera, frame: str) -> str:
     return graph.add("And", white, make_mask(preprocess))
 
 
-def as_bytes(graph: Graph, white: str) -> str:
+def add_uint8_cast(graph: OnnxGraph, white: str) -> str:
     """Bool -> uint8 of {0, 255}."""
     return graph.add(
         "Cast", graph.add("Mul", graph.add("Cast", white, to=FLOAT), np.float32(255)), to=BYTE
     )
 
 
-def prepared(camera: Camera, frames: np.ndarray) -> np.ndarray:
+def preprocess_frames(camera: ExportCamera, frames: np.ndarray) -> np.ndarray:
     """The same as `prepare_frame` makes of frames (N, H, W) or (N, H, W, channels): (N, S, S) uint8 of {0, 255}."""
     return np.stack([prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames])
 
@@ -100,11 +102,11 @@ def _cut(start: int, end: int, length: int, size: int) -> np.ndarray:
     return make_area_matrix(end - start, size) @ cut
 
 
-def _both_sides(graph: Graph, rows: np.ndarray, image: str, columns: np.ndarray) -> str:
+def _both_sides(graph: OnnxGraph, rows: np.ndarray, image: str, columns: np.ndarray) -> str:
     return graph.add("MatMul", rows, graph.add("MatMul", image, columns.T))
 
 
-def _levels(graph: Graph, grey: str) -> tuple[str, str]:
+def _levels(graph: OnnxGraph, grey: str) -> tuple[str, str]:
     """(B, 1, 1) each: whether a frame is of two levels already, as `is_binary` finds it, and the level in their middle."""
     low, high = (graph.add(op, grey, axes=[1, 2]) for op in ("ReduceMin", "ReduceMax"))
     reach = graph.add("Sub", high, low)

@@ -8,22 +8,24 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxunshear.apps.export.graph import Graph
+from jaxunshear.apps.export.onnx_graph import OnnxGraph
 from jaxunshear.model.layers import EPSILON
 from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.settings.targets import Targets
 
 LAYER_NORM_EPSILON = 1e-6  # Flax' own
-LEAST = np.float32(1e-30)  # a cosine that may stand in a denominator
+MIN_NORM = np.float32(1e-30)  # a cosine that may stand in a denominator
 QUARTER = {"strides": (2, 2), "pads": (1, 1, 1, 1)}  # 4x4 convolutions to half the side, or from it
 
 
-def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, seen: str) -> str:
+def unshear(
+    graph: OnnxGraph, net: UnshearNet | PinUnshear, variables: Variables, inputs: str
+) -> str:
     """Sheared images or pins -> canonical ones."""
     params = variables["params"]
     if isinstance(net, PinUnshear):
-        motions = _motions(graph, variables, seen)
+        motions = _motions(graph, variables, inputs)
         encoder = (
             _grid_trunk(graph, net, variables, params["E"], motions)
             if net.convolved
@@ -31,7 +33,7 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
         )
         z_p = _dense(graph, params["pose"], encoder)
         return _places(graph, variables, _trunk_dense(graph, net, params["DC"], z_p))
-    x, layers = seen, _Layers(graph, variables)
+    x, layers = inputs, _Layers(graph, variables)
     for name in ("First_0", *(f"Down_{i}" for i in range(len(net.widths) - 1))):
         x = layers.convolution(x, ("E", name), **QUARTER)
     if net.disentangled:
@@ -40,23 +42,23 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
         x = layers.transposed(x, ("DC", f"Up_{i}"))
     last = params["DC"]["Last_0"]
     logits = graph.add(
-        "ConvTranspose", x, _turned(last["kernel"]), _single(last["bias"]), **QUARTER
+        "ConvTranspose", x, _flip_kernel(last["kernel"]), _single(last["bias"]), **QUARTER
     )
     return graph.add("Sigmoid", logits)
 
 
-def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen: str) -> str:
+def predict(graph: OnnxGraph, net: PoseNet | PinPoseNet, variables: Variables, inputs: str) -> str:
     """Images or pins -> outputs (B, K), see `posenet`."""
     params = variables["params"]
     if isinstance(net, PinPoseNet):
-        motions = _motions(graph, variables, seen)
+        motions = _motions(graph, variables, inputs)
         if not net.convolved:
             return _trunk_dense(graph, net, params, motions)
         trunk = _grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
         return _dense(graph, params["Dense_0"], trunk)
     layers = _Layers(graph, variables)
     x = layers.convolution(
-        layers.convolution(seen, ("First_0",), **QUARTER), ("Down_0",), **QUARTER
+        layers.convolution(inputs, ("First_0",), **QUARTER), ("Down_0",), **QUARTER
     )
     for names in (
         ("Same_1", "Same_0"),
@@ -73,7 +75,7 @@ def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen:
     return graph.add("Sigmoid", _dense(graph, params["Dense_1"], graph.add("Relu", hidden)))
 
 
-def pose(graph: Graph, targets: Targets, outputs: str) -> str:
+def pose(graph: OnnxGraph, targets: Targets, outputs: str) -> str:
     """Outputs (B, K) in [0, 1] -> mm and deg, a column a target: `posenet.unscale_outputs`."""
     signed = graph.add("Sub", graph.add("Mul", outputs, np.float32(2)), np.float32(1))
     columns, start = [], 0
@@ -88,24 +90,24 @@ def pose(graph: Graph, targets: Targets, outputs: str) -> str:
     return graph.add("Concat", *columns, axis=1)
 
 
-def _column(graph: Graph, x: str, number: int) -> str:
+def _column(graph: OnnxGraph, x: str, number: int) -> str:
     return graph.add("Slice", x, np.array([number]), np.array([number + 1]), np.array([1]))
 
 
-def _degrees(graph: Graph, cosine: str, sine: str) -> str:
+def _degrees(graph: OnnxGraph, cosine: str, sine: str) -> str:
     """atan2, which ONNX lacks."""
     zero, half = np.float32(0), np.float32(np.pi)
-    tiny = graph.add("Less", graph.add("Abs", cosine), LEAST)
-    angle = graph.add("Atan", graph.add("Div", sine, graph.add("Where", tiny, LEAST, cosine)))
+    tiny = graph.add("Less", graph.add("Abs", cosine), MIN_NORM)
+    angle = graph.add("Atan", graph.add("Div", sine, graph.add("Where", tiny, MIN_NORM, cosine)))
     there = graph.add("Where", graph.add("Less", sine, zero), -half, half)
-    turned = graph.add("Where", graph.add("Less", cosine, -LEAST), there, zero)
+    turned = graph.add("Where", graph.add("Less", cosine, -MIN_NORM), there, zero)
     return graph.add("Mul", graph.add("Add", angle, turned), np.float32(180 / np.pi))
 
 
 class _Layers:
     """Convolutions with their normalisation and ReLU, by their place in a network's variables."""
 
-    def __init__(self, graph: Graph, variables: Variables) -> None:
+    def __init__(self, graph: OnnxGraph, variables: Variables) -> None:
         self._graph, self._variables = graph, variables
 
     def convolution(self, x: str, path: tuple[str, ...], **attributes: object) -> str:
@@ -117,7 +119,7 @@ class _Layers:
     def transposed(self, x: str, path: tuple[str, ...]) -> str:
         kernel, bias = self._folded(path)
         return self._graph.add(
-            "Relu", self._graph.add("ConvTranspose", x, _turned(kernel), bias, **QUARTER)
+            "Relu", self._graph.add("ConvTranspose", x, _flip_kernel(kernel), bias, **QUARTER)
         )
 
     def _folded(self, path: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -134,23 +136,23 @@ def _single(values: ArrayLike) -> np.ndarray:
     return np.asarray(values, np.float32)
 
 
-def _turned(kernel: np.ndarray) -> np.ndarray:
+def _flip_kernel(kernel: np.ndarray) -> np.ndarray:
     """Flax' transposed convolutions correlate where those of ONNX convolve."""
     return _single(kernel)[::-1, ::-1].transpose(2, 3, 0, 1)
 
 
-def _dense(graph: Graph, params: Variables, x: str) -> str:
+def _dense(graph: OnnxGraph, params: Variables, x: str) -> str:
     return graph.add("Gemm", x, _single(params["kernel"]), _single(params["bias"]))
 
 
-def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
+def _trunk(graph: OnnxGraph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     for i in range(net.layers):
-        x = _normalised(graph, params[f"LayerNorm_{i}"], _dense(graph, params[f"Dense_{i}"], x))
+        x = _add_layer_norm(graph, params[f"LayerNorm_{i}"], _dense(graph, params[f"Dense_{i}"], x))
     return x
 
 
 def _grid_trunk(
-    graph: Graph,
+    graph: OnnxGraph,
     net: PinUnshear | PinPoseNet,
     variables: Variables,
     params: Variables,
@@ -180,15 +182,15 @@ def _grid_trunk(
         x = graph.add("Conv", x, kernel, bias, strides=(stride, stride), pads=pads)
         last = graph.add("Transpose", x, perm=(0, 2, 3, 1))
         x = graph.add(
-            "Transpose", _normalised(graph, params[f"LayerNorm_{i}"], last), perm=(0, 3, 1, 2)
+            "Transpose", _add_layer_norm(graph, params[f"LayerNorm_{i}"], last), perm=(0, 3, 1, 2)
         )
     flat = graph.add("Flatten", graph.add("Transpose", x, perm=(0, 2, 3, 1)))
-    return _normalised(
+    return _add_layer_norm(
         graph, params[f"LayerNorm_{len(net.convolved)}"], _dense(graph, params["Dense_0"], flat)
     )
 
 
-def _normalised(graph: Graph, norm: Variables, x: str) -> str:
+def _add_layer_norm(graph: OnnxGraph, norm: Variables, x: str) -> str:
     """Over the last axis, and GELU."""
     scale, bias = _single(norm["scale"]), _single(norm["bias"])
     return _gelu(
@@ -196,7 +198,7 @@ def _normalised(graph: Graph, norm: Variables, x: str) -> str:
     )
 
 
-def _gelu(graph: Graph, x: str) -> str:
+def _gelu(graph: OnnxGraph, x: str) -> str:
     """By tanh, as Flax computes it."""
     cubed = graph.add("Mul", graph.add("Mul", graph.add("Mul", x, x), x), np.float32(0.044715))
     inner = graph.add("Mul", graph.add("Add", x, cubed), np.float32(np.sqrt(2 / np.pi)))
@@ -204,7 +206,7 @@ def _gelu(graph: Graph, x: str) -> str:
     return graph.add("Mul", graph.add("Mul", x, np.float32(0.5)), weight)
 
 
-def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
+def _trunk_dense(graph: OnnxGraph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     """`pin_networks.Dense`. Where the network is also given a turn, as cosine and sine, there is none: (1, 0) goes into the bias."""
     trunk, last = params["Trunk_0"], params["Dense_0"]
     if isinstance(net, PinPoseNet) and net.turned:
@@ -214,7 +216,7 @@ def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, 
     return _dense(graph, last, _trunk(graph, net, trunk, x))
 
 
-def _motions(graph: Graph, variables: Variables, pins: str) -> str:
+def _motions(graph: OnnxGraph, variables: Variables, pins: str) -> str:
     """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
     constants = variables["batch_stats"]
     moved = graph.add("Sub", pins, _single(constants["rest"]))
@@ -223,7 +225,7 @@ def _motions(graph: Graph, variables: Variables, pins: str) -> str:
     return graph.add("Flatten", graph.add("Where", unseen, np.float32(0), motion))
 
 
-def _places(graph: Graph, variables: Variables, motions: str) -> str:
+def _places(graph: OnnxGraph, variables: Variables, motions: str) -> str:
     constants = variables["batch_stats"]
     rest = _single(constants["rest"])
     moved = graph.add(

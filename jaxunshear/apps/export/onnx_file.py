@@ -4,25 +4,25 @@ import numpy as np
 import onnxruntime
 
 from jaxunshear.apps.export import frames, networks
-from jaxunshear.apps.export.frames import Camera
-from jaxunshear.apps.export.graph import BYTE, FLOAT, Graph
-from jaxunshear.apps.export.parts import Parts, Run
+from jaxunshear.apps.export.frames import ExportCamera
+from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
+from jaxunshear.apps.export.parts import ExportedModel, Run
 from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json
 
 
-def onnx_of(
-    parts: Parts, batch: int | None, camera: Camera | None, metadata: dict[str, str]
+def build_onnx(
+    parts: ExportedModel, batch: int | None, camera: ExportCamera | None, metadata: dict[str, str]
 ) -> bytes:
-    """Input "frame" with a camera, else "image", or "pins"; outputs those of `parts.function_of`, "pose" as one array (B, K), and with a
+    """Input "frame" with a camera, else "image", or "pins"; outputs those of `parts.make_exported_function`, "pose" as one array (B, K), and with a
     camera the prepared "image". `batch`: None for any. Raises ValueError where the graph is not sound."""
-    graph, images = Graph(), parts.rest is None
+    graph, images = OnnxGraph(), parts.rest is None
     name, shape = ("image" if images else "pins"), parts.shape
     many: int | str = "batch" if batch is None else batch
     if camera is not None:
-        white = frames.prepare(graph, camera, "frame")
-        graph.give("image", frames.as_bytes(graph, white), (many, *shape), BYTE)
+        white = frames.add_preprocessing(graph, camera, "frame")
+        graph.give("image", frames.add_uint8_cast(graph, white), (many, *shape), BYTE)
         name, shape = "frame", camera.frames.shape[1:]
         seen = graph.add("Cast", white, to=FLOAT)
     else:
@@ -32,21 +32,25 @@ def onnx_of(
     if images:
         seen = graph.add("Unsqueeze", seen, np.array([1]))
     after = seen
-    if parts.unshears is not None:
-        after = networks.unshear(graph, parts.unshears.net, parts.unshears.variables, seen)
+    if parts.unshear_network is not None:
+        after = networks.unshear(
+            graph, parts.unshear_network.net, parts.unshear_network.variables, seen
+        )
         flat = graph.add("Squeeze", after, np.array([1])) if images else after
         graph.give("unsheared", flat, (many, *parts.shape))
         if images:
             graph.give("confidence", _confidence(graph, flat), (many,))
-    if parts.reads is not None:
-        read = after if parts.way == UNSHEARED else seen
-        outputs = networks.predict(graph, parts.reads.net, parts.reads.variables, read)
+    if parts.pose_network is not None:
+        read = after if parts.method == UNSHEARED else seen
+        outputs = networks.predict(
+            graph, parts.pose_network.net, parts.pose_network.variables, read
+        )
         graph.give("pose", networks.pose(graph, parts.targets, outputs), (many, len(parts.targets)))
     model = graph.model(name, (many, *shape), BYTE if images else FLOAT, metadata)
     return bytes(model.SerializeToString())
 
 
-def _confidence(graph: Graph, images: str) -> str:
+def _confidence(graph: OnnxGraph, images: str) -> str:
     """As `perception.confidence`, (B,)."""
     total, squares = (
         graph.add("ReduceSum", each, np.array([1, 2]), keepdims=0)
@@ -61,7 +65,7 @@ def _confidence(graph: Graph, images: str) -> str:
     )
 
 
-def runner(model: bytes, parts: Parts) -> Run:
+def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
     """onnxruntime on the CPU: a batch -> the outputs by name, "pose" by name of its quantities."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # errors alone

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.apps.robot.sources import Frame
+from jaxunshear.apps.robot.frame_sources import SourceFrame
 from jaxunshear.dataset.preprocessing import SensorFrame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
@@ -31,7 +31,7 @@ from jaxunshear.image.sensor_check import (
     compute_plausibility,
     explain_rejection,
 )
-from jaxunshear.inference.perceiver import UNSHEARED, expected_by, perceiver
+from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
 from jaxunshear.inference.perception import Forward, confidence, load_forward
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.model.inference import jit_for_inference
@@ -44,25 +44,25 @@ from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json, write_bytes
 
-FAST = 1  # zlib's level: a frame has milliseconds
+FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 
 
-class Perceived(NamedTuple):
+class StreamOutput(NamedTuple):
     """What networks give for one frame, whether they understood it or not."""
 
-    after: np.ndarray | None  # unsheared (S, S) in [0, 1]
+    unsheared: np.ndarray | None  # unsheared (S, S) in [0, 1]
     pose: dict[str, float]
-    crisp: float  # see `confidence`
-    sure: bool = True  # pins were identified, or none are needed
+    confidence: float  # see `confidence`
+    identified: bool = True  # pins were identified, or none are needed
 
 
-Step = Callable[[np.ndarray], Perceived]  # of a binary image (S, S) uint8
-Truth = Callable[
+Step = Callable[[np.ndarray], StreamOutput]  # of a binary image (S, S) uint8
+LabelReader = Callable[
     [int], Mapping[str, float]
 ]  # labels of a frame by its number, those that are known
 
 
-class Robot(NamedTuple):
+class StreamModel(NamedTuple):
     """What a stream needs of a model."""
 
     step: Step
@@ -71,35 +71,39 @@ class Robot(NamedTuple):
     expected: SensorAppearance | None = (
         None  # how its sensor appears: confidence falls for what appears otherwise
     )
-    least: float = MIN_PLAUSIBILITY  # plausibility of a frame that is understood
+    min_plausibility: float = MIN_PLAUSIBILITY  # plausibility of a frame that is understood
 
 
-def robot_of(
+def load_stream_model(
     model: Path,
     experiment: Experiment,
     frame: PinFrame | None,
     force: bool = False,
-) -> Robot:
+) -> StreamModel:
     """Make a model ready for a stream, compiled already.
 
-    `frame` as `perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
+    `frame` as `load_perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
     """
     least = NO_MINIMUM if force else MIN_PLAUSIBILITY
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
-        step = step_of(model, experiment)
-        return Robot(
-            step, experiment.paired.preprocess, None, expected_by(model, experiment), least
+        step = make_image_step(model, experiment)
+        return StreamModel(
+            step,
+            experiment.paired.preprocess,
+            None,
+            load_sensor_appearance(model, experiment),
+            least,
         )
-    perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
+    perceive = load_perceiver(model, experiment, with_sheared_poses=False, frame=frame)
     size = perceive.preprocess.size
 
-    def step_on(image: np.ndarray) -> Perceived:
+    def step_on(image: np.ndarray) -> StreamOutput:
         seen = perceive.read(image[None])
         values = perceive.run(seen)
         after = None if values.unsheared is None else values.unsheared[0]
         poses = values.poses.get(UNSHEARED) or next(iter(values.poses.values()), {})
         crisp = 1.0 if after is None else float(confidence(after[..., None]))
-        return Perceived(
+        return StreamOutput(
             after,
             {name: float(value[0]) for name, value in poses.items()},
             crisp,
@@ -107,25 +111,25 @@ def robot_of(
         )
 
     step_on(np.zeros((size, size), np.uint8))  # compiles
-    return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
+    return StreamModel(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
 
 
-def step_of(model: Path, experiment: Experiment) -> Step:
+def make_image_step(model: Path, experiment: Experiment) -> Step:
     """Return what a frame is perceived by, of networks over images; compiled already."""
     forward, variables, targets = load_forward(model, DISENTANGLED)
     names = names_of(targets)
-    run = jit_for_inference(perceive_of(forward, names), variables)
+    run = jit_for_inference(make_perceive_function(forward, names), variables)
     size = experiment.paired.preprocess.size
 
-    def step(image: np.ndarray) -> Perceived:
+    def step(image: np.ndarray) -> StreamOutput:
         after, (*pose, crisp) = jax.device_get(run(image))
-        return Perceived(after, dict(zip(names, map(float, pose), strict=True)), float(crisp))
+        return StreamOutput(after, dict(zip(names, map(float, pose), strict=True)), float(crisp))
 
     step(np.zeros((size, size), np.uint8))  # compiles
     return step
 
 
-def perceive_of(
+def make_perceive_function(
     forward: Forward, names: tuple[str, ...]
 ) -> Callable[[Variables, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
@@ -139,7 +143,7 @@ def perceive_of(
 
 
 @dataclass
-class _Found:
+class _StreamStats:
     """What a stream has come to so far."""
 
     total_ms: list[float] = field(default_factory=list)  # of each frame that was used
@@ -153,13 +157,13 @@ class _Found:
 
 
 def stream(
-    frames: Iterator[Frame],
+    frames: Iterator[SourceFrame],
     live: bool,
-    robot: Robot,
+    robot: StreamModel,
     out: TextIO,
     images: Path | None,
     inline: bool,
-    truth: Truth | None = None,
+    truth: LabelReader | None = None,
 ) -> Streamed:
     """Writes a line for each frame to `out`. One that cannot be used, or is not understood, has no pose and no image, but a reason and a
     confidence of 0.
@@ -167,8 +171,8 @@ def stream(
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
     the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
     """
-    seen = steady_view(robot.preprocess)
-    found = _Found()
+    seen = make_steady_view(robot.preprocess)
+    found = _StreamStats()
     began = time.perf_counter()
     try:
         for frame in _until_lost(frames, live, found.problems):
@@ -192,7 +196,9 @@ def stream(
             if images is not None and after is not None:
                 line["image"] = _save(images, frame, after)
             elif inline and after is not None:
-                line["image_png"] = base64.b64encode(encode_png(to_uint8(after), FAST)).decode()
+                line["image_png"] = base64.b64encode(
+                    encode_png(to_uint8(after), FAST_COMPRESSION)
+                ).decode()
             found.networks_ms.append(1e3 * spent)
             found.total_ms.append(1e3 * (time.perf_counter() - came))
             found.confident.append(sure)
@@ -204,7 +210,7 @@ def stream(
 
 
 def _answer(
-    robot: Robot, frame: Frame, seen: Callable[[np.ndarray], View]
+    robot: StreamModel, frame: SourceFrame, seen: Callable[[np.ndarray], View]
 ) -> tuple[np.ndarray | None, dict[str, float], float, float]:
     """Unsheared image, pose, confidence, and the seconds that the networks took. Raises UserError for a frame that cannot
     be used, or is not understood."""
@@ -219,12 +225,12 @@ def _answer(
     found = robot.step(image)
     answered = time.perf_counter()
     likely = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
-    if why := explain_rejection(found.sure, likely, robot.least):
+    if why := explain_rejection(found.sure, likely, robot.min_plausibility):
         raise UserError(why)
     return found.after, found.pose, found.crisp * likely, answered - asked
 
 
-def _summary(found: _Found, live: bool, began: float) -> Streamed:
+def _summary(found: _StreamStats, live: bool, began: float) -> Streamed:
     used = len(found.total_ms)
     return Streamed(
         frames=used + found.skipped + found.missed,
@@ -248,7 +254,7 @@ def _errors(pose: dict[str, float], true: Mapping[str, float]) -> dict[str, floa
     return {name: float(error[0]) for name, error in found.items()}
 
 
-def steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
+def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     """A function of a camera's frames, one by one -> the view that the first PROBES usable ones of their size have had in common so
     far."""
     views: dict[tuple[int, ...], list[View]] = {}
@@ -264,7 +270,9 @@ def steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     return seen
 
 
-def _until_lost(frames: Iterator[Frame], live: bool, problems: dict[str, int]) -> Iterator[Frame]:
+def _until_lost(
+    frames: Iterator[SourceFrame], live: bool, problems: dict[str, int]
+) -> Iterator[SourceFrame]:
     """The frames of a live source until it is lost, which ends them as a problem; of another source that is an error."""
     try:
         yield from frames
@@ -283,7 +291,7 @@ def _write(out: TextIO, line: Json) -> None:
     out.flush()
 
 
-def _save(folder: Path, frame: Frame, image: np.ndarray) -> str:
+def _save(folder: Path, frame: SourceFrame, image: np.ndarray) -> str:
     path = folder / f"{frame.number:06d}.png"
-    write_bytes(path, encode_png(to_uint8(image), FAST))
+    write_bytes(path, encode_png(to_uint8(image), FAST_COMPRESSION))
     return str(path)

@@ -16,9 +16,15 @@ from PIL import Image
 
 from jaxunshear import load_model
 from jaxunshear.apps.export.export import stablehlo_of
-from jaxunshear.apps.export.frames import camera_of, prepared
-from jaxunshear.apps.export.onnx_file import onnx_of, runner
-from jaxunshear.apps.export.parts import MOST, Part, Parts, difference, examples
+from jaxunshear.apps.export.frames import preprocess_frames, read_camera
+from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+from jaxunshear.apps.export.parts import (
+    MAX_DIFFERENCE,
+    ExportedModel,
+    ExportedNetwork,
+    make_check_inputs,
+    measure_difference,
+)
 from jaxunshear.cli import main
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.folders import RELEASED
@@ -71,25 +77,27 @@ def drawn_of_pins(net, outputs=0):
 
 
 def images(net=NET):
-    unshears = Part(net, drawn(lambda key: unshearnet.init(net, key)))
-    reads = Part(
+    unshears = ExportedNetwork(net, drawn(lambda key: unshearnet.init(net, key)))
+    reads = ExportedNetwork(
         POSENET, drawn(lambda key: posenet.init(POSENET, posenet.count_outputs(TARGETS), key))
     )
-    return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
+    return ExportedModel(unshears, reads, TARGETS, "unsheared", None, SIZE)
 
 
 def pins(turned=0.0, convolved=(), read_by=()):
     net = PinUnshear(**PINS, convolved=convolved)
     reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
-    reads = Part(reader, drawn_of_pins(reader, posenet.count_outputs(TARGETS)))
-    return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
+    reads = ExportedNetwork(reader, drawn_of_pins(reader, posenet.count_outputs(TARGETS)))
+    return ExportedModel(
+        ExportedNetwork(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE
+    )
 
 
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
     "no reader": lambda: images()._replace(reads=None, targets=(), way=""),
-    "reader alone": lambda: images()._replace(unshears=None, way="as_recorded"),
+    "reader alone": lambda: images()._replace(unshear_network=None, way="as_recorded"),
     "reader of slides": lambda: images()._replace(way="learnt"),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
@@ -103,9 +111,9 @@ CASES = {
 )
 def test_onnxruntime_computes_what_jax_does(case, batch):
     parts = CASES[case]()
-    run = runner(onnx_of(parts, batch, None, {}), parts)
-    assert difference(parts, run, examples(parts), batch) < 2e-5
-    poses = run(examples(parts)[:3]).get("pose", {})
+    run = make_onnx_runner(build_onnx(parts, batch, None, {}), parts)
+    assert measure_difference(parts, run, make_check_inputs(parts), batch) < 2e-5
+    poses = run(make_check_inputs(parts)[:3]).get("pose", {})
     assert all(
         np.ptp(pose) > 1e-3 for pose in poses.values()
     )  # networks that saw nothing would agree, too
@@ -115,18 +123,21 @@ def test_another_network_differs():
     parts = pins()
     other = jax.tree.map(np.copy, parts.reads.variables)
     other["params"]["Dense_0"]["bias"] += 0.05
-    run = runner(onnx_of(parts._replace(reads=Part(parts.reads.net, other)), None, None, {}), parts)
-    assert difference(parts, run, examples(parts), None) > MOST
+    run = make_onnx_runner(
+        build_onnx(parts._replace(reads=ExportedNetwork(parts.reads.net, other)), None, None, {}),
+        parts,
+    )
+    assert measure_difference(parts, run, make_check_inputs(parts), None) > MAX_DIFFERENCE
 
 
 def test_a_full_circle_has_no_seam():
     """All quadrants and axes, against arctan2."""
     from jaxunshear.apps.export import networks
-    from jaxunshear.apps.export.graph import FLOAT, Graph
+    from jaxunshear.apps.export.onnx_graph import FLOAT, OnnxGraph
 
     angle = np.deg2rad(np.arange(-180, 181, 15, dtype=np.float64))
     outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
-    graph, circle = Graph(), (targets.Target("edge_deg", "edge", 1, circle=True),)
+    graph, circle = OnnxGraph(), (targets.Target("edge_deg", "edge", 1, circle=True),)
     graph.give("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
     session = onnxruntime.InferenceSession(
         graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
@@ -158,9 +169,9 @@ def frames_in(folder, kind):
 @pytest.mark.parametrize("box", [None, (-4, 20, 80, 104)], ids=["found", "over the border"])
 def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
     folder = frames_in(tmp_path / "frames", kind)
-    camera = camera_of(folder, Preprocess(size=SIZE), None if box is None else View(box))
+    camera = read_camera(folder, Preprocess(size=SIZE), None if box is None else View(box))
     parts = images()
-    run = runner(onnx_of(parts, None, camera, {}), parts)
+    run = make_onnx_runner(build_onnx(parts, None, camera, {}), parts)
     frames = np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
     expected = np.stack(
         [prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames]
@@ -171,13 +182,21 @@ def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
 
 def test_frames_prepared_otherwise_differ(tmp_path):
     camera, parts = (
-        camera_of(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None),
+        read_camera(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None),
         images(),
     )
-    run = runner(onnx_of(parts, None, camera, {}), parts)
-    assert difference(parts, run, camera.frames, None, lambda each: prepared(camera, each)) < 2e-5
+    run = make_onnx_runner(build_onnx(parts, None, camera, {}), parts)
     assert (
-        difference(parts, run, camera.frames, None, lambda each: 255 - prepared(camera, each)) > 0.5
+        measure_difference(
+            parts, run, camera.frames, None, lambda each: preprocess_frames(camera, each)
+        )
+        < 2e-5
+    )
+    assert (
+        measure_difference(
+            parts, run, camera.frames, None, lambda each: 255 - preprocess_frames(camera, each)
+        )
+        > 0.5
     )
 
 
@@ -212,7 +231,7 @@ def test_stablehlo_is_read_by_jax_alone(run_dir, model, tmp_path, capsys):
     assert "differs from JAX by at most" in capsys.readouterr().out
     exported = export.deserialize(bytearray(out.read_bytes()))
     assert exported.platforms == ("cpu", "cuda") and str(exported.in_avals[0].shape[0]) == "batch"
-    seen = examples(images())[:2]
+    seen = make_check_inputs(images())[:2]
     found, expected = exported.call(seen), model.pose(seen)["unsheared"]
     assert found["pose"].keys() == expected.keys()
     for name, values in expected.items():
@@ -229,7 +248,9 @@ def test_stablehlo_of_one_batch(tmp_path):
     ]
     assert products and all("HIGHEST" in line for line in products)  # a GPU would round
     assert (
-        difference(pins(), lambda each: jax.device_get(exported.call(each)), examples(pins()), 3)
+        measure_difference(
+            pins(), lambda each: jax.device_get(exported.call(each)), make_check_inputs(pins()), 3
+        )
         < 2e-5
     )
 
@@ -247,7 +268,7 @@ def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, t
     names, units = known["names"].split(","), known["units"].split(",")
     assert units == [name.rpartition("_")[2] for name in names] and set(units) == {"mm", "deg"}
     assert session.get_inputs()[0].shape == [2, 32, 32] and known["jaxunshear"]
-    seen = examples(images())[:2]
+    seen = make_check_inputs(images())[:2]
     after, sure, pose = session.run(["unsheared", "confidence", "pose"], {"image": seen})
     expected = model.pose(seen)["unsheared"]
     assert expected.keys() == set(names)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.apps.robot import sources
-from jaxunshear.apps.robot.sources import Frame, frames_of
-from jaxunshear.apps.robot.stream import Perceived, Robot, steady_view, stream
+from jaxunshear.apps.robot import frame_sources
+from jaxunshear.apps.robot.frame_sources import SourceFrame, open_frames
+from jaxunshear.apps.robot.stream import StreamModel, StreamOutput, make_steady_view, stream
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.pin_drawing import draw_dots
@@ -22,7 +22,7 @@ from jaxunshear.image.sensor_check import (
     NO_MINIMUM,
     UNIDENTIFIED_REASON,
 )
-from jaxunshear.inference.perceiver import expected_by
+from jaxunshear.inference.perceiver import load_sensor_appearance
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
 
@@ -34,7 +34,7 @@ def dots(seed=0, size=128):
 
 
 def step(image):
-    return Perceived(image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9)
+    return StreamOutput(image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9)
 
 
 def run(frames, live=False, seconds=0.0, images=None, inline=True):
@@ -45,13 +45,18 @@ def run(frames, live=False, seconds=0.0, images=None, inline=True):
         return step(image)
 
     summary = stream(
-        iter(frames), live, Robot(slow, EXPERIMENT.paired.preprocess, None), out, images, inline
+        iter(frames),
+        live,
+        StreamModel(slow, EXPERIMENT.paired.preprocess, None),
+        out,
+        images,
+        inline,
     )
     return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
 
 def test_a_line_a_frame_with_image_pose_and_confidence():
-    summary, lines = run([Frame(0, "a", dots(), ""), Frame(1, "b", dots(1), "")])
+    summary, lines = run([SourceFrame(0, "a", dots(), ""), SourceFrame(1, "b", dots(1), "")])
     assert (summary.used, summary.skipped, summary.dropped) == (2, 0, 0)
     assert lines[0]["edge_mm"] == 0.25 and lines[0]["confidence"] == 0.9 and lines[0]["ms"] > 0
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(lines[1]["image_png"]))))
@@ -61,13 +66,13 @@ def test_a_line_a_frame_with_image_pose_and_confidence():
 
 def test_bad_frames_are_reported_and_skipped():
     frames = [
-        Frame(0, "a", dots(), ""),
-        Frame(1, "torn", None, "no readable image"),
-        Frame(2, "flat", np.full((64, 64), 7, np.uint8), ""),
-        Frame(3, "small", np.zeros((4, 4), np.uint8), ""),
-        Frame(4, "nan", np.full((64, 64), np.nan), ""),
-        Frame(5, "five channels", np.zeros((64, 64, 5), np.uint8), ""),
-        Frame(6, "b", dots(3), ""),
+        SourceFrame(0, "a", dots(), ""),
+        SourceFrame(1, "torn", None, "no readable image"),
+        SourceFrame(2, "flat", np.full((64, 64), 7, np.uint8), ""),
+        SourceFrame(3, "small", np.zeros((4, 4), np.uint8), ""),
+        SourceFrame(4, "nan", np.full((64, 64), np.nan), ""),
+        SourceFrame(5, "five channels", np.zeros((64, 64, 5), np.uint8), ""),
+        SourceFrame(6, "b", dots(3), ""),
     ]
     summary, lines = run(frames)
     assert (summary.used, summary.skipped) == (2, 5)
@@ -78,21 +83,21 @@ def test_bad_frames_are_reported_and_skipped():
 def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
     preprocess = EXPERIMENT.paired.preprocess
-    expected = expected_by(None, EXPERIMENT)
+    expected = load_sensor_appearance(None, EXPERIMENT)
     known = compute_rest_lattice(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
     pins = np.uint8(
         255 * np.asarray(draw_dots(np.float32(known.rest)[None], 1.5, preprocess.size))[0, ..., 0]
         + 0.5
     )
     frames = [
-        Frame(0, "pins", pins, ""),
-        Frame(1, "noise", dots(), ""),
-        Frame(2, "hidden", pins, ""),
+        SourceFrame(0, "pins", pins, ""),
+        SourceFrame(1, "noise", dots(), ""),
+        SourceFrame(2, "hidden", pins, ""),
     ]
 
     def answer(least):
         sure, out = iter((True, True, False)), io.StringIO()
-        robot = Robot(
+        robot = StreamModel(
             lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least
         )
         summary = stream(
@@ -124,7 +129,7 @@ def test_other_kinds_of_frames_are_used(kind):
         "colour": np.repeat(grey[..., None], 3, -1),
         "rectangle": np.pad(grey, ((0, 0), (40, 40))),
     }[kind]
-    assert run([Frame(0, kind, pixels, "")])[0].used == 1
+    assert run([SourceFrame(0, kind, pixels, "")])[0].used == 1
 
 
 class Capture:
@@ -146,14 +151,17 @@ class Capture:
 @pytest.mark.parametrize("channels", [(), (1,), (3,), (4,)])
 def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(channels):
     pixels = np.random.default_rng(0).integers(0, 255, (40, 60, *channels), dtype=np.uint8)
-    shown = [frame.pixels for frame in sources._captured(Capture(pixels), "camera 0", float("inf"))]
+    shown = [
+        frame.pixels
+        for frame in frame_sources._capture_frames(Capture(pixels), "camera 0", float("inf"))
+    ]
     colour = channels in ((3,), (4,))
     expected = np.stack([pixels[..., 2], pixels[..., 1], pixels[..., 0]], -1) if colour else pixels
     assert len(shown) == 3 and all(np.array_equal(each, expected) for each in shown)
 
 
 def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
-    cv2 = sources._opencv()  # first, since it decides what OpenCV prints
+    cv2 = frame_sources._opencv()  # first, since it decides what OpenCV prints
     video = tmp_path / "touch.avi"
     grey = np.zeros((120, 160), np.uint8)
     grey[:, :80] = 255
@@ -161,7 +169,7 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     for _ in range(4):
         writer.write(np.stack([grey, grey // 2, 0 * grey], -1))  # blue, green, red
     writer.release()
-    frames, live = frames_of(str(video), Preprocess(), None)
+    frames, live = open_frames(str(video), Preprocess(), None)
     shown = list(frames)
     assert not live and [frame.name for frame in shown] == [
         f"touch.avi {number}" for number in range(4)
@@ -171,23 +179,23 @@ def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capf
     )
     np.testing.assert_allclose(left, [0, 127, 255], atol=6)  # red, green, blue
     np.testing.assert_allclose(right, 0, atol=6)
-    summary, lines = run(frames_of(str(video), Preprocess(), None)[0])
+    summary, lines = run(open_frames(str(video), Preprocess(), None)[0])
     assert summary.used == len(lines) == 4
     (tmp_path / "torn.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"x" * 500)
     with pytest.raises(UserError, match="cannot be read as a video"):
-        frames_of(str(tmp_path / "torn.mp4"), Preprocess(), None)
+        open_frames(str(tmp_path / "torn.mp4"), Preprocess(), None)
     assert capfd.readouterr() == ("", "")
 
 
 def test_images_go_to_a_folder(tmp_path):
-    _, lines = run([Frame(7, "a", dots(), "")], images=tmp_path / "out", inline=False)
+    _, lines = run([SourceFrame(7, "a", dots(), "")], images=tmp_path / "out", inline=False)
     assert lines[0]["image"].endswith("000007.png") and "image_png" not in lines[0]
     assert np.asarray(Image.open(lines[0]["image"])).shape == (128, 128)
 
 
 def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
-    frames = (Frame(number, str(number), dots(), "") for number in range(40))
-    live = sources._latest(sources._at_pace(frames, fps=200))
+    frames = (SourceFrame(number, str(number), dots(), "") for number in range(40))
+    live = frame_sources._latest(frame_sources._at_pace(frames, fps=200))
     summary, lines = run(live, live=True, seconds=0.03)
     assert summary.dropped > 10 and summary.used + summary.dropped == 40
     assert lines[-1]["frame"] == 39
@@ -196,18 +204,18 @@ def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
 
 def test_a_problem_in_the_reading_thread_is_reported():
     def broken():
-        yield Frame(0, "a", dots(), "")
+        yield SourceFrame(0, "a", dots(), "")
         raise UserError("camera 0 gave no frame")
 
     with pytest.raises(UserError, match="camera 0 gave no frame"):
-        list(sources._latest(broken()))
+        list(frame_sources._latest(broken()))
 
 
 def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
     for number in (1, 2, 10):
         Image.fromarray(dots(number)).save(tmp_path / f"image_{number}.png")
     (tmp_path / "image_3.png").write_bytes(b"\x89PNG torn")
-    frames, live = frames_of(str(tmp_path), Preprocess(), None)
+    frames, live = open_frames(str(tmp_path), Preprocess(), None)
     listed = list(frames)
     assert not live and [frame.name for frame in listed] == [
         f"image_{n}.png" for n in (1, 2, 3, 10)
@@ -218,7 +226,7 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
 @pytest.mark.parametrize("source", ["nowhere", "camera:x"])
 def test_sources_that_are_none(source, monkeypatch):
     with pytest.raises(UserError):
-        frames_of(source, Preprocess(), None)
+        open_frames(source, Preprocess(), None)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +234,7 @@ def test_sources_that_are_none(source, monkeypatch):
 )
 def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
     def camera():
-        yield Frame(0, "a", dots(), "")
+        yield SourceFrame(0, "a", dots(), "")
         raise end
 
     summary, lines = run(camera(), live=True)
@@ -245,7 +253,7 @@ def disc(middle, size=240):
 
 def test_the_crop_of_a_camera_comes_to_rest():
     """The median of the first frames' own: what comes later is not followed."""
-    seen = steady_view(Preprocess(size=128))
+    seen = make_steady_view(Preprocess(size=128))
     own = [seen(disc(120 + 4 * (number % 3 - 1))).box for number in range(PROBES)]
     assert len(set(own)) > 1
     later = {seen(disc(middle)).box for middle in (100, 120, 140)}
@@ -253,13 +261,13 @@ def test_the_crop_of_a_camera_comes_to_rest():
     assert seen(disc(120, 250)).box != own[-1]  # another size: another camera
     assert seen(disc(140)).box == own[-1]
     with pytest.raises(UserError, match="flat grey"):
-        steady_view(Preprocess())(np.zeros((64, 64), np.uint8))
+        make_steady_view(Preprocess())(np.zeros((64, 64), np.uint8))
 
 
 def test_frames_of_a_folder_are_cropped_as_elsewhere(tmp_path):
     for number, middle in enumerate((110, 120, 130)):
         Image.fromarray(disc(middle)).save(tmp_path / f"{number}.png")
-    frames, _ = frames_of(str(tmp_path), Preprocess(size=128), None)
+    frames, _ = open_frames(str(tmp_path), Preprocess(size=128), None)
     assert {frame.view for frame in frames} == {
         read_recordings(tmp_path, Preprocess(size=128)).common_view()
     }

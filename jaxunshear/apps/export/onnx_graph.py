@@ -1,6 +1,6 @@
 """A graph of ONNX in the making.
 
->>> graph = Graph()
+>>> graph = OnnxGraph()
 >>> doubled = graph.add("Mul", "given", np.float32(2))     # the name of what the node gives
 >>> graph.give("twice", doubled, ("batch",))
 """
@@ -17,7 +17,7 @@ FLOAT, BYTE = TensorProto.FLOAT, TensorProto.UINT8
 Shape = Sequence[int | str]
 
 
-class Graph:
+class OnnxGraph:
     """Its nodes in the order in which they run."""
 
     def __init__(self) -> None:
@@ -25,10 +25,10 @@ class Graph:
         self._constants: list[TensorProto] = []
         self._outputs: list[ValueInfoProto] = []
 
-    def add(self, op: str, *given: str | np.ndarray | np.generic, **attributes: Any) -> str:
+    def add(self, op: str, *inputs: str | np.ndarray | np.generic, **attributes: Any) -> str:
         """The name of the one array that a node gives; arrays among the given ones are its constants."""
         names = [
-            each if isinstance(each, str) else self._constant(np.asarray(each)) for each in given
+            each if isinstance(each, str) else self._constant(np.asarray(each)) for each in inputs
         ]
         name = f"{op}_{len(self._nodes)}"
         self._nodes.append(helper.make_node(op, names, [name], **attributes))

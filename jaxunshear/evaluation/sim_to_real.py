@@ -6,7 +6,7 @@
 What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
 it goes with the labels: a sign and an offset each. The other half is scored, and every slide; no reading is fitted to slides.
 Unsheared pins are read with a zero of their own, that of unsheared taps: the network moves real taps a little, and all of them alike.
-With the zero of taps as recorded, unsheared slides are scored once more (`RAW_ZERO`).
+With the zero of taps as recorded, unsheared slides are scored once more (`UNSHEARED_RAW_OFFSET`).
 For networks over pins, where pins rest is the mean over some of the contacts themselves: of taps for taps, of slides for slides.
 
 Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
@@ -38,7 +38,7 @@ from jaxunshear.evaluation.pose_estimators import (
     fit_to_features,
 )
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, perceiver
+from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.progress import Progress
@@ -50,8 +50,10 @@ from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_la
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together
-RAW_ZERO = "unsheared_raw_zero"  # unsheared slides, read with the zero of taps as recorded
-READS = {
+UNSHEARED_RAW_OFFSET = (
+    "unsheared_raw_zero"  # unsheared slides, read with the zero of taps as recorded
+)
+LABEL_TARGETS = {
     "x_mm": "edge_mm",
     "y_mm": "edge_mm",
     "z_mm": "depth_mm",
@@ -59,15 +61,15 @@ READS = {
 }  # what goes with a label
 
 
-class Aligned(NamedTuple):
+class LabelAlignment(NamedTuple):
     """label = sign * reading + offset."""
 
-    reads: str
+    target: str
     sign: int
     offset: float
 
     def __call__(self, poses: dict[str, np.ndarray]) -> np.ndarray:
-        return self.sign * poses[self.reads] + self.offset
+        return self.sign * poses[self.target] + self.offset
 
 
 def score_transfer(
@@ -102,7 +104,9 @@ def score_transfer(
     )
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    names = scored(_of(of_taps[AS_RECORDED], known_half), taps.pose[known_half])
+    names = choose_scored_labels(
+        _select_rows(of_taps[AS_RECORDED], known_half), taps.pose[known_half]
+    )
     mae = _score_ways(names, known_half, (of_taps, taps.pose), (of_slides, slides.pose))
     tap_read, slide_read = (
         np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides)
@@ -112,7 +116,7 @@ def score_transfer(
         trained_in=model.name,
         metric={
             "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
-            f"recorded taps, which are unsheared where slides are; {RAW_ZERO}: by these taps as recorded",
+            f"recorded taps, which are unsheared where slides are; {UNSHEARED_RAW_OFFSET}: by these taps as recorded",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the recorded taps",
         },
@@ -144,16 +148,20 @@ def _score_ways(
     (of_taps, tap_labels), (of_slides, slide_labels) = taps, slides
     raw, after = (
         {
-            name: aligned_with(name, _of(of_taps[way], known_half), tap_labels[known_half])
+            name: align_to_labels(
+                name, _select_rows(of_taps[way], known_half), tap_labels[known_half]
+            )
             for name in names
         }
         for way in (AS_RECORDED, UNSHEARED)
     )
     return {
-        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known_half), tap_labels[~known_half]),
+        "tap": _errors(
+            raw, _select_rows(of_taps[AS_RECORDED], ~known_half), tap_labels[~known_half]
+        ),
         "sheared": _errors(raw, of_slides[AS_RECORDED], slide_labels),
         "unsheared": _errors(after, of_slides[UNSHEARED], slide_labels),
-        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slide_labels),
+        UNSHEARED_RAW_OFFSET: _errors(raw, of_slides[UNSHEARED], slide_labels),
     }
 
 
@@ -191,15 +199,18 @@ def _score_reader(
     if not reader:
         return {}
     return {
-        PIN_PLACES: {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}
+        PIN_PLACES: {
+            way: _compute_estimator_errors(reader, pins, labels)
+            for way, (pins, labels) in seen.items()
+        }
     }
 
 
-def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
+def choose_scored_labels(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
     """The labels (N, 6) that vary and that something was read for. Raises UserError where both x and y vary: an edge leaves one open."""
     columns = {name: labels[:, column] for name, (_, column) in RECORDED.items()}
     names = tuple(
-        n for n, reads in READS.items() if reads in readings and np.ptp(columns[n]) > STILL
+        n for n, reads in LABEL_TARGETS.items() if reads in readings and np.ptp(columns[n]) > STILL
     )
     if not names or {"x_mm", "y_mm"} <= set(names):
         raise UserError(
@@ -208,9 +219,11 @@ def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ..
     return names
 
 
-def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray) -> Aligned:
+def align_to_labels(
+    name: str, readings: dict[str, np.ndarray], labels: np.ndarray
+) -> LabelAlignment:
     """By the taps (N,) that could be read: the sign with the least scatter, and the median offset, of an angle the mean direction."""
-    reads, column = READS[name], RECORDED[name][1]
+    reads, column = LABEL_TARGETS[name], RECORDED[name][1]
     read, label = readings[reads], labels[:, column]
     fine = np.isfinite(read)
     if not fine.any():
@@ -220,9 +233,11 @@ def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray)
         rest = label[fine] - sign * read[fine]
         if name.endswith("_deg"):
             mean = np.mean(np.exp(1j * np.radians(rest)))
-            found.append((1 - abs(mean), Aligned(reads, sign, float(np.degrees(np.angle(mean))))))
+            found.append(
+                (1 - abs(mean), LabelAlignment(reads, sign, float(np.degrees(np.angle(mean)))))
+            )
         else:
-            found.append((float(np.std(rest)), Aligned(reads, sign, float(np.median(rest)))))
+            found.append((float(np.std(rest)), LabelAlignment(reads, sign, float(np.median(rest)))))
     return min(found, key=lambda each: each[0])[1]
 
 
@@ -245,7 +260,7 @@ def _read(
             if over_pins(experiment)
             else None
         )
-        network = perceiver(model, experiment, True, frame)
+        network = load_perceiver(model, experiment, True, frame)
     view = network.view or find_common_view(contacts, network.preprocess)
     found: dict[str, dict[str, np.ndarray]] = {}
     pins: dict[str, np.ndarray] = {}
@@ -279,22 +294,24 @@ def _read(
     return found, pins
 
 
-def _of(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+def _select_rows(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
     return {name: values[rows] for name, values in poses.items()}
 
 
 def _errors(
-    aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: np.ndarray
+    aligned: dict[str, LabelAlignment], poses: dict[str, np.ndarray], labels: np.ndarray
 ) -> dict[str, float]:
     fine = np.isfinite(next(iter(poses.values())))
     if not fine.any():
         return dict.fromkeys(aligned, float("nan"))
     return _mean_errors(
-        {name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine]
+        {name: each(_select_rows(poses, fine)) for name, each in aligned.items()}, labels[fine]
     )
 
 
-def _errors_of(reader: RidgeEstimator, pins: np.ndarray, labels: np.ndarray) -> dict[str, float]:
+def _compute_estimator_errors(
+    reader: RidgeEstimator, pins: np.ndarray, labels: np.ndarray
+) -> dict[str, float]:
     """Of the contacts whose pins (N, P, 2) px are known."""
     sure = np.isfinite(pins).all(axis=(1, 2))
     if not sure.any():

@@ -1,6 +1,6 @@
 """Where a stream's frames come from: a folder, a video file, a camera. Frames that come while the robot thinks are dropped, not queued.
 
->>> frames, live = frames_of("camera:0", Preprocess(), fps=None)
+>>> frames, live = open_frames("camera:0", Preprocess(), fps=None)
 >>> next(frames).pixels                                        # (480, 640, 3) uint8
 """
 
@@ -24,11 +24,11 @@ from jaxunshear.settings.targets import RECORDED
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"
-QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
+FFMPEG_QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
 EXTRA = "pip install 'jaxunshear[camera]'"
 
 
-class Frame(NamedTuple):
+class SourceFrame(NamedTuple):
     number: int
     name: str
     pixels: np.ndarray | None  # None for one that cannot be read,
@@ -36,9 +36,9 @@ class Frame(NamedTuple):
     view: View | None = None  # where it is known before: of the folder that it lies in
 
 
-def frames_of(
+def open_frames(
     source: str, preprocess: Preprocess, fps: float | None
-) -> tuple[Iterator[Frame], bool]:
+) -> tuple[Iterator[SourceFrame], bool]:
     """Frames of a folder, an image, a video file or "camera:N", and whether they come at their own pace. Raises `UserError`.
 
     With `fps` a folder or video plays at that rate, as if it were a camera.
@@ -58,7 +58,9 @@ def frames_of(
     return (_latest(_at_pace(frames, fps)), True) if fps else (frames, False)
 
 
-def truth_of(source: str, experiment: Experiment) -> Callable[[int], Mapping[str, float]] | None:
+def make_label_reader(
+    source: str, experiment: Experiment
+) -> Callable[[int], Mapping[str, float]] | None:
     """The labels of a folder's frames by their number, for a model that learnt from labels of the same names; None elsewhere."""
     if not Path(source).is_dir() or not isinstance(experiment.paired, Recorded):
         return None
@@ -70,7 +72,7 @@ def truth_of(source: str, experiment: Experiment) -> Callable[[int], Mapping[str
     )
 
 
-def _folder(path: Path, preprocess: Preprocess) -> Iterator[Frame]:
+def _folder(path: Path, preprocess: Preprocess) -> Iterator[SourceFrame]:
     recordings = read_recordings(path, preprocess)
     view = functools.cache(recordings.common_view)
     return (
@@ -79,17 +81,17 @@ def _folder(path: Path, preprocess: Preprocess) -> Iterator[Frame]:
     )
 
 
-def _read(number: int, file: Path, name: str, view: View) -> Frame:
+def _read(number: int, file: Path, name: str, view: View) -> SourceFrame:
     try:
-        return Frame(number, name, read_image(file), "", view)
+        return SourceFrame(number, name, read_image(file), "", view)
     except UserError as error:
-        return Frame(number, name, None, str(error))
+        return SourceFrame(number, name, None, str(error))
 
 
 def _opencv() -> Any:
     # one line of our own is enough; unlike its functions, its variables are the same in all versions
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", FFMPEG_QUIET)
     try:
         import cv2
     except ImportError:
@@ -97,26 +99,26 @@ def _opencv() -> Any:
     return cv2
 
 
-def _video(path: Path) -> Iterator[Frame]:
+def _video(path: Path) -> Iterator[SourceFrame]:
     capture = _opencv().VideoCapture(str(path))
     if not capture.isOpened():
         raise UserError(
             f"{path} cannot be read as a video: it is damaged, or its format is unknown"
         )
-    return _captured(capture, path.name, float("inf"))
+    return _capture_frames(capture, path.name, float("inf"))
 
 
-def _camera(source: str) -> Iterator[Frame]:
+def _camera(source: str) -> Iterator[SourceFrame]:
     number = source.partition(":")[2] or "0"
     if not number.isdigit():
         raise UserError(f"{source}: use camera:N with the number of the device, such as camera:0")
     capture = _opencv().VideoCapture(int(number))
     if not capture.isOpened():
         raise UserError(f"camera {number} cannot be opened: is it plugged in, and free?")
-    return _captured(capture, f"camera {number}", 30)
+    return _capture_frames(capture, f"camera {number}", 30)
 
 
-def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
+def _capture_frames(capture: Any, name: str, patience: float) -> Iterator[SourceFrame]:
     """Until the end; of a camera, until `patience` frames in a row fail."""
     number = failed = 0
     expected = capture.get(7)  # CAP_PROP_FRAME_COUNT; zero or less for a camera
@@ -125,10 +127,10 @@ def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
             good, pixels = capture.read()
             if good:
                 failed = 0
-                yield Frame(number, f"{name} {number}", order_colours(pixels), "")
+                yield SourceFrame(number, f"{name} {number}", order_colours(pixels), "")
             elif number >= expected > 0 or patience == float("inf"):
                 if number < expected:
-                    yield Frame(
+                    yield SourceFrame(
                         number,
                         f"{name} {number}",
                         None,
@@ -137,7 +139,7 @@ def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
                 return
             else:
                 failed += 1
-                yield Frame(number, f"{name} {number}", None, "the camera gave no frame")
+                yield SourceFrame(number, f"{name} {number}", None, "the camera gave no frame")
             number += 1
         raise UserError(f"{name} gave no frame {failed} times in a row: is it still plugged in?")
     finally:
@@ -151,16 +153,16 @@ def order_colours(pixels: np.ndarray) -> np.ndarray:
     return pixels[..., 2::-1]
 
 
-def _at_pace(frames: Iterator[Frame], fps: float) -> Iterator[Frame]:
+def _at_pace(frames: Iterator[SourceFrame], fps: float) -> Iterator[SourceFrame]:
     start = time.monotonic()
     for index, frame in enumerate(frames):
         time.sleep(max(0.0, start + index / fps - time.monotonic()))
         yield frame
 
 
-def _latest(frames: Iterator[Frame]) -> Iterator[Frame]:
+def _latest(frames: Iterator[SourceFrame]) -> Iterator[SourceFrame]:
     """Frames from a thread that never waits: a newer frame takes the place of one that was not fetched in time."""
-    newest: list[Frame] = []
+    newest: list[SourceFrame] = []
     problem: list[BaseException] = []
     news = threading.Condition()
     over = threading.Event()

@@ -8,22 +8,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset import fresh
+from jaxunshear.dataset import simulated_contacts
 from jaxunshear.dataset.chunks import unpack_bits
-from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts
-from jaxunshear.downstream.contour import Contour, outline
-from jaxunshear.downstream.geometry import known_motions
-from jaxunshear.downstream.makers import Maker, makers_of
+from jaxunshear.dataset.simulated_contacts import SimulatedContacts, simulate_contacts
+from jaxunshear.downstream.contour import Contour, trace_contour
+from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
     CELL_MM,
-    Fused,
-    Likeness,
-    fuse,
-    likeness,
-    skin_places,
-    to_target,
+    HeightMap,
+    ShapeScore,
+    compute_skin_positions,
+    fuse_heights,
+    score_shape,
+    transform_to_target,
 )
-from jaxunshear.downstream.servo import CLOSED, WALKING, Course, Walks, made_with
+from jaxunshear.downstream.servo import (
+    CLOSED,
+    WALKING,
+    ServoTask,
+    Trajectories,
+    compute_servo_digest,
+)
+from jaxunshear.downstream.shape_estimators import ShapeEstimator, make_shape_estimators
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
@@ -34,16 +40,16 @@ from jaxunshear.results.applications import ObjectScore
 from jaxunshear.scene.stimuli import compute_distances, make_stimulus
 from jaxunshear.settings.experiment import Experiment, simulated_of
 
-EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
+STEPS_PER_IMAGE = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 
 
-class Solid(NamedTuple):
+class ReconstructedObject(NamedTuple):
     """One walk's object."""
 
-    fused: Fused
+    fused: HeightMap
     shape: np.ndarray  # (K, K) bool
     true: np.ndarray  # (K, K) bool
-    likeness: Likeness
+    likeness: ShapeScore
     unmatched: int  # steps whose pins were not identified for sure
     level: (
         float | None
@@ -51,119 +57,140 @@ class Solid(NamedTuple):
     height_rms_mm: float | None  # of the felt top from the object's, where values are heights
 
 
-def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]:
+def make_estimators_for(
+    experiment: Experiment, known: SimulatedContacts
+) -> dict[str, ShapeEstimator]:
     """The ways to an object by name, from taps whose poses and indentations are known."""
     paired, _ = simulated_of(experiment, "reconstruct")
-    lattice = perception.lattice_of(experiment)
-    xy = to_target(known.pose[:, :3], skin_places(experiment.sensor))
+    lattice = perception.compute_model_lattice(experiment)
+    xy = transform_to_target(known.pose[:, :3], compute_skin_positions(experiment.sensor))
     distance = np.zeros(xy.shape[:2])
     for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
         distance[rows] = compute_distances(make_stimulus(touched), xy[rows])
-    return makers_of(
-        experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance
+    return make_shape_estimators(
+        experiment.sensor,
+        lattice,
+        measure_tap_motions(lattice, known),
+        known.indentation_mm,
+        distance,
     )
 
 
-def solids(
+def reconstruct_objects(
     experiment: Experiment,
     lattice: Lattice,
-    walked: tuple[Course, Walks],
+    trajectories: tuple[ServoTask, Trajectories],
     walk: int,
     line: Contour,
     unshear: Unshear | None,
-    makers: Mapping[str, Maker],
-) -> dict[str, Solid]:
+    estimators: Mapping[str, ShapeEstimator],
+) -> dict[str, ReconstructedObject]:
     """By maker, the object of one walk from every fourth of its images, unsheared or (None) as they are."""
-    course, walks = walked
-    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
+    course, walks = trajectories
+    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::STEPS_PER_IMAGE]
     images = unpack_bits(walks.images[walk, there], experiment.paired.preprocess.size)
     motion = measure_motions(lattice, images) if unshear is None else unshear(images)
     full = (
         float(np.abs(line.points).max()) + CELL_MM
     )  # also what a walk that ended early has not felt
     found = {}
-    for name, maker in makers.items():
-        fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
+    for name, maker in estimators.items():
+        fused = fuse_heights(
+            walks.point[walk, there], maker.place(motion), maker.value(motion), full
+        )
         shape = maker.shape(fused)
         true = compute_distances(make_stimulus(course.stimulus), fused.xy) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
-        found[name] = Solid(
-            fused, shape, true, likeness(fused, shape, true, line), unmatched, maker.level, rms
+        found[name] = ReconstructedObject(
+            fused, shape, true, score_shape(fused, shape, true, line), unmatched, maker.level, rms
         )
     return found
 
 
 @dataclass(frozen=True)
-class Objects:
+class ReconstructionResult:
     """What walks around one object make of it, by maker and way of perceiving."""
 
-    course: Course
-    solids: Mapping[tuple[str, str], Solid]  # of the walk of middling likeness
+    course: ServoTask
+    solids: Mapping[tuple[str, str], ReconstructedObject]  # of the walk of middling likeness
     scores: tuple[ObjectScore, ...]
 
 
 def reconstruct(
-    folder: Path, experiment: Experiment, walked: Sequence[tuple[Course, Walks]]
-) -> Iterator[Objects]:
+    folder: Path, experiment: Experiment, trajectories: Sequence[tuple[ServoTask, Trajectories]]
+) -> Iterator[ReconstructionResult]:
     """Objects from finished walks by networks of the run in `folder`, each when it is done.
 
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
     pose code, by the disentangled one. Raises UserError, for walks that are of others before anything is simulated.
     """
     paired, _ = simulated_of(experiment, "reconstruct")
-    for course, walks in walked:
+    for course, walks in trajectories:
         ways = tuple(dict.fromkeys(walks.way.tolist()))
         if (walks.end == WALKING).any():
             raise UserError(
                 f"walks around {course.stimulus} are not finished: run the same `jaxunshear servo` command again"
             )
-        if str(walks.made) != made_with(
-            experiment.sensor, paired, perception.digests(folder, ways)
+        if str(walks.made) != compute_servo_digest(
+            experiment.sensor, paired, perception.compute_network_digests(folder, ways)
         ):
             raise UserError(
                 f"walks around {course.stimulus} are of another model or sensor, or of an earlier simulator: name theirs with "
                 "--model, or walk again"
             )
-    networks = perception.unshearers(folder, experiment, perception.unshearing_of(folder))
+    networks = perception.load_unshearers(
+        folder, experiment, perception.list_unshearing_networks(folder)
+    )
 
     @cache
-    def makers(depth: float) -> dict[str, Maker]:
-        return makers_for(experiment, fresh_contacts(experiment, fresh.KNOWN, 1, depth))
+    def makers(depth: float) -> dict[str, ShapeEstimator]:
+        return make_estimators_for(
+            experiment, simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, 1, depth)
+        )
 
-    return (_objects(experiment, each, networks, makers(each[0].depth_mm)) for each in walked)
+    return (_objects(experiment, each, networks, makers(each[0].depth_mm)) for each in trajectories)
 
 
 def _objects(
     experiment: Experiment,
-    walked: tuple[Course, Walks],
+    walked: tuple[ServoTask, Trajectories],
     networks: Mapping[str, Unshear],
-    makers: Mapping[str, Maker],
-) -> Objects:
+    makers: Mapping[str, ShapeEstimator],
+) -> ReconstructionResult:
     course, walks = walked
-    line = outline(make_stimulus(course.stimulus))
-    lattice = perception.lattice_of(experiment)
-    typical: dict[tuple[str, str], Solid] = {}
+    line = trace_contour(make_stimulus(course.stimulus))
+    lattice = perception.compute_model_lattice(experiment)
+    typical: dict[tuple[str, str], ReconstructedObject] = {}
     scores = []
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
         for way in dict.fromkeys(walks.way.tolist()):
-            unshear = networks.get(perception.unsheared_by(way))
+            unshear = networks.get(perception.find_unshearing_network(way))
             rows, made = np.flatnonzero(walks.way == way), []
             for walk in rows:
-                made.append(solids(experiment, lattice, walked, int(walk), line, unshear, makers))
+                made.append(
+                    reconstruct_objects(
+                        experiment, lattice, walked, int(walk), line, unshear, makers
+                    )
+                )
                 progress.advance()
             for maker in makers:
                 mine = [each[maker] for each in made]
                 order = np.argsort([each.likeness.iou for each in mine])
                 typical[maker, way] = mine[order[len(order) // 2]]
                 scores.append(_score(str(course.stimulus), maker, way, walks, rows, mine))
-    return Objects(course, typical, tuple(scores))
+    return ReconstructionResult(course, typical, tuple(scores))
 
 
 def _score(
-    stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]
+    stimulus: str,
+    maker: str,
+    way: str,
+    walks: Trajectories,
+    rows: np.ndarray,
+    solids: list[ReconstructedObject],
 ) -> ObjectScore:
     iou, mean_mm, hausdorff_mm, iou_felt = np.array([each.likeness for each in solids]).T
     heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]

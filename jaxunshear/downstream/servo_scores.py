@@ -1,7 +1,7 @@
 """Walks around objects by the networks of a run, and what they are worth: how much of the outline, how close to it, how they ended.
 
 >>> model = load_model("standard")
->>> (found,) = servo(model.folder, model.experiment, [Course("disk", starts=1)], ("disentangled",))
+>>> (found,) = servo(model.folder, model.experiment, [ServoTask("disk", starts=1)], ("disentangled",))
 >>> found.scores[0].mean_mm, found.walks.point           # mm from the edge; where the sensor went
 """
 
@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.downstream.contour import Contour, off
-from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, Course, Walks, follow_contour
+from jaxunshear.downstream.contour import Contour, measure_contour_distances
+from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, ServoTask, Trajectories, follow_contour
 from jaxunshear.errors import UserError
 from jaxunshear.inference import perception
 from jaxunshear.results.applications import WalkScore
@@ -23,11 +23,11 @@ from jaxunshear.settings.sensor import Sensor
 
 
 @dataclass(frozen=True)
-class Followed:
+class ServoResult:
     """All walks around one object, and what they are worth."""
 
-    course: Course
-    walks: Walks
+    course: ServoTask
+    walks: Trajectories
     line: Contour
     scores: tuple[WalkScore, ...]  # by way of perceiving
 
@@ -35,39 +35,44 @@ class Followed:
 def servo(
     folder: Path,
     experiment: Experiment,
-    courses: Sequence[Course],
-    ways: tuple[str, ...] | None = None,
+    tasks: Sequence[ServoTask],
+    methods: tuple[str, ...] | None = None,
     out: Path | None = None,
-) -> Iterator[Followed]:
+) -> Iterator[ServoResult]:
     """Walks around objects by the networks of a finished run in `folder`, each object when it is done.
 
-    `ways` to perceive are names of `perception.WAYS`, and `perception.TRUE`; None: all that the networks allow. Walks are kept as
+    `methods` to perceive are names of `perception.METHODS`, and `perception.TRUE_POSE`; None: all that the networks allow. Walks are kept as
     <out>/<object>.npz, and go on from there. Raises UserError, before anything is simulated, where that cannot be asked for.
     """
     paired, _ = simulated_of(experiment, "servo")
-    for course in courses:
+    for course in tasks:
         _check(course, experiment.sensor)
-    if ways is None:
-        known = perception.ways_of(folder)
+    if methods is None:
+        known = perception.list_methods(folder)
         if not known:
             raise UserError(
-                f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
+                f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE_POSE}"
             )
-        ways = (perception.TRUE, *known)
-    found = perception.perceptions(
-        folder, experiment, tuple(way for way in ways if way != perception.TRUE)
+        methods = (perception.TRUE_POSE, *known)
+    found = perception.make_edge_estimators(
+        folder, experiment, tuple(way for way in methods if way != perception.TRUE_POSE)
     )
-    perceive, digests = {way: found.get(way) for way in ways}, perception.digests(folder, ways)
+    perceive, digests = (
+        {way: found.get(way) for way in methods},
+        perception.compute_network_digests(folder, methods),
+    )
 
-    def walked(course: Course) -> Followed:
+    def walked(course: ServoTask) -> ServoResult:
         file = out / f"{course.stimulus}.npz" if out else None
         walks, line = follow_contour(course, experiment.sensor, paired, perceive, file, digests)
-        return Followed(course, walks, line, walk_scores(walks, line, str(course.stimulus)))
+        return ServoResult(
+            course, walks, line, score_trajectories(walks, line, str(course.stimulus))
+        )
 
-    return map(walked, courses)
+    return map(walked, tasks)
 
 
-def _check(course: Course, sensor: Sensor) -> None:
+def _check(course: ServoTask, sensor: Sensor) -> None:
     """Raises UserError for what no walk can start with."""
     get_closed_stimulus(course.stimulus)
     if course.starts < 1:
@@ -79,14 +84,17 @@ def _check(course: Course, sensor: Sensor) -> None:
         raise UserError(f"--depth {course.depth_mm:g}: use more than 0, up to {deepest:.1f} mm")
 
 
-def walk_scores(walks: Walks, line: Contour, stimulus: str) -> tuple[WalkScore, ...]:
+def score_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> tuple[WalkScore, ...]:
     """For each way of perceiving."""
     rows = []
-    for way in dict.fromkeys(walks.way.tolist()):
-        mine = np.flatnonzero(walks.way == way)
-        tracks = [off(line, walks.point[w, ~np.isnan(walks.point[w, :, 0]), :2]) for w in mine]
-        edge = np.concatenate([seen_edge(walks, int(w)) for w in mine])
-        apart, seen = np.concatenate(tracks), off(line, edge)
+    for way in dict.fromkeys(walks.method.tolist()):
+        mine = np.flatnonzero(walks.method == way)
+        tracks = [
+            measure_contour_distances(line, walks.point[w, ~np.isnan(walks.point[w, :, 0]), :2])
+            for w in mine
+        ]
+        edge = np.concatenate([compute_perceived_edge(walks, int(w)) for w in mine])
+        apart, seen = np.concatenate(tracks), measure_contour_distances(line, edge)
         ends = {ENDS[end]: int(np.sum(walks.end[mine] == end)) for end in range(CLOSED, LATE + 1)}
         taken = np.sum(~np.isnan(walks.point[mine, :, 0]))
         row = WalkScore(
@@ -102,18 +110,18 @@ def walk_scores(walks: Walks, line: Contour, stimulus: str) -> tuple[WalkScore, 
             largest_mm=float(apart.max()),
             seen_mean_mm=float(seen.mean()) if len(seen) else None,
             ends={name: count for name, count in ends.items() if count},
-            unsolved=int(walks.unsolved[mine].sum()),
+            unsolved=int(walks.failed_contacts[mine].sum()),
             steps=int(taken),
-            unfollowed=int(taken - np.sum(~np.isnan(walks.seen[mine, :, 0]))),
+            unfollowed=int(taken - np.sum(~np.isnan(walks.perceived[mine, :, 0]))),
             perceive_ms=float(1e3 * walks.perceive_s[mine].sum() / max(taken, 1)),
         )
         rows.append(row)
     return tuple(rows)
 
 
-def seen_edge(walks: Walks, walk: int) -> np.ndarray:
+def compute_perceived_edge(walks: Trajectories, walk: int) -> np.ndarray:
     """(T, 2) mm, target frame: where walk `walk` perceived the edge, step by step."""
-    point, seen = walks.point[walk], walks.seen[walk]
+    point, seen = walks.point[walk], walks.perceived[walk]
     there = ~np.isnan(point[:, 0]) & ~np.isnan(seen[:, 0])
     x, y, yaw = point[there].T
     distance, direction = seen[there].T

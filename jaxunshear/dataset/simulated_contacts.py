@@ -17,11 +17,11 @@ from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.settings.splits import BLOCK
 
-KNOWN = 300  # simulated taps that scales are fitted to
+SCALE_TAPS = 300  # simulated taps that scales are fitted to
 SEED = 1_000_003  # added to the data's
 
 
-class FreshContacts(NamedTuple):
+class SimulatedContacts(NamedTuple):
     """N slides, each with the tap at its pose; contacts that did not converge are left out and counted."""
 
     stimulus: np.ndarray  # (N,) index into the experiment's
@@ -34,9 +34,9 @@ class FreshContacts(NamedTuple):
     dropped: int
 
 
-def fresh_contacts(
+def simulate_contacts(
     experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None
-) -> FreshContacts:
+) -> SimulatedContacts:
     """Simulate slides at new poses, as many of each stimulus, and the tap at each pose.
 
     There are `count` of them, rounded up to the same number for each stimulus, and at least 5 per
@@ -62,7 +62,7 @@ def fresh_contacts(
         settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows]
     )
     half = len(slid)
-    return FreshContacts(
+    return SimulatedContacts(
         shots.scenes.stimulus[slid],
         shots.scenes.pose[slid],
         images[:half],
@@ -74,7 +74,7 @@ def fresh_contacts(
     )
 
 
-def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
+def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
     paired, _ = simulated_of(experiment, "this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)

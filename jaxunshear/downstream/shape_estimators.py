@@ -4,7 +4,7 @@ Both fuse the surfaces that a walk felt, each a height of the pins near the sens
 
 voronoi   the paper's: the growth of the pins' cells, where the pins are. Cells grow most over an edge: what the ridge of the map surrounds
           is the object. It learns from nothing.
-skin      where the skin's outer face stands, by the inverse of `geometry.py` and the dome's own shape; above one level, `parting_level`,
+skin      where the skin's outer face stands, by the inverse of `geometry.py` and the dome's own shape; above one level, `find_separating_level`,
           lies the object. Inverse and level are from 300 taps of known poses.
 """
 
@@ -13,8 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.downstream.geometry import fit_inverse, indentation_of, relative_growth
-from jaxunshear.downstream.reconstruct import Fused, interpolated, ridge_shape, skin_places
+from jaxunshear.downstream.geometry import (
+    compute_relative_growth,
+    estimate_indentation,
+    fit_inverse,
+)
+from jaxunshear.downstream.reconstruct import (
+    HeightMap,
+    compute_skin_positions,
+    extract_ridge_shape,
+    interpolate_map,
+)
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
@@ -25,24 +34,26 @@ NEAR_MM = (
 )
 
 
-class Maker(NamedTuple):
-    value: Callable[[np.ndarray], np.ndarray]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
-    place: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
-    shape: Callable[[Fused], np.ndarray]  # -> (K, K) bool
+class ShapeEstimator(NamedTuple):
+    estimate_values: Callable[
+        [np.ndarray], np.ndarray
+    ]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
+    locate_values: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
+    extract_shape: Callable[[HeightMap], np.ndarray]  # -> (K, K) bool
     level: float | None  # of the value, over which the object lies; none for a ridge
     in_mm: bool  # whether the value is a height in mm above the sensor's apex
 
 
-def makers_of(
+def make_shape_estimators(
     sensor: Sensor,
     lattice: Lattice,
     motion: np.ndarray,
     indentation_mm: np.ndarray,
     distance: np.ndarray,
-) -> dict[str, Maker]:
+) -> dict[str, ShapeEstimator]:
     """By name; from motions (N, P, 2) px, NaN where unknown, of taps at the depth of the walk, how far the skin above each pin is pressed
     in (N, P), and how far outside the object it lies (N, P) mm."""
-    rest = skin_places(sensor)
+    rest = compute_skin_positions(sensor)
     followed = ~np.isnan(motion[:, 0, 0])
     motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
@@ -56,26 +67,26 @@ def makers_of(
         found = np.full((len(motion), np.count_nonzero(near)), np.nan)
         sure = ~np.isnan(motion[:, 0, 0])
         if sure.any():
-            found[sure] = relative_growth(lattice, motion[sure])[:, near]
+            found[sure] = compute_relative_growth(lattice, motion[sure])[:, near]
         return found
 
     def stands(motion: np.ndarray) -> np.ndarray:
-        return undeformed + towards_axis * indentation_of(inverse, motion)[:, near]
+        return undeformed + towards_axis * estimate_indentation(inverse, motion)[:, near]
 
     def moved(motion: np.ndarray) -> np.ndarray:
         return rest[near] + motion[:, near] / px_per_mm
 
-    def above(fused: Fused) -> np.ndarray:
-        return np.nan_to_num(interpolated(fused), nan=-np.inf) > level
+    def above(fused: HeightMap) -> np.ndarray:
+        return np.nan_to_num(interpolate_map(fused), nan=-np.inf) > level
 
-    level = parting_level(stands(motion), distance[:, near] < 0)
+    level = find_separating_level(stands(motion), distance[:, near] < 0)
     return {
-        VORONOI: Maker(growth, moved, ridge_shape, None, in_mm=False),
-        SKIN: Maker(stands, moved, above, level, in_mm=True),
+        VORONOI: ShapeEstimator(growth, moved, extract_ridge_shape, None, in_mm=False),
+        SKIN: ShapeEstimator(stands, moved, above, level, in_mm=True),
     }
 
 
-def parting_level(values: np.ndarray, over: np.ndarray) -> float:
+def find_separating_level(values: np.ndarray, over: np.ndarray) -> float:
     """The level that as large a share of the skin beside the object exceeds as of the skin `over` it falls short of."""
     levels = np.quantile(values, np.linspace(0, 1, 1001))
     short = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)

@@ -11,7 +11,7 @@ from jaxunshear.settings.targets import RECORDED, SLIDES
 
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
-    from jaxunshear.inference.perceiver import Answers
+    from jaxunshear.inference.perceiver import Predictions
 
 Log = Callable[[str], None]
 
@@ -27,7 +27,7 @@ def count_rows(command: str, used: int, recordings: "Recordings") -> list[Measur
     ]
 
 
-class LeftOut:
+class RejectedImages:
     """Images that were read and not understood: counted by reason, and noted."""
 
     def __init__(self, recordings: "Recordings") -> None:
@@ -63,7 +63,7 @@ class LabelErrors:
         self._true = true if len(true) == len(names) else None
         self._found: dict[str, list[np.ndarray]] = {}
 
-    def add(self, rows: list[int], answers: "Answers") -> None:
+    def add(self, rows: list[int], answers: "Predictions") -> None:
         if self._true is None:
             return
         from jaxunshear.metrics.pose_error import compute_pose_errors
