@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 
-from jaxunshear.apps.explore.outline import outlines
+from jaxunshear.apps.explore.outline import trace_outlines
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
 from jaxunshear.image.png import encode_png
 from jaxunshear.settings.reach import reach_mm
@@ -17,7 +17,7 @@ STRETCH = 2.0  # of pins' motions as drawn
 COLOURS = {STUCK: "#1f6feb", SLIPPING: "#d9822b", FREE: "#aab2bf"}
 
 
-def data_url(image: np.ndarray) -> str:
+def encode_data_url(image: np.ndarray) -> str:
     """(S, S) uint8 -> a PNG that an `img` takes."""
     return f"data:image/png;base64,{base64.b64encode(encode_png(image, level=1)).decode()}"
 
@@ -36,7 +36,7 @@ def _path(points: np.ndarray, closed: bool = True) -> str:
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
 
 
-def map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
+def render_map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
     """The shape, the dome's outline and contact at the slide's start and end, and the slide; or the line (mm) that is being drawn."""
     every_10_mm = np.arange(HALF_MM % 10, 2 * HALF_MM, 10) * PX_PER_MM
     lines = [f"M{px:.1f} 0V{MAP_PX}M0 {px:.1f}H{MAP_PX}" for px in every_10_mm]
@@ -47,7 +47,7 @@ def map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
             f'<path d="{shown}" stroke="#1c2330" stroke-width="3" fill="#c9d3e4" fill-opacity=".6"/>'
         )
         return "".join(parts)
-    shape = "".join(_path(to_px(curve)) for curve in outlines(touch.stimulus, HALF_MM))
+    shape = "".join(_path(to_px(curve)) for curve in trace_outlines(touch.stimulus, HALF_MM))
     parts.append(
         f'<path d="{shape}" fill="#c9d3e4" stroke="#67758d" stroke-width="2" fill-rule="evenodd"/>'
     )
@@ -86,7 +86,7 @@ def _scale_bar() -> str:
     )
 
 
-def pins_svg(pins: np.ndarray, state: np.ndarray, size: int) -> str:
+def render_pins_svg(pins: np.ndarray, state: np.ndarray, size: int) -> str:
     """Pins (2, P, 2) px of images of `size` px: where they rest, and how they moved, in the colour of what the skin above does."""
     rest, moved = (pins + 0.5) * (PINS_PX / size)
     parts = [

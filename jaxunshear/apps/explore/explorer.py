@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.apps.explore.touch import BATCH, Touch, feel, warming_touches
+from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, simulate_touch
 from jaxunshear.dataset.chunks import render_images
 from jaxunshear.dataset.preprocessing import SensorFrame
 from jaxunshear.dataset.recordings import read_image
@@ -68,16 +68,16 @@ class Explorer:
     recordings: Callable[
         [], Perceiver
     ]  # of recorded ones; raises UserError where these cannot be read
-    own: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
+    own_stimuli: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
 
     @property
     def stimuli(self) -> dict[str, Stimulus]:
         """To choose from; those of one's own come first."""
-        return {stimulus.name: stimulus for stimulus in (*self.own, *STIMULI.values())}
+        return {stimulus.name: stimulus for stimulus in (*self.own_stimuli, *STIMULI.values())}
 
     def warm(self) -> None:
         """Compiles what a touch of the model's own sensor needs."""
-        touches = warming_touches(self.experiment.sensor, self.paired.friction or 0.0)
+        touches = list_warmup_touches(self.experiment.sensor, self.paired.friction or 0.0)
         with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
             for touch in touches:
                 self.picture(touch)
@@ -88,7 +88,7 @@ class Explorer:
 
     def picture(self, touch: Touch) -> Picture:
         """Raises UserError where the contact cannot be simulated."""
-        felt = feel(touch)
+        felt = simulate_touch(touch)
         number, age = np.arange(BATCH), np.zeros(BATCH)
         seen, pins = render_images(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
         rest = _untouched_px(touch.sensor, self.paired)
@@ -164,7 +164,7 @@ def _add_answer(
 
 def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
     """What a PoseNet's quantities are in truth; NaN for those of an edge where there is none."""
-    distance, angle = _edge_of(touch.stimulus)(np.array([touch.pose[:3]]))[0]
+    distance, angle = _make_edge_labeler(touch.stimulus)(np.array([touch.pose[:3]]))[0]
     edge = (float(distance), float(angle)) if abs(distance) < NO_EDGE_MM else (np.nan, np.nan)
     known = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
     return {
@@ -173,7 +173,7 @@ def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
 
 
 @lru_cache(maxsize=32)
-def _edge_of(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
+def _make_edge_labeler(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     return make_edge_labeler(stimulus)
 
 

@@ -1,7 +1,7 @@
 """Outlines of shapes: those that a hand draws become stimuli, and those of stimuli become lines to draw.
 
->>> stimulus = drawn(np.array([[0.0, 0.0], [20.0, 0.0], [10.0, 15.0]]))
->>> lines = outlines(stimulus, 32.0)                   # each (K, 2) mm in the target frame
+>>> stimulus = make_drawn_stimulus(np.array([[0.0, 0.0], [20.0, 0.0], [10.0, 15.0]]))
+>>> lines = trace_outlines(stimulus, 32.0)                   # each (K, 2) mm in the target frame
 """
 
 from functools import lru_cache, partial
@@ -14,22 +14,22 @@ from jaxunshear.scene.stimuli import Stimulus, compute_signed_distance, make_sti
 from jaxunshear.settings.outlines import simplified
 from jaxunshear.settings.stimuli import Outline
 
-DRAWN = "drawn"
+DRAWN_NAME = "drawn"
 TREMBLE_MM = 0.15  # by which a hand's line is smoothed
 GRID_MM = 0.4  # between the points that outlines are sought from
 
 
-def drawn(points: np.ndarray) -> Stimulus:
+def make_drawn_stimulus(points: np.ndarray) -> Stimulus:
     """A closed curve through points (N, 2) mm of the target frame as a stimulus. Raises UserError where it is none."""
     points = np.asarray(points, float).reshape(-1, 2)
     corners = (
         simplified(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
     )
-    return make_stimulus(Outline(DRAWN, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
+    return make_stimulus(Outline(DRAWN_NAME, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
 
 
 @lru_cache(maxsize=32)
-def outlines(stimulus: Stimulus, half_mm: float) -> tuple[np.ndarray, ...]:
+def trace_outlines(stimulus: Stimulus, half_mm: float) -> tuple[np.ndarray, ...]:
     """Where the shape's edge runs within `half_mm` of its target point: closed curves around it, cut at the border, (K, 2) mm each."""
     steps = round(2 * half_mm / GRID_MM)
     line = np.linspace(-half_mm, half_mm, steps + 1)

@@ -30,7 +30,7 @@ STYLE = Path(__file__).with_name("page.css")
 
 def build(explorer: Explorer) -> None:
     """One tab."""
-    stimulus = (*explorer.own, explorer.stimuli["disk"])[0]
+    stimulus = (*explorer.own_stimuli, explorer.stimuli["disk"])[0]
     tab = Tab(
         explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
     )

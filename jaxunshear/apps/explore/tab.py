@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 from nicegui import events, run, ui
 
-from jaxunshear.apps.explore.drawing import data_url, map_svg, pins_svg, to_mm
+from jaxunshear.apps.explore.drawing import encode_data_url, render_map_svg, render_pins_svg, to_mm
 from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, Explorer, Picture
-from jaxunshear.apps.explore.outline import DRAWN, drawn
+from jaxunshear.apps.explore.outline import DRAWN_NAME, make_drawn_stimulus
 from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.errors import UserError
 
@@ -48,7 +48,7 @@ class Tab:
         return found
 
     def draw_map(self) -> None:
-        self.part("map", ui.interactive_image).set_content(map_svg(self.touch, self.line))
+        self.part("map", ui.interactive_image).set_content(render_map_svg(self.touch, self.line))
         x, y, dx, dy = *self.start, *self.touch.move
         self.part("place", ui.label).set_text(
             "draw around an area with the button held"
@@ -83,11 +83,11 @@ def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> No
     images = picture.images if picture else {}
     for name in IMAGES:
         tab.part(name, ui.interactive_image).set_source(
-            data_url(images[name]) if name in images else ""
+            encode_data_url(images[name]) if name in images else ""
         )
     pins = force = ""
     if picture and len(picture.state):
-        pins = pins_svg(picture.pins, picture.state, len(images[SHEARED]))
+        pins = render_pins_svg(picture.pins, picture.state, len(images[SHEARED]))
         force = f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
     tab.part("pins", ui.interactive_image).set_content(pins)
     tab.part("force", ui.label).set_text(force)
@@ -139,14 +139,16 @@ def place(tab: Tab, move: tuple[float, float]) -> None:
 def finish_outline(tab: Tab) -> None:
     line, tab.line = tab.line or [], None
     try:
-        stimulus = drawn(np.array(line))
+        stimulus = make_drawn_stimulus(np.array(line))
     except UserError as error:
         tab.draw_map()
         show(tab, None, str(error))
         return
     tab.start = line[0]
     tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
-    tab.part("stimulus", ui.select).set_options([*tab.explorer.stimuli, DRAWN], value=DRAWN)
+    tab.part("stimulus", ui.select).set_options(
+        [*tab.explorer.stimuli, DRAWN_NAME], value=DRAWN_NAME
+    )
 
 
 async def on_stimulus(tab: Tab, name: str) -> None:

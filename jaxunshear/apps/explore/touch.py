@@ -1,7 +1,7 @@
 """One touch of the simulated dome: what is asked, and what its contact gives. Pure functions of it.
 
 >>> touch = Touch(get_stimulus("disk"), sensor_named("tactip331-fitted"), (0.0, 0.0, 0.0, 3.0), (2.0, 0.0), 0.4)
->>> felt = feel(touch)                                 # raises UserError where no contact can be had
+>>> felt = simulate_touch(touch)                                 # raises UserError where no contact can be had
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ class Touch:
     friction: float  # Coulomb coefficient
 
 
-class Felt(NamedTuple):
+class TouchResult(NamedTuple):
     """Of a slide and of the tap at its end, in this order."""
 
     tips: np.ndarray  # (2, P, 3) mm, pin tips in the sensor frame
@@ -53,18 +53,18 @@ class Felt(NamedTuple):
     force_n: np.ndarray  # (3,) N on the sensor at the slide's end
 
 
-def scenes_of(touch: Touch) -> Scenes:
+def make_scenes(touch: Touch) -> Scenes:
     pose, move = np.array([touch.pose] * 2, float), np.array([touch.move, (0.0, 0.0)], float)
     return Scenes(np.zeros(2, int), pose, move, np.full(2, float(touch.friction)))
 
 
-def feel(touch: Touch, level: Level = LEVEL) -> Felt:
+def simulate_touch(touch: Touch, level: Level = LEVEL) -> TouchResult:
     """Raises UserError for what the contact model does not cover, and where a contact does not converge."""
     try:
         contacts, skins = follow(
             touch.sensor,
             (touch.stimulus,),
-            make_paths(scenes_of(touch)),
+            make_paths(make_scenes(touch)),
             level,
             batch=BATCH,
             retry=False,
@@ -76,14 +76,14 @@ def feel(touch: Touch, level: Level = LEVEL) -> Felt:
         raise UserError(
             f"the contact of this {which} did not converge: move the sensor a little, or press less deep"
         )
-    return Felt(
+    return TouchResult(
         contacts.pins,
-        skin_state(touch.sensor, skins.force_n[0], touch.friction),
+        compute_skin_state(touch.sensor, skins.force_n[0], touch.friction),
         contacts.force_n[0],
     )
 
 
-def skin_state(sensor: Sensor, force_n: np.ndarray, friction: float) -> np.ndarray:
+def compute_skin_state(sensor: Sensor, force_n: np.ndarray, friction: float) -> np.ndarray:
     """(P,) FREE, STUCK or SLIPPING above each pin of an upright sensor, of forces (N, 3) on its contact nodes."""
     pressure, pull = force_n[:, 2], np.hypot(force_n[:, 0], force_n[:, 1])
     slips = pull >= (1 - ROUNDING) * friction * pressure
@@ -106,7 +106,7 @@ def _above(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return nearest, apart * sensor.dome_radius_mm < ring_spacing(sensor)
 
 
-def warming_touches(sensor: Sensor, friction: float) -> list[Touch]:
+def list_warmup_touches(sensor: Sensor, friction: float) -> list[Touch]:
     """One touch for every size of contact up to DEEPEST_MM: each size is a program to compile. Shallow ones first."""
     found: dict[int, Touch] = {}
     for number, depth in enumerate(np.linspace(0.3, DEEPEST_MM, 20)):
@@ -117,7 +117,7 @@ def warming_touches(sensor: Sensor, friction: float) -> list[Touch]:
             batches = plan_paths(
                 sensor,
                 sample_obstacles((touch.stimulus,)),
-                make_paths(scenes_of(touch)),
+                make_paths(make_scenes(touch)),
                 LEVEL,
                 BATCH,
             )

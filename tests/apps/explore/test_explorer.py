@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.apps.explore.drawing import HALF_MM, MAP_PX, map_svg, pins_svg, to_mm, to_px
+from jaxunshear.apps.explore.drawing import (
+    HALF_MM,
+    MAP_PX,
+    render_map_svg,
+    render_pins_svg,
+    to_mm,
+    to_px,
+)
 from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
 from jaxunshear.apps.explore.touch import (
     DEEPEST_MM,
@@ -16,9 +23,9 @@ from jaxunshear.apps.explore.touch import (
     SLIPPING,
     STUCK,
     Touch,
-    feel,
-    skin_state,
-    warming_touches,
+    compute_skin_state,
+    list_warmup_touches,
+    simulate_touch,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.folders import RELEASED, load_settings
@@ -49,7 +56,7 @@ def picture(explorer, touch):
 
 def test_shapes_of_ones_own_are_chosen_like_the_others(explorer):
     own = make_stimulus(Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0))))
-    assert list(replace(explorer, own=(own,)).stimuli.values()) == [own, *STIMULI.values()]
+    assert list(replace(explorer, own_stimuli=(own,)).stimuli.values()) == [own, *STIMULI.values()]
     assert list(explorer.stimuli) == list(STIMULI)
 
 
@@ -78,7 +85,7 @@ def test_the_same_touch_gives_the_same_bits(explorer, touch, picture):
 
 
 def test_a_slide_drags_the_skin_behind_it(touch, picture):
-    slide, tap = feel(touch).tips
+    slide, tap = simulate_touch(touch).tips
     assert np.linalg.norm(slide - tap, axis=-1).max() > 0.1
     np.testing.assert_array_less(
         picture.force_n @ [1, 0, 0], 0
@@ -90,9 +97,9 @@ def test_skin_slips_where_friction_is_used_up():
     sensor = SENSORS["tactip331-fitted"]
     force = np.zeros((1387, 3))
     force[0] = [0.2, 0, 1]
-    assert skin_state(sensor, force, 0.4)[0] == STUCK
-    assert skin_state(sensor, force, 0.2)[0] == SLIPPING
-    assert (skin_state(sensor, force, 0.4)[1:] == FREE).all()
+    assert compute_skin_state(sensor, force, 0.4)[0] == STUCK
+    assert compute_skin_state(sensor, force, 0.2)[0] == SLIPPING
+    assert (compute_skin_state(sensor, force, 0.4)[1:] == FREE).all()
 
 
 @pytest.mark.parametrize(
@@ -111,7 +118,7 @@ def test_what_cannot_be_is_refused(explorer, touch, changes, reason):
 @pytest.mark.long
 def test_a_contact_that_does_not_converge_gives_no_picture(touch):
     with pytest.raises(UserError, match="did not converge"):
-        feel(touch, replace(LEVEL, limit=5, tolerance=1e-6))
+        simulate_touch(touch, replace(LEVEL, limit=5, tolerance=1e-6))
 
 
 def png_of(image):
@@ -141,15 +148,17 @@ def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
 def test_places_go_there_and_back(touch, picture):
     assert to_mm(MAP_PX / 2, 0) == (0, HALF_MM)
     np.testing.assert_allclose(to_px(np.array(to_mm(100, 500))), [100, 500])
-    assert map_svg(touch).count("<circle") == 6
-    assert map_svg(touch, [(0.0, 0.0), (1.0, 1.0)]).count("<circle") == 0
-    assert pins_svg(picture.pins, picture.state, 128).count("<circle") == 1 + len(picture.state)
+    assert render_map_svg(touch).count("<circle") == 6
+    assert render_map_svg(touch, [(0.0, 0.0), (1.0, 1.0)]).count("<circle") == 0
+    assert render_pins_svg(picture.pins, picture.state, 128).count("<circle") == 1 + len(
+        picture.state
+    )
 
 
 @pytest.mark.long
 def test_what_is_made_ready_reaches_as_deep_as_the_page():
     sensor = SENSORS["tactip331-fitted"]
-    touches = warming_touches(sensor, 0.4)
+    touches = list_warmup_touches(sensor, 0.4)
     assert 10 < len(touches) < 20 and touches[-1].pose[3] == DEEPEST_MM < deepest_mm(sensor)
 
 

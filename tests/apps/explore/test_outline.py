@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.apps.explore.outline import drawn, outlines
+from jaxunshear.apps.explore.outline import make_drawn_stimulus, trace_outlines
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
 from jaxunshear.settings.stimuli import MOST_CORNERS
@@ -17,7 +17,7 @@ RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
 
 
 def test_a_drawn_circle_is_a_disk():
-    stimulus = drawn(RING[::-1])
+    stimulus = make_drawn_stimulus(RING[::-1])
     xy = jnp.array([[0.0, 0.0], [11.0, 0.0], [0.0, 15.0]])
     found = jax.jit(partial(compute_signed_distance, stimulus))(xy)
     np.testing.assert_allclose(found, [-12, -1, 3], atol=0.2)
@@ -25,9 +25,9 @@ def test_a_drawn_circle_is_a_disk():
 
 
 def test_outlines_run_along_the_edge():
-    (curve,) = outlines(drawn(RING), 32.0)
+    (curve,) = trace_outlines(make_drawn_stimulus(RING), 32.0)
     np.testing.assert_allclose(np.linalg.norm(curve, axis=-1), 12, atol=0.2)
-    (half,) = outlines(STIMULI["edge"], 32.0)  # closed beyond the border
+    (half,) = trace_outlines(STIMULI["edge"], 32.0)  # closed beyond the border
     assert half[:, 0].min() < -31.5 and half[:, 0].max() == pytest.approx(0, abs=1e-4)
 
 
@@ -44,5 +44,5 @@ def test_outlines_run_along_the_edge():
 )
 def test_what_is_no_outline_is_refused(points, reason):
     with pytest.raises(UserError, match=reason):
-        drawn(points)
+        make_drawn_stimulus(points)
     assert MOST_CORNERS < 600
