@@ -14,8 +14,8 @@ from docs.provenance import NOTE, ROOT, note
 from docs.reading import USED, as_line, runs_of, swept, take, with_interval, with_range
 from jaxunshear.evaluation.code_exchange import EXCHANGED, OWN
 from jaxunshear.evaluation.paper_results import PAPER
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import CellResult, Figure
 
 COLUMNS = (("y_mm", 2), ("Rz_deg", 1))
@@ -404,7 +404,7 @@ def tenth_poses() -> str:
 
 def short() -> str:
     """Likeness and edges at the paper's resolution, as PoseNet and a ridge on pixels read them."""
-    results = record_of(take("paper_short"), Results, "paper_short.json", "make it again")
+    results = convert_record(take("paper_short"), Results, "paper_short.json", "make it again")
     spread, edge = results.spread, QUANTITIES[2:]
     lines = [
         "| | MS-SSIM | PoseNet reads: edge distance, mm | edge angle, deg | a ridge reads: edge distance, mm | edge angle, deg |",

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from jaxunshear.cli import read_base
 from jaxunshear.plain import plain
-from jaxunshear.results.rows import Source
+from jaxunshear.results.measurement import Source
 from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import Json
 

@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import Any
 
 from docs.provenance import read_result
-from jaxunshear.results.stored import record_of
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.storage import Json
 
@@ -27,7 +27,7 @@ def swept(name: str) -> Sequence[CellResult]:
 
 @cache
 def _sweep(name: str) -> SweepResult:
-    return record_of(read_result(name), SweepResult, f"{name}.json", "make it again")
+    return convert_record(read_result(name), SweepResult, f"{name}.json", "make it again")
 
 
 def runs_of(name: str, begins: str = "") -> list[dict[str, Json]]:

@@ -18,9 +18,9 @@ from jaxunshear.places import check_new_folder
 from jaxunshear.progress import duration
 from jaxunshear.report import page, words
 from jaxunshear.report.making import TRAINED
-from jaxunshear.results.rows import Summary
-from jaxunshear.results.run import EVALUATED, Results
-from jaxunshear.results.stored import read
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import read_record
+from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.sweep import Figure, Outcome
 from jaxunshear.settings.configs import differences as differing_fields
 from jaxunshear.storage import read_object_if_sound, write_text
@@ -103,15 +103,15 @@ def _read_run(name: str, folder: Path) -> Run:
         if (folder / "experiment.json").is_file():
             raise UserError(f"{folder} is not finished: run its command again, which goes on")
         raise UserError(f"{folder} holds no results.json: name a finished run, such as runs/demo")
-    results = read(folder / "results.json", Results, EVALUATED)
+    results = read_record(folder / "results.json", Results, EVALUATE_REMEDY)
     outcome = Outcome(status="done", reason=None, results=results)
     seconds, data = {}, None
     for network in results.settings["networks"]:
         model = read_object_if_sound(folder / network / "model.json") or {}
         data = data or (model.get("origin") or {}).get("version")
         if (file := folder / network / "summary.json").exists():
-            seconds[network] = read(file, Summary, TRAINED).train_seconds
-    return Run(name, folder, Measured(outcome, read_tests(folder, EVALUATED)), seconds, data)
+            seconds[network] = read_record(file, TrainingSummary, TRAINED).train_seconds
+    return Run(name, folder, Measured(outcome, read_tests(folder, EVALUATE_REMEDY)), seconds, data)
 
 
 def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:

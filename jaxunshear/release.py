@@ -10,9 +10,9 @@ from pathlib import Path
 
 from jaxunshear.errors import UserError
 from jaxunshear.plain import plain
-from jaxunshear.results.rows import Machine
-from jaxunshear.results.run import EVALUATED, Results
-from jaxunshear.results.stored import read
+from jaxunshear.results.measurement import Machine
+from jaxunshear.results.record_files import read_record
+from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.settings.targets import to_json
@@ -42,14 +42,14 @@ def release(run_dir: Path, out: Path) -> Path:
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
     settings = read_object(run_dir / "experiment.json")
-    results = read(run_dir / "results.json", Results, EVALUATED)
+    results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     try:
         text, settings = (
             make_card(results, out.name),
             settings | {"name": out.name},
         )  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     needed = NEEDED if results.simulated else ()
     names = [name for name in PARTS if name in needed or has_model(run_dir / name)]
     if not names:

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from jaxunshear import __version__
-from jaxunshear.results.rows import Source
+from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 # what decides a result

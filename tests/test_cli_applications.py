@@ -10,8 +10,8 @@ from PIL import Image
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
 from jaxunshear.plain import plain
-from jaxunshear.results.applications import WalkScores
-from jaxunshear.results.stored import SCHEMA, record_of
+from jaxunshear.results.applications import TrajectoryScores
+from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
@@ -112,7 +112,7 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     answer = command("servo", *words, "--starts", 1, "--json", tmp_path / "rows.json")
     assert answer.code == 0, answer.err
     held = json.loads((tmp_path / "rows.json").read_text())
-    rows = record_of(held, WalkScores, "rows.json", "walk again").rows
+    rows = convert_record(held, TrajectoryScores, "rows.json", "walk again").rows
     assert held["schema"] == SCHEMA and held["rows"] == plain(rows)
     rows = held["rows"]
     assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.results.stored import read
+from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.configs import CONFIGS, config_name, set_name
 from jaxunshear.settings.data import Recorded
@@ -80,7 +80,7 @@ TIMED = [path for path in FILES if ROWS_TOOK.search(path.read_text())]
 @pytest.mark.parametrize("path", TIMED, ids=lambda path: path.stem)
 def test_run_times_are_those_of_the_results(path):
     results = FOLDER.parent / "docs" / "results" / f"{path.stem}.json"
-    cells = read(results, SweepResult, "make it again").cells
+    cells = read_record(results, SweepResult, "make it again").cells
     seconds = sum(costs.wall_seconds for cell in cells for costs in cell.costs.values())
     (minutes,) = ROWS_TOOK.findall(path.read_text())
     assert abs(seconds / 60 - int(minutes)) <= 1

@@ -128,7 +128,7 @@ def test_types_are_named():
 def test_results_are_read_and_written_in_one_place():
     """No other file calls the library that checks them."""
     assert [module for module, path in FILES.items() if "msgspec" in path.read_text()] == [
-        "jaxunshear.results.stored"
+        "jaxunshear.results.record_files"
     ]
 
 

@@ -16,8 +16,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference import infer
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.release import make_card, release
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import record_of
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
@@ -59,7 +59,7 @@ RESULTS = {
 
 
 def card_of(held):
-    return make_card(record_of(held, Results, "results.json", "again"), "mine")
+    return make_card(convert_record(held, Results, "results.json", "again"), "mine")
 
 
 @pytest.fixture(scope="module")

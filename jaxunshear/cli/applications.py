@@ -9,7 +9,7 @@ from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
 from jaxunshear.cli.options import Commands, Model, choose_exit_code
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
-from jaxunshear.results.applications import Streamed
+from jaxunshear.results.applications import StreamResult
 from jaxunshear.results.folders import find_results_folder
 
 WORK: dict[str, ModuleType] = {
@@ -44,21 +44,21 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_apart(out, "--out")
     found = WORK[arguments.command].run(arguments, out, model)
     from jaxunshear.metrics.machine import describe_provenance
-    from jaxunshear.results.stored import write
-    from jaxunshear.results.trained import read_trained
+    from jaxunshear.results.record_files import write_record
+    from jaxunshear.results.training_summaries import read_training_facts
 
     results = describe_provenance(command) | vars(found)
     if model:
-        results |= read_trained(model[0], model[1].networks)
+        results |= read_training_facts(model[0], model[1].networks)
     if arguments.json:
-        write(arguments.json, results)
+        write_record(arguments.json, results)
     if arguments.command != "stream" or finished:
-        write(out / f"{arguments.command}.json", results)
+        write_record(out / f"{arguments.command}.json", results)
     if model and finished and out == home:
         from jaxunshear.report.report import write_report
 
         print(write_report(model[0]), file=sys.stderr)
-    return choose_exit_code(found.used, found.skipped) if isinstance(found, Streamed) else 0
+    return choose_exit_code(found.used, found.skipped) if isinstance(found, StreamResult) else 0
 
 
 def _model(arguments: argparse.Namespace) -> Model:

@@ -6,7 +6,7 @@ from pathlib import Path
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.places import check_beside
-from jaxunshear.results.applications import PinRows
+from jaxunshear.results.applications import PinScores
 from jaxunshear.settings.experiment import simulated_of
 
 
@@ -43,7 +43,7 @@ def add_parser(commands: Commands) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRows:
+def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinScores:
     import numpy as np
 
     from jaxunshear.dataset.recorded_pins import find_pins, summary

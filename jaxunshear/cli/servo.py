@@ -12,7 +12,7 @@ from jaxunshear.cli.options import (
     new_parser,
     stimuli_of,
 )
-from jaxunshear.results.applications import WalkScore, WalkScores
+from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
 
 
 def add_parser(commands: Commands) -> None:
@@ -34,7 +34,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectoryScores:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
     from jaxunshear.report.walk_figure import walk_figure
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
         for touched in stimuli
     ]
     ways = tuple(arguments.ways.split(",")) if arguments.ways else None
-    rows: list[WalkScore] = []
+    rows: list[TrajectoryScore] = []
     for found in servo(*model, courses, ways, out):
         name = str(found.course.stimulus)
         rows += found.scores
@@ -55,4 +55,4 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
         print(plain_table([vars(row) for row in found.scores], columns))
     print(out)
-    return WalkScores(rows)
+    return TrajectoryScores(rows)

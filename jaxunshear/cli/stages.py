@@ -124,9 +124,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     )
     if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import build_measurements
-        from jaxunshear.results.stored import write
+        from jaxunshear.results.record_files import write_record
 
-        write(arguments.json, build_measurements(results))
+        write_record(arguments.json, build_measurements(results))
     return 0
 
 
@@ -203,7 +203,7 @@ def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) 
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.other_recordings import format_table, score_recordings
     from jaxunshear.evaluation.sim_to_real import score_transfer
-    from jaxunshear.results.stored import write
+    from jaxunshear.results.record_files import write_record
 
     if recorded_of(experiment):
         results = score_recordings(
@@ -213,4 +213,4 @@ def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) 
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     print(format_table(results))
     if arguments.json:
-        write(arguments.json, build_measurements(results))
+        write_record(arguments.json, build_measurements(results))

@@ -20,7 +20,7 @@ from jaxunshear.cli.options import (
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_beside, check_new_file, check_new_folder
-from jaxunshear.results.applications import Streamed
+from jaxunshear.results.applications import StreamResult
 from jaxunshear.storage import os_error
 
 
@@ -53,7 +53,7 @@ def add_parser(commands: Commands) -> None:
     add_json(parser, "the summary, with command, machine and versions")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_frames
     from jaxunshear.apps.robot.stream import load_stream_model, stream
     from jaxunshear.inference.perceiver import find_pin_frame

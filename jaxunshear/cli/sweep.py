@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check(sweep, str(arguments.file))
 
     from jaxunshear.owners import check_apart
-    from jaxunshear.results.stored import write
+    from jaxunshear.results.record_files import write_record
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
     from jaxunshear.sweep.table import table
@@ -99,5 +99,5 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     print(table(summary))
     print(arguments.out / sweep.name / "sweep.json")
     if arguments.json is not None:
-        write(arguments.json, summary)
+        write_record(arguments.json, summary)
     return 1 if any(cell.failures for cell in summary.cells) else 0

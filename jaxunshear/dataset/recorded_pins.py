@@ -20,7 +20,7 @@ from jaxunshear.image.pin_track import PinTrack
 from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.image.preprocess import View
 from jaxunshear.progress import Progress
-from jaxunshear.results.applications import PinRow, PinRows
+from jaxunshear.results.applications import PinScore, PinScores
 from jaxunshear.settings.image import Preprocess
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
@@ -38,7 +38,7 @@ class Pins:
     place_px: np.ndarray  # (N, P, 2)
     motion_px: np.ndarray  # (N, P, 2) from where the pins stand untouched
     lattice: Lattice  # where that is
-    table: PinRows  # how well it went, image by image
+    table: PinScores  # how well it went, image by image
     shown: Shown  # some images, to be drawn
 
 
@@ -78,7 +78,7 @@ def find_pins(
     tracks = track_all(lattice, found)
     spent += time.perf_counter() - fitted
     place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])
-    table = PinRows(
+    table = PinScores(
         rows=[_row(name, track) for name, track in zip(names, tracks, strict=True)],
         pins=len(lattice.place),
         image_px=preprocess.size,
@@ -115,8 +115,8 @@ def _found(
     return found, names, drawn, spent
 
 
-def _row(name: str, track: PinTrack) -> PinRow:
-    return PinRow(
+def _row(name: str, track: PinTrack) -> PinScore:
+    return PinScore(
         name=name,
         matched=int(track.seen.sum()) if track.identified else 0,
         sure=track.identified,
@@ -129,7 +129,7 @@ def _row(name: str, track: PinTrack) -> PinRow:
     )
 
 
-def summary(table: PinRows) -> str:
+def summary(table: PinScores) -> str:
     """What a person wants to know at once."""
     rows, pins = table.rows, table.pins
     sure = [row for row in rows if row.sure]

@@ -15,7 +15,7 @@ from jaxunshear.downstream.contour import Contour, measure_contour_distances
 from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, ServoTask, Trajectories, follow_contour
 from jaxunshear.errors import UserError
 from jaxunshear.inference import perception
-from jaxunshear.results.applications import WalkScore
+from jaxunshear.results.applications import TrajectoryScore
 from jaxunshear.scene.stimuli import get_closed_stimulus
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.settings.reach import deepest_mm
@@ -29,7 +29,7 @@ class ServoResult:
     course: ServoTask
     walks: Trajectories
     line: Contour
-    scores: tuple[WalkScore, ...]  # by way of perceiving
+    scores: tuple[TrajectoryScore, ...]  # by way of perceiving
 
 
 def servo(
@@ -84,7 +84,9 @@ def _check(course: ServoTask, sensor: Sensor) -> None:
         raise UserError(f"--depth {course.depth_mm:g}: use more than 0, up to {deepest:.1f} mm")
 
 
-def score_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> tuple[WalkScore, ...]:
+def score_trajectories(
+    walks: Trajectories, line: Contour, stimulus: str
+) -> tuple[TrajectoryScore, ...]:
     """For each way of perceiving."""
     rows = []
     for way in dict.fromkeys(walks.method.tolist()):
@@ -97,7 +99,7 @@ def score_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> tup
         apart, seen = np.concatenate(tracks), measure_contour_distances(line, edge)
         ends = {ENDS[end]: int(np.sum(walks.end[mine] == end)) for end in range(CLOSED, LATE + 1)}
         taken = np.sum(~np.isnan(walks.point[mine, :, 0]))
-        row = WalkScore(
+        row = TrajectoryScore(
             name=f"{stimulus}/{way}",
             stimulus=stimulus,
             way=way,

@@ -20,7 +20,7 @@ from jaxunshear.evaluation.score import CELL_METRICS, get_cell_target, make_cell
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
@@ -101,7 +101,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         "rows": build_rows(scores, poses),
         "contacts": total,
         "seed": SEED,
-        **read_trained(run_dir, experiment.networks),
+        **read_training_facts(run_dir, experiment.networks),
         **describe_provenance(command),
     }
     write_json(Path(run_dir) / "ablation.json", results)

@@ -60,10 +60,10 @@ from jaxunshear.evaluation.unambiguous_edges import (
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
-from jaxunshear.results.stored import write
+from jaxunshear.results.record_files import write_record
+from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
 from jaxunshear.results.times import read_times
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import (
     Experiment,
@@ -111,7 +111,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         results,
         ms_per_image=measure_ms_per_image(run_dir, experiment.networks),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
-        **read_trained(run_dir, experiment.networks),
+        **read_training_facts(run_dir, experiment.networks),
         **describe_provenance(command),
     )
     results = round_values(results)
@@ -121,7 +121,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
             write_bytes(run_dir / "montage.npz", encode_montage(names, gathered))
     for name, found in further.items():
         write_bytes(run_dir / f"scores-{name}.npz", encode_scores(found))
-    write(run_dir / "results.json", results)
+    write_record(run_dir / "results.json", results)
     return results
 
 
@@ -300,7 +300,7 @@ def build_results(
             test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
             pin_images=len(gathered.kept_rows),
         ),
-        bars={name: Bar(*bar) for name, bar in BARS.items()},
+        bars={name: ResultBar(*bar) for name, bar in BARS.items()},
         paper=PAPER,
         seeds={
             "experiment": experiment.seed,
@@ -312,9 +312,9 @@ def build_results(
     )
 
 
-def _further(settings: PairedData, gathered: CollectedScores) -> Further:
+def _further(settings: PairedData, gathered: CollectedScores) -> FurtherTest:
     """The tables of a test of its own, with what it was made of."""
-    return Further(
+    return FurtherTest(
         stimuli=settings.names,
         tap_depth_jitter_mm=settings.tap_depth_jitter_mm,
         ranges=dataclasses.asdict(settings.ranges),

@@ -32,7 +32,7 @@ from jaxunshear.evaluation.probes import FAMILIES
 from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_json
@@ -102,7 +102,7 @@ def measure_leakage(
         "slide": _slide(experiment, examples, encode, (train, test)),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
-        **read_trained(run_dir, experiment.networks),
+        **read_training_facts(run_dir, experiment.networks),
         **describe_provenance(command),
     }
     for row in rows:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxunshear.plain import plain
-from jaxunshear.results.rows import Measured, Measurement
-from jaxunshear.results.run import Results, Swapped, Table
+from jaxunshear.results.measurement import Measured, Measurement
+from jaxunshear.results.run import CodeSwapScore, Results, Table
 from jaxunshear.storage import Json
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
@@ -65,12 +65,14 @@ def build_measurements(results: Results) -> Measured:
 
 
 def _rows(
-    kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str
+    kinds: Table | Mapping[str, CodeSwapScore] | None, table: str, metric: str | int, prefix: str
 ) -> list[Measurement]:
     return [
         _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), str(metric))
         for kind, columns in (kinds or {}).items()
-        for column, value in (vars(columns) if isinstance(columns, Swapped) else columns).items()
+        for column, value in (
+            vars(columns) if isinstance(columns, CodeSwapScore) else columns
+        ).items()
         if not isinstance(value, str)
     ]
 

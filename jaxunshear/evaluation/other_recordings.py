@@ -21,9 +21,9 @@ from jaxunshear.evaluation.conformal import compute_coverage
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.results.run import EVALUATED, Full, Results, Table
-from jaxunshear.results.stored import read
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.record_files import read_record
+from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results, Table
+from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.storage import read_object
@@ -67,9 +67,9 @@ def score_recordings(
     run = recorded_evaluation.load_recorded_run(unseen, run_dir, stored)
     slides, taps = recorded_evaluation.collect_recorded_scores(unseen, run, test, targets)
     results = recorded_evaluation.build_results(unseen, stored, targets, slides, taps, test)
-    widths: Full = {}
+    widths: FullTable = {}
     if (run_dir / "results.json").exists():
-        widths = read(run_dir / "results.json", Results, EVALUATED).half_width or {}
+        widths = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY).half_width or {}
     shutil.rmtree(folder, ignore_errors=True)
     return round_values(
         replace(
@@ -78,7 +78,7 @@ def score_recordings(
             coverage=compute_coverage(widths, recorded_evaluation.list_pose_errors(slides, taps)),
             trained_in=run_dir.name,
             time_s={"evaluate": time.perf_counter() - started},
-            **read_trained(run_dir, experiment.networks),
+            **read_training_facts(run_dir, experiment.networks),
             **describe_provenance(command),
         )
     )

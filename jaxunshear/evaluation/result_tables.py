@@ -18,13 +18,13 @@ from jaxunshear.evaluation.bootstrap import (
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, get_cell_target
 from jaxunshear.results.run import (
+    CodeSwapScore,
     PartPoses,
     Parts,
     Poses,
     PoseSpread,
     Span,
     Spread,
-    Swapped,
     Tables,
 )
 
@@ -81,7 +81,7 @@ def build_tables(
         },
         difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         swap={
-            cell: Swapped(
+            cell: CodeSwapScore(
                 target=get_cell_target(cell),
                 **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS},
             )

@@ -43,7 +43,7 @@ from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_labels
@@ -129,7 +129,7 @@ def score_transfer(
         readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         counts=_count(known_half, tap_read, slide_read),
         time_s={"evaluate": time.perf_counter() - started},
-        **read_trained(model, experiment.networks),
+        **read_training_facts(model, experiment.networks),
         **describe_provenance(command),
     )
     return round_values(results)

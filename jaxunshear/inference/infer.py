@@ -27,7 +27,7 @@ from jaxunshear.inference.suitability import learnt_note
 from jaxunshear.places import check_beside
 from jaxunshear.plain import csv_text
 from jaxunshear.progress import Progress
-from jaxunshear.results.rows import Measured, Measurement
+from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.storage import Json, write_bytes, write_text

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxunshear.results.rows import Measurement
+from jaxunshear.results.measurement import Measurement
 from jaxunshear.settings.targets import RECORDED, SLIDES
 
 if TYPE_CHECKING:

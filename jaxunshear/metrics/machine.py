@@ -6,7 +6,7 @@ from importlib import metadata
 from pathlib import Path
 
 from jaxunshear.environment import cores
-from jaxunshear.results.rows import Machine
+from jaxunshear.results.measurement import Machine
 from jaxunshear.source import read_source
 from jaxunshear.storage import Json
 

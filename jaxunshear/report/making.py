@@ -12,7 +12,7 @@ from jaxunshear.plain import plain
 from jaxunshear.progress import duration
 from jaxunshear.report import page, words
 from jaxunshear.report.history import History
-from jaxunshear.results.rows import Summary
+from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.run import Results
 from jaxunshear.style import COLOURS, INK, STYLE
 
@@ -21,7 +21,7 @@ ABREAST = 3  # panels of loss curves
 DASHES = ("-", "--", ":")
 
 
-def training(histories: dict[str, History], summaries: dict[str, Summary]) -> Markup:
+def training(histories: dict[str, History], summaries: dict[str, TrainingSummary]) -> Markup:
     if not histories:
         return page.section("Training", "This run has no training logs.")
     rows = [

@@ -22,9 +22,9 @@ from jaxunshear.report import (
     words,
 )
 from jaxunshear.report.history import read_history
-from jaxunshear.results.rows import Summary
-from jaxunshear.results.run import EVALUATED, Results
-from jaxunshear.results.stored import read
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import read_record
+from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.times import read_times
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import write_bytes, write_text
@@ -51,14 +51,16 @@ def write_report(run_dir: Path) -> Path:
     curves; recorded runs in which nothing is unsheared have no montage.
     """
     run_dir = Path(run_dir)
-    results = read(run_dir / "results.json", Results, EVALUATED)
+    results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     grown = read_times(run_dir)  # since the evaluation
     results = replace(results, time_s={**results.time_s, **grown})
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {
-        name: read(path, Summary, making.TRAINED) for name, path in endings.items() if path.exists()
+        name: read_record(path, TrainingSummary, making.TRAINED)
+        for name, path in endings.items()
+        if path.exists()
     }
     try:
         shown = (
@@ -90,7 +92,7 @@ def write_report(run_dir: Path) -> Path:
             making.provenance(results),
         ]
     except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     if shown:
         write_bytes(run_dir / "montage.png", montage.drawing(shown, results))
     path = run_dir / "report.html"

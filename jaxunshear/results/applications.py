@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
-class WalkScore:
+class TrajectoryScore:
     """Walks around one object by one way of perceiving: means over its walks, distances over all of their steps.
 
     `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its
@@ -31,14 +31,14 @@ class WalkScore:
 
 
 @dataclass(frozen=True)
-class WalkScores:
+class TrajectoryScores:
     """servo.json"""
 
-    rows: Sequence[WalkScore]
+    rows: Sequence[TrajectoryScore]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PinRow:
+class PinScore:
     """One image."""
 
     name: str
@@ -51,10 +51,10 @@ class PinRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PinRows:
+class PinScores:
     """pins.json"""
 
-    rows: Sequence[PinRow]
+    rows: Sequence[PinScore]
     pins: int
     image_px: int
     motion_from: str  # what motions are from, in words
@@ -119,7 +119,7 @@ class GeometryScores:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Streamed:
+class StreamResult:
     """stream.json: what became of the frames of a stream.
 
     Milliseconds and their percentiles are of the frames that were used, from their coming to their line, and of the networks alone.

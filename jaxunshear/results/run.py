@@ -4,18 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from jaxunshear.results.rows import Machine, Source, Versions
+from jaxunshear.results.measurement import Machine, Source, Versions
 from jaxunshear.settings.targets import Target
 
-EVALUATED = "run `jaxunshear evaluate` again"  # what makes a file of it anew
+EVALUATE_REMEDY = "run `jaxunshear evaluate` again"  # what makes a file of it anew
 Settings = Mapping[str, Any]  # as `settings.stored.to_json` makes them
 Notes = Mapping[str, str | int]  # what exactly a name of a table stands for
 Scores = Mapping[str, float | None]  # by target or shape
 Table = Mapping[str, Scores]  # by kind of contact
 Span = Sequence[float] | None  # 95 % interval
 Spans = Mapping[str, Mapping[str, Span]]
-Reads = Mapping[str, Table]  # by reader
-Full = Mapping[str, Mapping[str, float]]  # a table without gaps
+EstimatorTables = Mapping[str, Table]  # by reader
+FullTable = Mapping[str, Mapping[str, float]]  # a table without gaps
 # recorded contacts that a network is tested on: kept out of those that it learnt from, or others
 TestData = Literal["same session", "other recordings"]
 
@@ -59,7 +59,7 @@ Parts = Mapping[str, PartPoses | None]  # None where no contact is
 
 
 @dataclass(frozen=True, kw_only=True)
-class Swapped:
+class CodeSwapScore:
     """What a decoder makes of codes, compared with the image it should draw."""
 
     target: str
@@ -75,9 +75,9 @@ class Tables(Poses):
     ms_ssim: Table = field(default_factory=dict)
     pose_by_stimulus: Parts = field(default_factory=dict)
     difference: Table = field(default_factory=dict)
-    swap: Mapping[str, Swapped] = field(default_factory=dict)
+    swap: Mapping[str, CodeSwapScore] = field(default_factory=dict)
     spread: Spread = field(default_factory=Spread)
-    readers: Reads = field(default_factory=dict)
+    readers: EstimatorTables = field(default_factory=dict)
     reader_images: Mapping[str, Mapping[str, Mapping[str, int]]] = field(default_factory=dict)
     pins: Table | None = None
     pose_by_depth: Parts | None = None
@@ -86,7 +86,7 @@ class Tables(Poses):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Further(Tables):
+class FurtherTest(Tables):
     """A test of its own, with what it was made of."""
 
     stimuli: Sequence[str] = ()
@@ -146,7 +146,7 @@ class Pairing:
 
 
 @dataclass(frozen=True)
-class Bar:
+class ResultBar:
     sense: str
     bar: float
 
@@ -161,7 +161,7 @@ class Results(Tables):
     settings: Settings
     metric: Notes
     pin_error: Table
-    tests: Mapping[str, Further] = field(default_factory=dict)
+    tests: Mapping[str, FurtherTest] = field(default_factory=dict)
     baselines: Table = field(default_factory=dict)
     contact: Table | None = None
     test_data: TestData | None = None  # of simulated runs and of earlier versions unknown
@@ -169,13 +169,13 @@ class Results(Tables):
     pairing: Pairing | None = None
     targets: Sequence[Target] | None = None
     counts: Counts = field(default_factory=Counts)
-    bars: Mapping[str, Bar] = field(default_factory=dict)
-    paper: Mapping[str, Full] = field(default_factory=dict)
+    bars: Mapping[str, ResultBar] = field(default_factory=dict)
+    paper: Mapping[str, FullTable] = field(default_factory=dict)
     seeds: Mapping[str, int] = field(default_factory=dict)
-    half_width: Full | None = None
-    coverage: Full | None = None
+    half_width: FullTable | None = None
+    coverage: FullTable | None = None
     trained_in: str | None = None
-    ms_per_image: Full = field(default_factory=dict)
+    ms_per_image: FullTable = field(default_factory=dict)
     time_s: Mapping[str, float] = field(default_factory=dict)
     machine: Machine = field(default_factory=Machine)
     trained_on: Mapping[str, Machine] = field(default_factory=dict)

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from jaxunshear.results.rows import Machine, Source, Versions
-from jaxunshear.results.run import Full, Notes, Results, Scores, Settings, Span
+from jaxunshear.results.measurement import Machine, Source, Versions
+from jaxunshear.results.run import FullTable, Notes, Results, Scores, Settings, Span
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,7 +13,7 @@ class Costs:
 
     train_seconds: Mapping[str, float] = field(default_factory=dict)
     images_per_second: Mapping[str, float] = field(default_factory=dict)
-    ms_per_image: Full = field(default_factory=dict)
+    ms_per_image: FullTable = field(default_factory=dict)
     wall_seconds: float = 0.0
     peak_memory_bytes: int = 0
     device: str | None = None
@@ -53,7 +53,7 @@ Figures = Mapping[str, Figure]  # by metric
 
 
 @dataclass(frozen=True)
-class Axis:
+class GridAxis:
     """Of the grid; values as they are printed."""
 
     name: str
@@ -90,7 +90,7 @@ class SweepResult:
     sweep: str
     claim: str = ""
     simulated: bool = True
-    axes: Sequence[Axis] = ()
+    axes: Sequence[GridAxis] = ()
     seeds: Sequence[int]
     networks: Sequence[str] = ()
     spread: Notes = field(default_factory=dict)  # what the intervals are

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.results.stored import write
+from jaxunshear.results.record_files import write_record
 from jaxunshear.settings.experiment import Experiment, needed, trained
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
@@ -69,7 +69,7 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     outcome_file(task.folder, task.kind).unlink(
         missing_ok=True
     )  # a set may have been deleted since
-    write(task.folder / TASK, Order(kind=task.kind, experiments=experiments, data=str(data)))
+    write_record(task.folder / TASK, Order(kind=task.kind, experiments=experiments, data=str(data)))
     return task
 
 
@@ -117,14 +117,14 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                         }
                         copied = {n: str(place) for n, place in places.items() if place}
                         asked = replace(order, networks=(*first, network), sources=copied)
-                        write(
+                        write_record(
                             own.folder / TASK,
                             replace(asked, kind=own.kind, experiment=to_json(part)),
                         )
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
         asked = replace(order, networks=trained(row.experiment), sources=sources, ablation=ablation)
         asked = replace(asked, label=row.label, seed=row.experiment.seed)
-        write(
+        write_record(
             task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment))
         )
         tasks.append(task)

@@ -14,7 +14,7 @@ from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
-from jaxunshear.results.stored import write
+from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.experiment import trained
 from jaxunshear.settings.sweep import Sweep
@@ -70,7 +70,7 @@ def run_sweep(
             write_bytes(folder / "sweep.png", picture)
         else:
             (folder / "sweep.png").unlink(missing_ok=True)  # an earlier one shows other rows
-        write(folder / "sweep.json", summary)
+        write_record(folder / "sweep.json", summary)
     return summary
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxunshear.evaluation import bootstrap
 from jaxunshear.report.frontier_figure import efficient
-from jaxunshear.results.sweep import Axis, CellResult, Costs, Failure, Figure, SweepResult
+from jaxunshear.results.sweep import CellResult, Costs, Failure, Figure, GridAxis, SweepResult
 from jaxunshear.settings.experiment import recorded_of
 from jaxunshear.settings.fields import show
 from jaxunshear.settings.stored import to_json
@@ -55,7 +55,7 @@ def summarise(
         claim=sweep.claim,
         simulated=recorded_of(sweep.base) is None,
         axes=[
-            Axis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis))
+            GridAxis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis))
             for axis in sweep.grid
         ],
         seeds=sweep.seeds,

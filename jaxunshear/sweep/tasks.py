@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.run import Settings
-from jaxunshear.results.stored import read, write
 from jaxunshear.results.sweep import Outcome
 
 TASK, LOG, LOCK = "task.json", "log.txt", "lock"
@@ -58,11 +58,13 @@ def outcome_file(folder: Path, kind: str) -> Path:
 def read_outcome(folder: Path, kind: str) -> Outcome | None:
     """None while the task is not finished."""
     path = outcome_file(folder, kind)
-    return read(path, Outcome, "delete it and run the same command") if path.exists() else None
+    return (
+        read_record(path, Outcome, "delete it and run the same command") if path.exists() else None
+    )
 
 
 def read_order(folder: Path) -> Order:
-    return read(folder / TASK, Order, "delete that folder and run the same command")
+    return read_record(folder / TASK, Order, "delete that folder and run the same command")
 
 
 def failure(order: Order, reason: str, folder: Path) -> Outcome:
@@ -118,7 +120,7 @@ def give_up(folder: Path, kind: str, reason: str) -> None:
     """Writes the outcome of a task that cannot do so itself, unless it did."""
     path = outcome_file(folder, kind)
     if not path.exists():
-        write(path, failure(read_order(folder), reason, folder))
+        write_record(path, failure(read_order(folder), reason, folder))
 
 
 def _ending(code: int, folder: Path) -> str:

@@ -19,8 +19,8 @@ from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.results.rows import Summary
-from jaxunshear.results.stored import read, write
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
 from jaxunshear.settings.experiment import Experiment, over_pins
@@ -54,7 +54,7 @@ def main(folder: Path, parent: int) -> int:
         outcome = outcome_file(folder, order.kind)
         if not outcome.exists():
             try:
-                write(outcome, attempt(order, folder))
+                write_record(outcome, attempt(order, folder))
             except Exception as error:
                 if disk_is_full(error):
                     print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -187,8 +187,8 @@ def _check_checkpoints(source: Path) -> None:
 def _trained(order: Order, folder: Path) -> Outcome:
     """Time and memory of the trainings, those of other tasks with them."""
     ended = {
-        network: read(
-            folder / network / "summary.json", Summary, "delete it and run the same command"
+        network: read_record(
+            folder / network / "summary.json", TrainingSummary, "delete it and run the same command"
         )
         for network in order.networks or ()
     }

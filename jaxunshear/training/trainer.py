@@ -29,8 +29,8 @@ from jaxunshear.metrics.machine import describe_machine
 from jaxunshear.model import layer_choice
 from jaxunshear.model.fast import compiled_kernels
 from jaxunshear.progress import Progress
-from jaxunshear.results import stored
-from jaxunshear.results.rows import Summary
+from jaxunshear.results import record_files
+from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.source import read_source
@@ -82,7 +82,7 @@ def train(
     origin: object = None,
     data: Sequence[str] = (),
     start: InitialWeights | None = None,
-) -> Summary:
+) -> TrainingSummary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
 
     Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
@@ -99,7 +99,7 @@ def train(
     )
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
-        return stored.read(folder / checkpoint.SUMMARY, Summary, RESUME_REMEDY)
+        return record_files.read_record(folder / checkpoint.SUMMARY, TrainingSummary, RESUME_REMEDY)
     devices = get_devices(training.batch)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
@@ -267,7 +267,7 @@ def _finish(
     length: TrainingLength,
     folder: Path,
     devices: Devices,
-) -> Summary:
+) -> TrainingSummary:
     """Raises UserError where no validation loss was finite."""
     if math.isinf(training_progress.best_loss):
         hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
@@ -275,7 +275,7 @@ def _finish(
             f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}"
         )
     images = length.steps * length.batch
-    summary = Summary(
+    summary = TrainingSummary(
         kind=task.kind,
         steps=length.steps,
         images=images,
@@ -292,7 +292,7 @@ def _finish(
         ),
         trained_by=read_source(),
     )
-    stored.write(folder / checkpoint.SUMMARY, summary)
+    record_files.write_record(folder / checkpoint.SUMMARY, summary)
     return summary
 
 

@@ -4,8 +4,8 @@ import pytest
 
 from jaxunshear.evaluation.measurements import BARS, build_measurements, select_reproducible
 from jaxunshear.plain import plain
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import record_of
 
 
 def results(unsheared=0.95, sheared=0.32, ratio=0.5):
@@ -34,7 +34,7 @@ def results(unsheared=0.95, sheared=0.32, ratio=0.5):
 
 
 def record(held):
-    return record_of(held, Results, "made up", "again")
+    return convert_record(held, Results, "made up", "again")
 
 
 def by_name(found):

@@ -12,8 +12,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.plain import plain
+from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import SCHEMA, read
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
@@ -106,7 +106,7 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
     results = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert read_json(run_dir / "results.json") == {"schema": SCHEMA} | plain(results)
-    assert read(run_dir / "results.json", Results, "again") == results
+    assert read_record(run_dir / "results.json", Results, "again") == results
     assert results.metric["ms_ssim"] == "ms_ssim@2"
     assert results.time_s["data"] == 12.5
     assert results.time_s["evaluate"] > 0

@@ -18,8 +18,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.plain import plain
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
+from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import read
 from jaxunshear.results.times import read_times
 from jaxunshear.settings.configs import set_folder, set_name
 from jaxunshear.settings.data import PairedData, PoseData, Recorded
@@ -119,7 +119,7 @@ def _inputs(run: Path) -> Act:
 
     def act() -> object:
         logs = [read_history(file) for file in sorted(run.rglob("log.jsonl"))]
-        results = read(run / "results.json", Results, "again")
+        results = read_record(run / "results.json", Results, "again")
         return str((logs, results, read_times(run))), bits(montage.read(run / "montage.npz"))
 
     return act

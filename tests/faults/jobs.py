@@ -9,8 +9,8 @@ from pathlib import Path
 
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.evaluation.measurements import select_reproducible
+from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.splits import SPLITS
@@ -53,7 +53,7 @@ def jobs(places: Places) -> dict[str, Job]:
 
     def scored(name: str) -> Callable[[Path], object]:
         return lambda work: select_reproducible(
-            read(work / name / "results.json", Results, "again")
+            read_record(work / name / "results.json", Results, "again")
         )
 
     def answered(work: Path) -> object:
@@ -167,4 +167,4 @@ def _killed_rows(work: Path) -> bool:
 
 
 def _swept(work: Path) -> SweepResult:
-    return read(work / "small" / "sweep.json", SweepResult, "again")
+    return read_record(work / "small" / "sweep.json", SweepResult, "again")

@@ -13,7 +13,7 @@ from jaxunshear.report.frontier_figure import (
     panel,
     points,
 )
-from jaxunshear.results.stored import record_of
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 
 
@@ -46,7 +46,7 @@ def summary(settings, seeds=("0", "1")):
 
 
 def record(made):
-    return record_of(made, SweepResult, "made up", "again")
+    return convert_record(made, SweepResult, "made up", "again")
 
 
 THREE = [

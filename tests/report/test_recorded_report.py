@@ -15,8 +15,8 @@ from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.fit import BASE
 from jaxunshear.plain import plain
 from jaxunshear.report.report import write_report
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import record_of
 from jaxunshear.run import print_summary
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.targets import of_labels
@@ -368,7 +368,7 @@ def test_a_montage_that_should_be_there_is_missed(tmp_path):
 
 def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     results = make_run(tmp_path)
-    print_summary(record_of(results, Results, "it", "again"), tmp_path)
+    print_summary(convert_record(results, Results, "it", "again"), tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < 12
     assert lines[0].split() == ["error", *SCALE]
@@ -385,7 +385,7 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
         "0.683 as felt, 0.979 unsheared" in lines[-2]
         and lines[-1] == f"results: {tmp_path / 'results.json'}"
     )
-    print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
+    print_summary(convert_record(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4
 
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.report.sweep_figure import shown_metrics, sweep_figure, values_on_grid
-from jaxunshear.results.stored import record_of
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 
 REASON = "training disentangled stopped: supervised not finite at step 300"
@@ -61,7 +61,7 @@ def summary(axes: int, failing: bool = True) -> dict:
 
 
 def record(made):
-    return record_of(made, SweepResult, "made up", "again")
+    return convert_record(made, SweepResult, "made up", "again")
 
 
 def test_metrics_that_differ_between_cells_are_shown_in_order():

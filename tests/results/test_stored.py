@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.results.rows import Machine
+from jaxunshear.results.measurement import Machine
+from jaxunshear.results.record_files import SCHEMA, read_record, write_record
 from jaxunshear.results.run import Results, Tables
-from jaxunshear.results.stored import SCHEMA, read, write
 from jaxunshear.results.sweep import Figure, SweepResult
 from jaxunshear.storage import read_json, write_json
 
@@ -26,8 +26,8 @@ RESULTS = Results(
 
 
 def test_what_is_written_is_read(tmp_path):
-    write(tmp_path / "results.json", RESULTS)
-    assert read(tmp_path / "results.json", Results, "again") == RESULTS
+    write_record(tmp_path / "results.json", RESULTS)
+    assert read_record(tmp_path / "results.json", Results, "again") == RESULTS
     held = json.loads((tmp_path / "results.json").read_text())
     assert held["schema"] == SCHEMA and held["pin_error"]["tap"] == {"rms_px": 0.5, "rms_mm": None}
     assert (
@@ -36,21 +36,21 @@ def test_what_is_written_is_read(tmp_path):
 
 
 def test_what_is_not_finite_is_null(tmp_path):
-    write(
+    write_record(
         tmp_path / "a.json",
         replace(RESULTS, pose_mae={"tap": {"x_mm": np.float32("nan"), "y_mm": np.float64(2)}}),
     )
-    assert read(tmp_path / "a.json", Results, "again").pose_mae == {
+    assert read_record(tmp_path / "a.json", Results, "again").pose_mae == {
         "tap": {"x_mm": None, "y_mm": 2.0}
     }
 
 
 def test_a_file_without_a_form_is_of_the_first(tmp_path):
-    write(tmp_path / "a.json", RESULTS)
+    write_record(tmp_path / "a.json", RESULTS)
     held = read_json(tmp_path / "a.json")
     del held["schema"]
     write_json(tmp_path / "a.json", held)
-    assert read(tmp_path / "a.json", Results, "again") == RESULTS
+    assert read_record(tmp_path / "a.json", Results, "again") == RESULTS
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_file_without_a_form_is_of_the_first(tmp_path):
 def test_what_does_not_fit_is_refused_by_name(tmp_path, held, line):
     (tmp_path / "a.json").write_text(json.dumps(held))
     with pytest.raises(UserError, match=line):
-        read(tmp_path / "a.json", Results, "run it again")
+        read_record(tmp_path / "a.json", Results, "run it again")
 
 
 def test_tables_are_those_that_readers_name():
@@ -80,11 +80,11 @@ def test_tables_are_those_that_readers_name():
 
 
 def test_a_figure_without_an_interval_says_so(tmp_path):
-    write(tmp_path / "figure.json", Figure(1.0, None))
+    write_record(tmp_path / "figure.json", Figure(1.0, None))
     assert read_json(tmp_path / "figure.json") == {"schema": SCHEMA, "mean": 1.0, "interval": None}
 
 
 @pytest.mark.parametrize("name", ["standard", "demo", "frontier", "recorded_pins", "parted"])
 def test_stored_sweeps_are_read(name):
-    found = read(ROOT / "docs" / "results" / f"{name}.json", SweepResult, "again")
+    found = read_record(ROOT / "docs" / "results" / f"{name}.json", SweepResult, "again")
     assert all(cell.metrics for cell in found.cells)

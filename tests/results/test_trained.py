@@ -4,22 +4,26 @@ from dataclasses import replace
 
 import pytest
 
-from jaxunshear.results.rows import Machine, Source, Summary
+from jaxunshear.results.measurement import Machine, Source, TrainingSummary
+from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import write
-from jaxunshear.results.trained import read_trained
+from jaxunshear.results.training_summaries import read_training_facts
 
 NOW = Source("0.3.0", "2030-01-02", "c", True)
 EARLIER = replace(NOW, commit="b")
-SUMMARY = Summary(steps=1, parameters=1, best_step=1, train_seconds=1.0, images_per_second=1.0)
+SUMMARY = TrainingSummary(
+    steps=1, parameters=1, best_step=1, train_seconds=1.0, images_per_second=1.0
+)
 EMPTY = Results(settings={}, metric={}, pin_error={})
 
 
 def test_what_trainings_say_is_read(tmp_path):
     made = replace(SUMMARY, trained_on=Machine(cores=2), trained_by=EARLIER)
-    write(tmp_path / "disentangled" / "summary.json", made)
-    write(tmp_path / "posenet" / "summary.json", replace(SUMMARY, trained_on=Machine(cores=4)))
-    found = read_trained(tmp_path, ("disentangled", "posenet", "absent"))
+    write_record(tmp_path / "disentangled" / "summary.json", made)
+    write_record(
+        tmp_path / "posenet" / "summary.json", replace(SUMMARY, trained_on=Machine(cores=4))
+    )
+    found = read_training_facts(tmp_path, ("disentangled", "posenet", "absent"))
     assert found["trained_by"] == {"disentangled": EARLIER}
     assert {name: machine.cores for name, machine in found["trained_on"].items()} == {
         "disentangled": 2,

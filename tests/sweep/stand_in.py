@@ -18,9 +18,9 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.plain import plain
-from jaxunshear.results.rows import Summary
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.configs import describe
 from jaxunshear.settings.experiment import Experiment, learnt_from
@@ -84,7 +84,7 @@ def train(experiment, network, folder, data):
         state = {"step": state["step"] + 1, "value": (state["value"] * 48271 + 11) % 2147483647}
         write_json(checkpoint, state)
     seconds = time.process_time()
-    record = Summary(
+    record = TrainingSummary(
         steps=STEPS, parameters=1, best_step=STEPS, train_seconds=seconds, images_per_second=100.0
     )
     write_json(place / "summary.json", state | plain(record))
@@ -131,7 +131,7 @@ def evaluate(experiment, folder):
             network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks
         },
     }
-    return record_of(plain(found), Results, "made up", "again")
+    return convert_record(plain(found), Results, "made up", "again")
 
 
 def ablate(experiment, folder, data, command):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.results.stored import record_of
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep import engines
 from jaxunshear.sweep.summary import reproducible
@@ -53,9 +53,9 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
             break
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and len(killed) == 2
-    found = record_of(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
+    found = convert_record(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
     assert reproducible(found) == reproducible(
-        record_of(json.loads(serial.stdout), SweepResult, "it", "again")
+        convert_record(json.loads(serial.stdout), SweepResult, "it", "again")
     )
     lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()
     assert len(lines) - len(set(lines)) <= len(killed)

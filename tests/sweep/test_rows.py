@@ -173,7 +173,7 @@ def asked(monkeypatch, tmp_path):
             list(batches(0))
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
-            return trainer.Summary(
+            return trainer.TrainingSummary(
                 steps=1,
                 parameters=1,
                 best_step=1,

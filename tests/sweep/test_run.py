@@ -18,7 +18,7 @@ from jaxunshear.dataset.generation import list_sets
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
 from jaxunshear.plain import plain
-from jaxunshear.results.stored import SCHEMA, record_of
+from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.stored import from_json
 from jaxunshear.source import read_source
@@ -402,7 +402,8 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     killed, _ = last.communicate()
     assert last.returncode == 0
     ended = [
-        record_of(json.loads(text), SweepResult, "its output", "again") for text in (killed, entire)
+        convert_record(json.loads(text), SweepResult, "its output", "again")
+        for text in (killed, entire)
     ]
     assert reproducible(ended[0]) == reproducible(ended[1])
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (

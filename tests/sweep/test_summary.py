@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.plain import plain
-from jaxunshear.results.stored import record_of
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
@@ -67,7 +67,7 @@ def done(values: np.ndarray, **more) -> Measured:
     }
     unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
     return Measured(
-        record_of(outcome | more, Outcome, "row.json", "again"),
+        convert_record(outcome | more, Outcome, "row.json", "again"),
         {"": {NAME: values} | LABELS, "unseen": unseen},
     )
 
@@ -268,7 +268,7 @@ def test_it_is_json_and_costs_are_all_that_may_differ(summary):
     ]
     assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
     assert (
-        record_of(again, SweepResult, "sweep.json", "again").cells[0].metrics
+        convert_record(again, SweepResult, "sweep.json", "again").cells[0].metrics
         == summary.cells[0].metrics
     )
     assert not reproducible(summary).cells[0].costs and reproducible(summary).cells[0].metrics

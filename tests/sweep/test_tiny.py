@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.results.stored import read
+from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep.summary import reproducible
 
@@ -43,7 +43,7 @@ def start(folder: Path) -> subprocess.Popen:
 
 
 def summary(folder: Path) -> SweepResult:
-    return read(folder / "small" / "sweep.json", SweepResult, "again")
+    return read_record(folder / "small" / "sweep.json", SweepResult, "again")
 
 
 @pytest.mark.long

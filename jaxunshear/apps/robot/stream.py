@@ -36,7 +36,7 @@ from jaxunshear.inference.perception import Forward, confidence, load_forward
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.model.weights import Variables
-from jaxunshear.results.applications import Streamed
+from jaxunshear.results.applications import StreamResult
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
@@ -164,7 +164,7 @@ def stream(
     images: Path | None,
     inline: bool,
     truth: LabelReader | None = None,
-) -> Streamed:
+) -> StreamResult:
     """Writes a line for each frame to `out`. One that cannot be used, or is not understood, has no pose and no image, but a reason and a
     confidence of 0.
 
@@ -230,9 +230,9 @@ def _answer(
     return found.after, found.pose, found.crisp * likely, answered - asked
 
 
-def _summary(found: _StreamStats, live: bool, began: float) -> Streamed:
+def _summary(found: _StreamStats, live: bool, began: float) -> StreamResult:
     used = len(found.total_ms)
-    return Streamed(
+    return StreamResult(
         frames=used + found.skipped + found.missed,
         used=used,
         skipped=found.skipped,

@@ -57,7 +57,7 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class TrainingSummary:
     """What a finished training says of itself: summary.json."""
 
     kind: str = ""

@@ -5,17 +5,19 @@ from contextlib import suppress
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.results.rows import Machine, Summary
-from jaxunshear.results.stored import read
+from jaxunshear.results.measurement import Machine, TrainingSummary
+from jaxunshear.results.record_files import read_record
 from jaxunshear.storage import Json
 
 
-def read_trained(run_dir: Path, networks: Iterable[str]) -> Json:
+def read_training_facts(run_dir: Path, networks: Iterable[str]) -> Json:
     """Return on what and with which code `networks` were trained, of those that say so."""
     found = {}
     for name in networks:
         with suppress(UserError):
-            found[name] = read(Path(run_dir) / name / "summary.json", Summary, "train again")
+            found[name] = read_record(
+                Path(run_dir) / name / "summary.json", TrainingSummary, "train again"
+            )
     return {
         "trained_on": {
             n: one.trained_on for n, one in found.items() if one.trained_on != Machine()

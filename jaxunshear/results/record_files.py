@@ -1,6 +1,6 @@
 """Files of results, read and written here alone: a record is a frozen dataclass, its file the fields as JSON and SCHEMA beside them.
 
->>> results = read(Path("runs/demo/results.json"), Results, "run `jaxunshear evaluate` again")
+>>> results = read_record(Path("runs/demo/results.json"), Results, "run `jaxunshear evaluate` again")
 >>> results.pose_mae["disentangled"]["edge_mm"]
 """
 
@@ -18,18 +18,18 @@ SCHEMA = 1  # of all records; a file that names none is of this first one
 Record = TypeVar("Record")
 
 
-def write(path: Path, record: object) -> None:
+def write_record(path: Path, record: object) -> None:
     """Replaces `path` in one step."""
     write_json(path, {"schema": SCHEMA} | plain(record))
 
 
-def read(path: Path, kind: type[Record], remedy: str) -> Record:
+def read_record(path: Path, kind: type[Record], remedy: str) -> Record:
     """The record of this kind in `path`. Raises UserError, whose end is `remedy`: how the file is made anew."""
-    return record_of(read_json(path), kind, path, remedy)
+    return convert_record(read_json(path), kind, path, remedy)
 
 
-def record_of(held: object, kind: type[Record], source: object, remedy: str) -> Record:
-    """As `read`, of JSON that is read already. What a later version may have added beside is not read."""
+def convert_record(held: object, kind: type[Record], source: object, remedy: str) -> Record:
+    """As `read_record`, of JSON that is read already. What a later version may have added beside is not read."""
     schema = held.get("schema", SCHEMA) if isinstance(held, dict) else SCHEMA
     if schema != SCHEMA:
         raise UserError(
