@@ -16,8 +16,8 @@ from jaxunshear.folders import names_apart
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
 from jaxunshear.progress import duration
-from jaxunshear.report import page, words
-from jaxunshear.report.making import TRAINED
+from jaxunshear.report import html, labels
+from jaxunshear.report.training_sections import RETRAIN_REMEDY
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
@@ -110,7 +110,7 @@ def _read_run(name: str, folder: Path) -> Run:
         model = read_object_if_sound(folder / network / "model.json") or {}
         data = data or (model.get("origin") or {}).get("version")
         if (file := folder / network / "summary.json").exists():
-            seconds[network] = read_record(file, TrainingSummary, TRAINED).train_seconds
+            seconds[network] = read_record(file, TrainingSummary, RETRAIN_REMEDY).train_seconds
     return Run(name, folder, Measured(outcome, read_tests(folder, EVALUATE_REMEDY)), seconds, data)
 
 
@@ -165,7 +165,7 @@ def _same_test(run: Run, other: Run) -> bool:
 
 
 def _same_inputs(run: Run, other: Run) -> bool:
-    return words.over_pins(run.results) == words.over_pins(other.results)
+    return labels.reads_pins(run.results) == labels.reads_pins(other.results)
 
 
 def note_obstacles(runs: Sequence[Run]) -> list[str]:
@@ -188,7 +188,7 @@ def note_obstacles(runs: Sequence[Run]) -> list[str]:
 
 def choose_main(found: Comparison) -> list[Score]:
     """Choose the scores of the networks that the runs are about."""
-    chief = words.chief(found.runs[0].results)
+    chief = labels.list_main_targets(found.runs[0].results)
     wanted = []
     for network in dict.fromkeys(run.network for run in found.runs):
         kinds = (network,) if network != "sheared" else ("tap", "sheared_learnt")
@@ -242,12 +242,12 @@ def make_page(found: Comparison) -> str:
     settings = [[name, *values] for name, values in found.settings.items()]
     commands = [f"{run.name} ({run.folder}): {run.results.command}" for run in runs]
     lead = f"Differences are of the other runs less {names[0]}, the reference. {CAVEAT}"
-    return page.page(
+    return html.page(
         f"jaxunshear: {' and '.join(names)}",
-        page.compared(names, found.notes, lead),
-        page.section("Settings that differ", "", page.table(["", *names], settings)),
-        page.section("Main scores", "", page.table(head, [_show_score(score) for score in main])),
-        page.section("Training times", "", page.table(["", *names], _show_times(runs))),
-        page.section("All other scores", "", page.folded(len(rest), page.table(head, rest))),
-        page.section("Commands", "", page.code("\n".join(commands))),
+        html.compared(names, found.notes, lead),
+        html.section("Settings that differ", "", html.table(["", *names], settings)),
+        html.section("Main scores", "", html.table(head, [_show_score(score) for score in main])),
+        html.section("Training times", "", html.table(["", *names], _show_times(runs))),
+        html.section("All other scores", "", html.folded(len(rest), html.table(head, rest))),
+        html.section("Commands", "", html.code("\n".join(commands))),
     )

@@ -227,20 +227,20 @@ def print_summary(results: Results, folder: Path) -> None:
         return
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
-    from jaxunshear.report import words
+    from jaxunshear.report import labels
     from jaxunshear.table import plain_table
 
     likeness, errors, name = results.ms_ssim, results.pose_mae, str(results.metric["ms_ssim"])
     rows = [
         {
-            "": words.kind_of(results, kind),
+            "": labels.name_kind(results, kind),
             name: likeness.get(kind, {}).get("overall"),
             **errors.get(kind, {}),
         }
-        for kind in words.KINDS
+        for kind in labels.KINDS
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
-    print(plain_table(rows, ("", name, *words.targets(results))))
+    print(plain_table(rows, ("", name, *labels.list_targets(results))))
     for row in build_measurements(replace(results, tests={})).rows:
         if row.bar is not None:
             met = "met" if row.ok else "MISSED"

@@ -126,7 +126,7 @@ def test_what_moved_out_of_the_package_is_not_lost():
 
 def test_what_only_shows_or_starts_does_not_count():
     texts = {
-        "jaxunshear.report.page": "def page(): ...\n",
+        "jaxunshear.report.html": "def page(): ...\n",
         "jaxunshear.settings.data": "def data(): ...\n",
     }
     assert not lost(texts, {}, tuple(texts))

@@ -34,11 +34,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         )
     experiment = from_json(read_object(settings), str(settings))
     if arguments.leakage:
-        from jaxunshear.report.leakage_figure import leakage_figure
+        from jaxunshear.report.leakage_figure import plot_leakage
 
         results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
         drawn = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
-        write_bytes(arguments.run / "leakage.png", leakage_figure(results, drawn))
+        write_bytes(arguments.run / "leakage.png", plot_leakage(results, drawn))
         print(leakage_table.format_table(results))
         print(arguments.run / "leakage.png")
     else:

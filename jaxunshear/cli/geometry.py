@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     folder, experiment = model
     paired, _ = simulated_of(experiment, "geometry")
     felt = score_geometry(folder, experiment, arguments.contacts)
-    figure = geometry_figure.of_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
+    figure = geometry_figure.plot_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
     write_bytes(out / "geometry.png", figure)
     columns = (
         "name",
@@ -64,6 +64,6 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         shown = estimate_recorded_heights(
             arguments.path, experiment, felt.lattice, felt.methods[INVERSE], felt.networks
         )
-        write_bytes(out / "recordings.png", geometry_figure.of_recordings(felt.lattice, shown))
+        write_bytes(out / "recordings.png", geometry_figure.plot_recordings(felt.lattice, shown))
         print(out / "recordings.png")
     return felt.table

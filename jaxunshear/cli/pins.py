@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
             else make_layout(sensor_named(arguments.sensor))
         )
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.pin_figure import pin_figure
+    from jaxunshear.report.pin_figure import plot_pins
 
     arrays = {
         "name": found.name,
@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
     }
     write_npz(out / "pins.npz", arrays, compressed=True)
     write_text(out / "pins.csv", csv_text(plain(found.table.rows)))
-    write_bytes(out / "pins.png", pin_figure(found.lattice, found.shown))
+    write_bytes(out / "pins.png", plot_pins(found.lattice, found.shown))
     print(summary(found.table))
     print(out / "pins.png")
     return found.table

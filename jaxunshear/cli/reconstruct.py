@@ -30,7 +30,7 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
-    from jaxunshear.report.object_figure import PICTURES, object_figure
+    from jaxunshear.report.object_figure import PICTURES, plot_objects
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
         rows += found.scores
         for maker, (file, text) in PICTURES.items():
             shown = {way: solid for (by, way), solid in found.solids.items() if by == maker}
-            write_bytes(out / f"{name}-{file}.png", object_figure(name, shown, text))
+            write_bytes(out / f"{name}-{file}.png", plot_objects(name, shown, text))
         columns = (
             "name",
             "walks",

@@ -37,7 +37,7 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectoryScores:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
-    from jaxunshear.report.walk_figure import walk_figure
+    from jaxunshear.report.trajectory_figure import plot_trajectories
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
     for found in servo(*model, courses, ways, out):
         name = str(found.course.stimulus)
         rows += found.scores
-        write_bytes(out / f"{name}.png", walk_figure(found.walks, found.line, name))
+        write_bytes(out / f"{name}.png", plot_trajectories(found.walks, found.line, name))
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
         print(plain_table([vars(row) for row in found.scores], columns))
     print(out)

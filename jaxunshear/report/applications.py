@@ -6,19 +6,19 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from jaxunshear.errors import UserError
-from jaxunshear.report import page
+from jaxunshear.report import html
+from jaxunshear.report.html import address_of, format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
-from jaxunshear.report.page import address_of, number, spanned
-from jaxunshear.report.walk_figure import WORDS
+from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.results.folders import find_results_folder
 from jaxunshear.storage import Json, read_object
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
-    name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
+    name: METHOD_TITLES[name] for name in METHOD_TITLES if "unsheared" in METHOD_TITLES[name]
 }
 
 
-def sections(run_dir: Path) -> list[Markup]:
+def build_sections(run_dir: Path) -> list[Markup]:
     """HTML, in the order geometry, walks, objects, stream; nothing for a command that has not been run. Raises `UserError`."""
     found = []
     for name, part in (
@@ -45,10 +45,10 @@ def _geometry(results: Json, folder: Path) -> Markup:
         [
             KINDS.get(row["kind"], row["kind"]),
             row["way"],
-            _spanned(row, "correlation"),
-            _spanned(row, "rmse_mm"),
+            _format_with_interval(row, "correlation"),
+            _format_with_interval(row, "rmse_mm"),
             f"{row['unmatched']} of {row['contacts']}",
-            number(row["ms_per_image"], 1),
+            format_number(row["ms_per_image"], 1),
         ]
         for row in results["rows"]
         if row["stimulus"] == "all"
@@ -59,10 +59,10 @@ def _geometry(results: Json, folder: Path) -> Markup:
         "and by an inverse of the skin learnt from taps. Contacts that no network has seen, "
         "each with a 95 % interval over contacts, of one training. Images whose pins are not identified for sure are left out and counted."
     )
-    return page.section(
+    return html.section(
         "Contact geometry",
         lead,
-        page.table(head, rows),
+        html.table(head, rows),
         _picture(folder / "geometry.png"),
         _command(results),
     )
@@ -70,7 +70,7 @@ def _geometry(results: Json, folder: Path) -> Markup:
 
 def _walks(results: Json, folder: Path) -> Markup:
     def cell(row: Json) -> str:
-        distances = (number(row[name]) for name in ("mean_mm", "p95_mm", "largest_mm"))
+        distances = (format_number(row[name]) for name in ("mean_mm", "p95_mm", "largest_mm"))
         return Markup("{} of {}<small>{} / {} / {}</small>").format(
             row["closed"], row["starts"], *distances
         )
@@ -81,14 +81,14 @@ def _walks(results: Json, folder: Path) -> Markup:
     )
     ways = {row["way"]: row["perceive_ms"] for row in results["rows"]}
     times = "; ".join(
-        f"{WORDS.get(way, way)} {ms:.1f} ms" for way, ms in ways.items() if way != "true"
+        f"{METHOD_TITLES.get(way, way)} {ms:.1f} ms" for way, ms in ways.items() if way != "true"
     )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
-    return page.section(
+    return html.section(
         "Around objects by touch",
         lead,
-        _by_way(results["rows"], cell),
-        page.soft(f"Perceiving takes, a step: {times}."),
+        _build_method_table(results["rows"], cell),
+        html.soft(f"Perceiving takes, a step: {times}."),
         *(_picture(folder / f"{name}.png") for name in names),
         _command(results),
     )
@@ -96,8 +96,8 @@ def _walks(results: Json, folder: Path) -> Markup:
 
 def _objects(results: Json, folder: Path) -> Markup:
     def cell(row: Json) -> str:
-        distances = number(row["mean_mm"]), number(row["hausdorff_mm"], 1)
-        return Markup("{}<small>{} / {}</small>").format(number(row["iou"], 3), *distances)
+        distances = format_number(row["mean_mm"]), format_number(row["hausdorff_mm"], 1)
+        return Markup("{}<small>{} / {}</small>").format(format_number(row["iou"], 3), *distances)
 
     lead = (
         "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
@@ -108,40 +108,43 @@ def _objects(results: Json, folder: Path) -> Markup:
         _picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values()
     )
     lines = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
-    return page.section(
-        "Complete objects", lead, _by_way(lines, cell), *pictures, _command(results)
+    return html.section(
+        "Complete objects", lead, _build_method_table(lines, cell), *pictures, _command(results)
     )
 
 
 def _stream(results: Json, folder: Path) -> Markup:
     latency = results["latency_ms"] or {}
     rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
-    rows += [[f"{name}, ms", number(value, 1)] for name, value in latency.items()]
+    rows += [[f"{name}, ms", format_number(value, 1)] for name, value in latency.items()]
     lead = "Frames from a source to unsheared image, pose and confidence, as on a robot."
-    return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
+    return html.section("As a stream", lead, html.table(("frames", ""), rows), _command(results))
 
 
-def _by_way(rows: list[Json], cell: Callable[[Json], str]) -> Markup:
+def _build_method_table(rows: list[Json], cell: Callable[[Json], str]) -> Markup:
     """A line an object, a column a way of perceiving."""
     ways = list(dict.fromkeys(row["way"] for row in rows))
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
     names = list(dict.fromkeys(row["stimulus"] for row in rows))
     lines = [[name, *(found.get((name, way), "") for way in ways)] for name in names]
-    return page.table(
-        ["object", *(escape(WORDS.get(way, way)).replace(", ", Markup(",<br>")) for way in ways)],
+    return html.table(
+        [
+            "object",
+            *(escape(METHOD_TITLES.get(way, way)).replace(", ", Markup(",<br>")) for way in ways),
+        ],
         lines,
     )
 
 
-def _spanned(row: Json, name: str) -> str:
+def _format_with_interval(row: Json, name: str) -> str:
     if name not in row:
-        return number(None)
-    return spanned(row[name], row[f"{name}_interval"], 3)
+        return format_number(None)
+    return format_with_interval(row[name], row[f"{name}_interval"], 3)
 
 
 def _picture(file: Path) -> Markup:
-    return page.figure(address_of(file.read_bytes()), file.stem) if file.is_file() else Markup()
+    return html.figure(address_of(file.read_bytes()), file.stem) if file.is_file() else Markup()
 
 
 def _command(results: Json) -> Markup:
-    return page.code(results["command"])
+    return html.code(results["command"])

@@ -28,7 +28,7 @@ TEST = (
 SIZES = ("paired.preprocess.size", "paired.camera.frame_px")
 
 
-def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
+def find_frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
     """Indices, cheapest first, of the points that no other one beats in both: cost (N,) and error (N,), less is better in each."""
     best, kept = np.inf, []
     errors = np.asarray(error, float)
@@ -39,21 +39,21 @@ def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
     return kept
 
 
-def efficient(summary: SweepResult) -> dict[str, dict[str, list[str]]]:
-    """Labels on the frontier, cheapest first, by metric and cost; of the cells that can be ranked, see `ranked`."""
-    comparable = ranked(summary)
+def list_efficient(summary: SweepResult) -> dict[str, dict[str, list[str]]]:
+    """Labels on the frontier, cheapest first, by metric and cost; of the cells that can be ranked, see `list_ranked`."""
+    comparable = list_ranked(summary)
     named: dict[str, dict[str, list[str]]] = {}
     for metric, (_, more) in ERRORS.items():
         named[metric] = {}
         for cost in COSTS:
-            labels, x, y = points(summary, metric, cost)
+            labels, x, y = collect_points(summary, metric, cost)
             inside = [index for index, label in enumerate(labels) if label in comparable]
-            best = frontier(x[inside], -y[inside] if more else y[inside])
+            best = find_frontier(x[inside], -y[inside] if more else y[inside])
             named[metric][cost] = [labels[inside[index]] for index in best]
     return named
 
 
-def ranked(summary: SweepResult) -> list[str]:
+def list_ranked(summary: SweepResult) -> list[str]:
     """Labels of the cells tested on the same contacts as the reference: on others an error may be less because they are easier."""
     test = _test(_reference(summary))
     return [cell.label for cell in summary.cells if _test(cell) == test]
@@ -73,7 +73,7 @@ def _test(cell: CellResult) -> dict[str, str]:
     }
 
 
-def points(
+def collect_points(
     summary: SweepResult, metric: str, cost: str
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
@@ -92,7 +92,7 @@ def points(
             if cost != "ms_per_image"
             else [other for other in cells if _network(other) == _network(cell)]
         )
-        if spent := [seconds for each in alike for seconds in _spent(each, cost)]:
+        if spent := [seconds for each in alike for seconds in _list_costs(each, cost)]:
             found.append((cell.label, float(np.mean(spent)), cell.metrics[metric].mean))
     labels, x, y = zip(*found, strict=True) if found else ((), (), ())
     return list(labels), np.array(x), np.array(y)
@@ -102,7 +102,7 @@ def _network(cell: CellResult) -> dict[str, str]:
     return {name: value for name, value in cell.settings.items() if name.startswith("unshear.")}
 
 
-def _spent(cell: CellResult, cost: str) -> list[float]:
+def _list_costs(cell: CellResult, cost: str) -> list[float]:
     """Of every seed that has it. The training of a taught network includes its teacher's."""
     spent = []
     for costs in cell.costs.values():
@@ -113,10 +113,12 @@ def _spent(cell: CellResult, cost: str) -> list[float]:
     return spent
 
 
-def frontier_figure(summary: SweepResult) -> bytes | None:
+def plot_frontier(summary: SweepResult) -> bytes | None:
     """PNG: a row a cost, a column an error; what no other setting beats is joined, what cannot be ranked is hollow. None where
     nothing can be drawn."""
-    metrics = [metric for metric in ERRORS if len(points(summary, metric, "train_seconds")[0]) > 1]
+    metrics = [
+        metric for metric in ERRORS if len(collect_points(summary, metric, "train_seconds")[0]) > 1
+    ]
     if not metrics:
         return None
     number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
@@ -131,10 +133,10 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
                 axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
-                panel(axes, summary, metric, cost, number)
+                plot_panel(axes, summary, metric, cost, number)
         seeds = len(summary.seeds)
         names = "      ".join(f"{digit} {label}" for label, digit in number.items())
-        names += "      hollow: another test" * (len(ranked(summary)) < len(number))
+        names += "      hollow: another test" * (len(list_ranked(summary)) < len(number))
         figure.suptitle(
             f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none"
         )
@@ -142,10 +144,12 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         return png_of(figure)
 
 
-def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:
-    labels, x, y = points(summary, metric, cost)
-    best = [labels.index(label) for label in efficient(summary)[metric][cost]]
-    comparable = ranked(summary)
+def plot_panel(
+    axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]
+) -> None:
+    labels, x, y = collect_points(summary, metric, cost)
+    best = [labels.index(label) for label in list_efficient(summary)[metric][cost]]
+    comparable = list_ranked(summary)
     axes.plot(x[best], y[best], "-", color=COLOURS[DISENTANGLED])
     for index, label in enumerate(labels):
         on, full = index in best, label in comparable

@@ -14,7 +14,7 @@ TRUTH = "true indentation"
 VIEW = {"elev": 42, "azim": -60}
 
 
-def of_contacts(
+def plot_contacts(
     lattice: Lattice, names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> bytes:
     """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way."""
@@ -35,7 +35,7 @@ def of_contacts(
     return _surfaces(lattice, lines, TRUTH)
 
 
-def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
+def plot_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
     """A PNG: a line an image, without truth."""
     names, kinds = shown
     lines = [

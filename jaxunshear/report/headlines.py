@@ -5,20 +5,20 @@ from markupsafe import Markup
 from jaxunshear.evaluation.measurements import build_measurements
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.progress import duration
-from jaxunshear.report import page, words
-from jaxunshear.report.page import number
+from jaxunshear.report import html, labels
+from jaxunshear.report.html import format_number
 from jaxunshear.results.run import Results, Table
 
 # of a recorded run: the first of these that it has is what it is about
-READ = ("unsheared", "sheared_learnt", "sheared", "tap")
+ESTIMATED_KINDS = ("unsheared", "sheared_learnt", "sheared", "tap")
 
 
-def headlines(results: Results) -> Markup:
-    shown = _simulated(results) if results.simulated else _recorded(results)
-    return page.cards(*shown, _run_total(results))
+def build_headlines(results: Results) -> Markup:
+    shown = _build_simulated_cards(results) if results.simulated else _build_recorded_cards(results)
+    return html.cards(*shown, _run_total(results))
 
 
-def _simulated(results: Results) -> list[Markup]:
+def _build_simulated_cards(results: Results) -> list[Markup]:
     rows = {row.name: row for row in build_measurements(results).rows}
     similar, pose, pins = results.ms_ssim, results.pose_mae, results.pin_error
     name, kind = results.metric["ms_ssim"], choose_main_kind(similar)
@@ -27,62 +27,66 @@ def _simulated(results: Results) -> list[Markup]:
         row.bar and kind != "sheared"
     )  # a run without a network that unshears has nothing to hold against a bar
     note = f"at least {row.bar:.2f} unsheared, at most {first.bar:.2f} sheared" if held else ""
-    before, after = number(similar["sheared"]["overall"]), number(similar[kind]["overall"])
+    before, after = (
+        format_number(similar["sheared"]["overall"]),
+        format_number(similar[kind]["overall"]),
+    )
     met = row.ok and first.ok if held else None
-    shown = [page.card(f"Likeness to the tap ({name})", before, after, note, met)]
-    for quantity in words.chief(results) if kind in pose else ():
+    shown = [html.card(f"Likeness to the tap ({name})", before, after, note, met)]
+    for quantity in labels.list_main_targets(results) if kind in pose else ():
         ratio = rows.get(f"pose_ratio.{kind}.{quantity}")
         before, after = (_error(pose[image][quantity], quantity) for image in ("sheared", kind))
         note = f"at most {ratio.bar:g} of the sheared error" if ratio and ratio.bar else ""
-        label = "distance to the edge" if quantity == "edge_mm" else words.word(quantity)
+        label = "distance to the edge" if quantity == "edge_mm" else labels.name_quantity(quantity)
         shown.append(
-            page.card(
+            html.card(
                 f"Error in {label}",
                 before,
-                f"{after} {words.unit(quantity)}",
+                f"{after} {labels.get_unit(quantity)}",
                 note,
                 ratio.ok if ratio else None,
             )
         )
-    moved = page.card(
+    moved = html.card(
         "Pins away from the tap's",
-        number(pins["true_slide"]["rms_px"], 1),
-        f"{number(pins[kind]['rms_px'], 2)} px",
+        format_number(pins["true_slide"]["rms_px"], 1),
+        f"{format_number(pins[kind]['rms_px'], 2)} px",
         f"of {results.metric['image_px']} px; root mean square",
     )
     return [*shown, moved]
 
 
-def _recorded(results: Results) -> list[Markup]:
-    pose, similar, chief = results.pose_mae, results.ms_ssim, words.chief(results)
+def _build_recorded_cards(results: Results) -> list[Markup]:
+    pose, similar, chief = results.pose_mae, results.ms_ssim, labels.list_main_targets(results)
     shown = [_read(pose, quantity) for quantity in chief if pose]
     if similar:
         before, after = (
-            number(similar[kind]["overall"]) for kind in ("sheared", choose_main_kind(similar))
+            format_number(similar[kind]["overall"])
+            for kind in ("sheared", choose_main_kind(similar))
         )
-        label = f"Likeness to the {words.truth(results)} ({results.metric['ms_ssim']})"
+        label = f"Likeness to the {labels.name_target(results)} ({results.metric['ms_ssim']})"
         shown.append(
-            page.card(
+            html.card(
                 label,
                 before,
                 after,
-                "of drawn pins; 1 is equal" if words.over_pins(results) else "1 is equal",
+                "of drawn pins; 1 is equal" if labels.reads_pins(results) else "1 is equal",
             )
         )
     recovery = results.pose_recovery.get("unsheared")
     if recovery:
-        values = ", ".join(number(recovery[quantity]) for quantity in chief)
-        note = f"{', '.join(words.word(quantity) for quantity in chief)}; 1 is as good as taps, 0 as bad as slides as felt"
-        shown.append(page.card("Recovery", "", values, note))
+        values = ", ".join(format_number(recovery[quantity]) for quantity in chief)
+        note = f"{', '.join(labels.name_quantity(quantity) for quantity in chief)}; 1 is as good as taps, 0 as bad as slides as felt"
+        shown.append(html.card("Recovery", "", values, note))
     return shown
 
 
 def _read(pose: Table, quantity: str) -> Markup:
     """The error in one quantity: of slides before and after, of taps and of the direct way beside it."""
-    kind = next(kind for kind in READ if kind in pose)
+    kind = next(kind for kind in ESTIMATED_KINDS if kind in pose)
     before = (
         _error(pose["sheared"][quantity], quantity)
-        if kind in READ[:2] and "sheared" in pose
+        if kind in ESTIMATED_KINDS[:2] and "sheared" in pose
         else ""
     )
     beside = {"tap": "taps: ", "sheared_learnt": "learnt from slides directly: "}
@@ -100,17 +104,17 @@ def _read(pose: Table, quantity: str) -> Markup:
                 "sheared_learnt": "learnt from slides directly",
             }[kind],
         )
-    after = f"{_error(pose[kind][quantity], quantity)} {words.unit(quantity)}"
-    return page.card(f"Error in {words.word(quantity)}", before, after, ", ".join(notes))
+    after = f"{_error(pose[kind][quantity], quantity)} {labels.get_unit(quantity)}"
+    return html.card(f"Error in {labels.name_quantity(quantity)}", before, after, ", ".join(notes))
 
 
 def _error(value: float | None, quantity: str) -> str:
-    return number(value, 2 if words.unit(quantity) == "mm" else 1)
+    return format_number(value, 2 if labels.get_unit(quantity) == "mm" else 1)
 
 
 def _run_total(results: Results) -> Markup:
     machine, total = results.machine, duration(sum(results.time_s.values()))
-    return page.card(
+    return html.card(
         "Entire run",
         "",
         total,

@@ -20,7 +20,7 @@ BARS = {
 }
 
 
-def leakage_figure(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
+def plot_leakage(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
     """PNG."""
     from matplotlib.figure import Figure
 

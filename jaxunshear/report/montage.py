@@ -11,7 +11,7 @@ from PIL import Image
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.report import page, words
+from jaxunshear.report import html, labels
 from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ, read_npz
 from jaxunshear.style import png_of
@@ -20,8 +20,8 @@ MISSING, SURPLUS = (
     (255, 122, 26),
     (64, 150, 255),
 )  # orange: the tap alone has it; blue: the image alone
-WIDE = 22  # letters that do not fit above an image
-Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
+MAX_LETTERS = 22  # letters that do not fit above an image
+MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
 
 
 class Terms(NamedTuple):
@@ -32,7 +32,7 @@ class Terms(NamedTuple):
     truth: str
 
 
-def read(path: Path) -> Shown:
+def read_montage(path: Path) -> MontageImages:
     """Raises `UserError` where montage.npz is missing or damaged."""
     try:
         shown = read_npz(path)
@@ -51,8 +51,8 @@ def read(path: Path) -> Shown:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 
-def terms(results: Results) -> Terms:
-    truth = words.truth(results)
+def make_terms(results: Results) -> Terms:
+    truth = labels.name_target(results)
     shown = "tap (truth)" if truth == "tap" else truth
     heads = (
         "sheared (input)",
@@ -64,28 +64,28 @@ def terms(results: Results) -> Terms:
     return Terms(heads, "depth" if results.simulated else "z", truth)
 
 
-def section(shown: Shown, results: Results) -> Markup:
+def build_section(shown: MontageImages, results: Results) -> Markup:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
-    middle, others = typical(shown)
-    said = terms(results)
+    middle, others = select_typical(shown)
+    said = make_terms(results)
     colours = ((MISSING, "missing from the image"), (SURPLUS, "should not be there"))
-    body = [_table(shown, middle, said), page.caption(colours, said.truth)]
+    body = [_table(shown, middle, said), html.caption(colours, said.truth)]
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
-        body.append(page.folded(summary, _table(shown, others, said)))
+        body.append(html.folded(summary, _table(shown, others, said)))
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
     if not results.simulated:
         lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
-    if words.over_pins(results):
+    if labels.reads_pins(results):
         lead += " The network reads pins and gives pins: the images are these pins, drawn."
-    return page.section("What it does", lead, *body)
+    return html.section("What it does", lead, *body)
 
 
-def drawing(shown: Shown, results: Results) -> bytes:
+def plot_montage(shown: MontageImages, results: Results) -> bytes:
     """The typical contacts as one PNG; the same contacts give the same bytes."""
-    rows, _ = typical(shown)
-    said = terms(results)
-    height = 1.85 * len(rows) + 0.15 * any(len(head) >= WIDE for head in said.heads)
+    rows, _ = select_typical(shown)
+    said = make_terms(results)
+    height = 1.85 * len(rows) + 0.15 * any(len(head) >= MAX_LETTERS for head in said.heads)
     figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
     for line, row in zip(
         figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True
@@ -96,15 +96,20 @@ def drawing(shown: Shown, results: Results) -> bytes:
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
                 axes.set_title(
-                    head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9
+                    head if len(head) < MAX_LETTERS else head.replace(" against", "\nagainst"),
+                    fontsize=9,
                 )
         line[0].set_ylabel(
-            "\n".join(described(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8
+            "\n".join(describe_contact(shown, row, said)),
+            rotation=0,
+            ha="right",
+            va="center",
+            fontsize=8,
         )
     return png_of(figure)
 
 
-def typical(shown: Shown) -> tuple[list[int], list[int]]:
+def select_typical(shown: MontageImages) -> tuple[list[int], list[int]]:
     """Rows of the middle contact of every stimulus, and the others."""
     middle, others = [], []
     for name in dict.fromkeys(shown["stimulus"].tolist()):
@@ -114,7 +119,7 @@ def typical(shown: Shown) -> tuple[list[int], list[int]]:
     return middle, others
 
 
-def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
+def _cells(shown: MontageImages, row: int) -> list[tuple[np.ndarray, str]]:
     """Images and likenesses under them, in the order of the heads."""
     network = choose_main_kind(shown)
     sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", network, "tap"))
@@ -127,29 +132,29 @@ def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
     ]
 
 
-def described(shown: Shown, row: int, said: Terms) -> list[str]:
+def describe_contact(shown: MontageImages, row: int, said: Terms) -> list[str]:
     """What the contact is; of a recorded one neither slide nor depth need be known."""
     slide, depth = float(np.hypot(*shown["move"][row][:2])), float(shown["pose"][row][3])
     known = [(f"slide {slide:.1f} mm", slide), (f"{said.depth} {depth:.1f} mm", depth)]
     return [str(shown["stimulus"][row]), *(text for text, value in known if np.isfinite(value))]
 
 
-def _table(shown: Shown, rows: list[int], said: Terms) -> Markup:
+def _table(shown: MontageImages, rows: list[int], said: Terms) -> Markup:
     lines = []
     for row in rows:
-        name, *about = described(shown, row, said)
+        name, *about = describe_contact(shown, row, said)
         cells = zip(_cells(shown, row), said.heads, strict=True)
         lines.append(
             (name, about, [(png_address(image), head, text) for (image, text), head in cells])
         )
-    return page.montage(said.heads, lines)
+    return html.montage(said.heads, lines)
 
 
 def png_address(pixels: np.ndarray) -> str:
     """Return a `data:` address of a PNG of pixels (H, W) or (H, W, 3) uint8."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "png", optimize=True)
-    return page.address_of(buffer.getvalue())
+    return html.address_of(buffer.getvalue())
 
 
 def difference(image: np.ndarray, tap: np.ndarray) -> np.ndarray:

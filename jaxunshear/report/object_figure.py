@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
 from jaxunshear.downstream.shape_estimators import SKIN, VORONOI
-from jaxunshear.report.walk_figure import WORDS
+from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
 PICTURES = {  # by maker: the end of a file's name, and what is shown
@@ -14,7 +14,7 @@ PICTURES = {  # by maker: the end of a file's name, and what is shown
 }
 
 
-def object_figure(stimulus: str, solids: dict[str, ReconstructedObject], shown: str) -> bytes:
+def plot_objects(stimulus: str, solids: dict[str, ReconstructedObject], shown: str) -> bytes:
     """A PNG: of each way of perceiving, ABREAST side by side, above what was fused, below both shapes (grey both, orange missed,
     blue too much). Colours are even about the level that parts an object from what lies beside it, or about 0."""
     columns, rows = min(ABREAST, len(solids)), -(-len(solids) // ABREAST)
@@ -45,7 +45,7 @@ def object_figure(stimulus: str, solids: dict[str, ReconstructedObject], shown: 
             solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high
         )
         above.contour(line, line, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
-        above.set_title(WORDS.get(way, way), fontsize=HEAD)
+        above.set_title(METHOD_TITLES.get(way, way), fontsize=HEAD)
         picture = np.ones((*solid.shape.shape, 3))
         picture[solid.shape & solid.true] = 0.75
         picture[~solid.shape & solid.true] = (1.0, 0.48, 0.1)

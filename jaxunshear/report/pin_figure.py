@@ -12,7 +12,7 @@ from jaxunshear.style import png_of
 COLUMNS = 4
 
 
-def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -> bytes:
+def plot_pins(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -> bytes:
     """A PNG of (name, image (S, S) uint8, track): shells in turn in two colours, so that an exchanged pin catches the eye."""
     rows = -(-len(shown) // COLUMNS)
     figure = Figure(figsize=(3.6 * COLUMNS, 3.9 * rows), layout="constrained", dpi=110)

@@ -13,13 +13,13 @@ from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.report import (
     applications,
     headlines,
-    making,
+    html,
+    labels,
     montage,
-    page,
-    poses,
-    recordings,
-    scores,
-    words,
+    pose_section,
+    recordings_section,
+    score_sections,
+    training_sections,
 )
 from jaxunshear.report.history import read_history
 from jaxunshear.results.measurement import TrainingSummary
@@ -29,17 +29,17 @@ from jaxunshear.results.times import read_times
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import write_bytes, write_text
 
-SIMULATED = Markup(
+SIMULATED_TEXT = Markup(
     "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
     "this run turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
     "<b>simulated</b> contacts at poses kept out of training; the paper's, in "
     "<span class=real>tinted columns</span>, are from a <b>real</b> sensor."
 )
-RECORDED = Markup(
+RECORDED_TEXT = Markup(
     "A soft dome that slides feels its own shear on top of what it touches. {} Every figure is measured on "
     "<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {} ({}).{}"
 )
-OF_PAPER = Markup(
+PAPER_TEXT = Markup(
     " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
 )
 
@@ -58,57 +58,59 @@ def write_report(run_dir: Path) -> Path:
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {
-        name: read_record(path, TrainingSummary, making.TRAINED)
+        name: read_record(path, TrainingSummary, training_sections.RETRAIN_REMEDY)
         for name, path in endings.items()
         if path.exists()
     }
     try:
         shown = (
-            montage.read(run_dir / "montage.npz") if results.simulated or results.ms_ssim else None
+            montage.read_montage(run_dir / "montage.npz")
+            if results.simulated or results.ms_ssim
+            else None
         )
         parts = [
             _heading(results),
-            headlines.headlines(results),
-            montage.section(shown, results) if shown else "",
-            scores.similarity(results),
-            poses.poses(results),
-            scores.readers(results),
-            scores.further(results),
-            scores.pins(results),
+            headlines.build_headlines(results),
+            montage.build_section(shown, results) if shown else "",
+            score_sections.build_similarity_section(results),
+            pose_section.build_pose_section(results),
+            score_sections.readers(results),
+            score_sections.build_further_tests(results),
+            score_sections.build_pin_section(results),
             *(
                 []
                 if results.simulated
                 else [
-                    recordings.recordings(results),
-                    recordings.pairing(results),
-                    recordings.intervals(results),
+                    recordings_section.build_recordings_section(results),
+                    recordings_section.build_pairing_section(results),
+                    recordings_section.build_intervals_section(results),
                 ]
             ),
-            scores.swap(results),
-            *applications.sections(run_dir),
-            making.training(histories, summaries),
-            making.times(results, histories),
-            making.contacts(results),
-            making.provenance(results),
+            score_sections.build_swap_section(results),
+            *applications.build_sections(run_dir),
+            training_sections.build_training_section(histories, summaries),
+            training_sections.build_times_section(results, histories),
+            training_sections.build_contacts_section(results),
+            training_sections.build_provenance_section(results),
         ]
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     if shown:
-        write_bytes(run_dir / "montage.png", montage.drawing(shown, results))
+        write_bytes(run_dir / "montage.png", montage.plot_montage(shown, results))
     path = run_dir / "report.html"
-    write_text(path, page.page(f"jaxunshear: {results.experiment}", *filter(None, parts)))
+    write_text(path, html.page(f"jaxunshear: {results.experiment}", *filter(None, parts)))
     return path
 
 
 def _heading(results: Results) -> Markup:
-    lead = SIMULATED if results.simulated else _of_recordings(results)
-    return page.opening(results.experiment, results.claim, lead)
+    lead = SIMULATED_TEXT if results.simulated else _describe_recordings(results)
+    return html.opening(results.experiment, results.claim, lead)
 
 
-def _of_recordings(results: Results) -> Markup:
+def _describe_recordings(results: Results) -> Markup:
     counts = results.counts
     if results.ms_ssim:
-        what = "pins" if words.over_pins(results) else "an image"
+        what = "pins" if labels.reads_pins(results) else "an image"
         about = f"The networks of this run turn {what} of a slide into what a plain tap would have given."
     else:
         about = "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read poses."
@@ -117,5 +119,5 @@ def _of_recordings(results: Results) -> Markup:
         for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses))
         if count
     )
-    paper = OF_PAPER if results.ms_ssim and words.comparable(results) else ""
-    return RECORDED.format(about, counted, describe_test(results), paper)
+    paper = PAPER_TEXT if results.ms_ssim and labels.is_comparable(results) else ""
+    return RECORDED_TEXT.format(about, counted, describe_test(results), paper)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from jaxunshear.results.sweep import CellResult, Failure, Figures, SweepResult
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
 
-SHOWN = (  # in this order; a metric that is the same in all cells says nothing and is left out
+SHOWN_METRICS = (  # in this order; a metric that is the same in all cells says nothing and is left out
     "ms_ssim/*",
     "pose/*/x_mm",
     "pose/*/yaw_deg",
@@ -24,16 +24,16 @@ SHOWN = (  # in this order; a metric that is the same in all cells says nothing 
     "ablation/DS(z_p,0)/ssim",
     "ablation/DS(0,z_s)/ssim",
 )
-NAMED = {
+METRIC_TITLES = {
     "swap/DC(z_p)/mse": "L_sup, swap/DC(z_p)/mse",
     "swap/DS(z_p,z_s)/mse": "L_rec, swap/DS(z_p,z_s)/mse",
 }
 COLUMNS = 4
 
 
-def sweep_figure(summary: SweepResult) -> bytes | None:
+def plot_sweep(summary: SweepResult) -> bytes | None:
     """PNG of a summary as in sweep.json; None for a grid of no axis, or of more than two, or where no cell has figures."""
-    panels = shown_metrics(summary)
+    panels = select_metrics(summary)
     draw = {1: _lines, 2: _heat_map}.get(len(summary.axes))
     if draw is None or not panels:
         return None
@@ -44,7 +44,7 @@ def sweep_figure(summary: SweepResult) -> bytes | None:
         places = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, name in zip(places, panels, strict=False):
             draw(axes, summary, name)
-            axes.set_title(NAMED.get(name, name))
+            axes.set_title(METRIC_TITLES.get(name, name))
         for axes in places[len(panels) :]:
             axes.set_axis_off()
         figure.suptitle(
@@ -53,19 +53,24 @@ def sweep_figure(summary: SweepResult) -> bytes | None:
         return png_of(figure)
 
 
-def shown_metrics(summary: SweepResult) -> list[str]:
-    """Names of the metrics worth a panel, in the order of `SHOWN`."""
+def select_metrics(summary: SweepResult) -> list[str]:
+    """Names of the metrics worth a panel, in the order of `SHOWN_METRICS`."""
     found: dict[str, set[float]] = {}
     cells = [cell for cell in summary.cells if cell.seeds and cell.point is not None]
     for cell in cells:
         for name, figure in _figures(cell).items():
             found.setdefault(name, set()).add(figure.mean)
     differing = [name for name, means in found.items() if len(means) > 1 or len(cells) == 1]
-    chosen = (name for pattern in SHOWN for name in differing if fnmatch.fnmatchcase(name, pattern))
+    chosen = (
+        name
+        for pattern in SHOWN_METRICS
+        for name in differing
+        if fnmatch.fnmatchcase(name, pattern)
+    )
     return list(dict.fromkeys(chosen))
 
 
-def values_on_grid(summary: SweepResult, name: str) -> np.ndarray:
+def collect_grid_values(summary: SweepResult, name: str) -> np.ndarray:
     """Means of a metric, in the order of the axes' values; NaN where a cell has none."""
     values = np.full([len(axis.values) for axis in summary.axes], np.nan)
     for place, cell in _places(summary):
@@ -93,7 +98,7 @@ def _places(summary: SweepResult) -> list[tuple[tuple[int, ...], CellResult]]:
 
 def _heat_map(axes: Axes, summary: SweepResult, name: str) -> None:
     """The first axis downwards, the second to the right; a number in each cell, a failure hatched with its reason."""
-    values = values_on_grid(summary, name)
+    values = collect_grid_values(summary, name)
     image = axes.imshow(np.ma.masked_invalid(values), cmap="viridis", aspect="auto")
     for (row, column), cell in _places(summary):
         value = values[row, column]

@@ -12,8 +12,8 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
-from jaxunshear.report.frontier_figure import frontier_figure
-from jaxunshear.report.sweep_figure import sweep_figure
+from jaxunshear.report.frontier_figure import plot_frontier
+from jaxunshear.report.sweep_figure import plot_sweep
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.experiment import trained
@@ -65,7 +65,7 @@ def run_sweep(
                 }
             )
         summary = _made_with(summarise(sweep, cells, measured, reference), measured, command)
-        picture = sweep_figure(summary) or (None if sweep.grid else frontier_figure(summary))
+        picture = plot_sweep(summary) or (None if sweep.grid else plot_frontier(summary))
         if picture:
             write_bytes(folder / "sweep.png", picture)
         else:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxunshear.evaluation import bootstrap
-from jaxunshear.report.frontier_figure import efficient
+from jaxunshear.report.frontier_figure import list_efficient
 from jaxunshear.results.sweep import CellResult, Costs, Failure, Figure, GridAxis, SweepResult
 from jaxunshear.settings.experiment import recorded_of
 from jaxunshear.settings.fields import show
@@ -67,7 +67,7 @@ def summarise(
         cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
         base=to_json(base_of(sweep)),
     )
-    return summary if sweep.grid else replace(summary, efficient=efficient(summary))
+    return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
 
 def reproducible(summary: SweepResult) -> SweepResult:

@@ -1,6 +1,6 @@
 """A sweep's summary as text, for people."""
 
-from jaxunshear.report.frontier_figure import ranked
+from jaxunshear.report.frontier_figure import list_ranked
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.table import plain_table
@@ -51,7 +51,9 @@ def _frontiers(summary: SweepResult) -> list[str]:
         if len(labels) > 1
     ]
     others = (
-        [cell.label for cell in summary.cells if cell.label not in ranked(summary)] if lines else []
+        [cell.label for cell in summary.cells if cell.label not in list_ranked(summary)]
+        if lines
+        else []
     )
     return [
         *lines,

@@ -19,7 +19,7 @@ from jaxunshear.evaluation.network_outputs import make_pin_run
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.model import pin_networks, posenet
-from jaxunshear.report import scores
+from jaxunshear.report import score_sections
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear
@@ -124,5 +124,5 @@ def test_the_page_gives_how_many_were_followed():
     results = replace(
         results, tests={DETECTED: replace(results.tests[DETECTED], followed=followed)}
     )
-    page = scores.further(results)
+    page = score_sections.build_further_tests(results)
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

@@ -20,7 +20,7 @@ from jaxunshear.evaluation import (
     probe_data,
     probes,
 )
-from jaxunshear.report.leakage_figure import leakage_figure
+from jaxunshear.report.leakage_figure import plot_leakage
 from jaxunshear.run import run_stages
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
@@ -222,7 +222,7 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
         exchanged.true[1, 0] - exchanged.true[1, 1],
         atol=1e-3,
     )
-    assert leakage_figure(found, exchanged)[:4] == leakage_figure(found, None)[:4] == b"\x89PNG"
+    assert plot_leakage(found, exchanged)[:4] == plot_leakage(found, None)[:4] == b"\x89PNG"
     assert "a leak" in leakage_table.format_table(
         found
     ) and "codes exchanged" in leakage_table.format_table(found)
@@ -343,4 +343,4 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
         set(np.unique(exchanged.true)) == {0, 1}
         and 0 <= exchanged.decoded.min() <= exchanged.decoded.max() <= 1
     )
-    assert leakage_figure(found, exchanged)[:4] == b"\x89PNG"
+    assert plot_leakage(found, exchanged)[:4] == b"\x89PNG"

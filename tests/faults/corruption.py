@@ -120,7 +120,9 @@ def _inputs(run: Path) -> Act:
     def act() -> object:
         logs = [read_history(file) for file in sorted(run.rglob("log.jsonl"))]
         results = read_record(run / "results.json", Results, "again")
-        return str((logs, results, read_times(run))), bits(montage.read(run / "montage.npz"))
+        return str((logs, results, read_times(run))), bits(
+            montage.read_montage(run / "montage.npz")
+        )
 
     return act
 

@@ -52,7 +52,7 @@ def put(folder, name, results):
 
 
 def test_what_was_run_is_shown_and_nothing_else(run, picture):
-    assert applications.sections(run) == []
+    assert applications.build_sections(run) == []
     page = write_report(run).read_text()
     assert "Contact geometry" not in page and "Complete objects" not in page
     put(
@@ -79,7 +79,7 @@ def test_what_was_run_is_shown_and_nothing_else(run, picture):
     ):
         assert text in page, text
     assert "0.111" not in page
-    assert sum(section.count("<img") for section in applications.sections(run)) == 1
+    assert sum(section.count("<img") for section in applications.build_sections(run)) == 1
 
 
 def test_a_network_that_lost_its_pins_has_a_dash(run):
@@ -89,7 +89,7 @@ def test_a_network_that_lost_its_pins_has_a_dash(run):
         if "correlation" not in name and "rmse" not in name
     }
     put(run / "geometry", "geometry", {"rows": [lost]})
-    assert "\u2013" in applications.sections(run)[0]
+    assert "\u2013" in applications.build_sections(run)[0]
 
 
 def test_damage_is_reported(run):

@@ -7,11 +7,11 @@ from matplotlib.figure import Figure
 
 from jaxunshear.report.frontier_figure import (
     ERRORS,
-    efficient,
-    frontier,
-    frontier_figure,
-    panel,
-    points,
+    collect_points,
+    find_frontier,
+    list_efficient,
+    plot_frontier,
+    plot_panel,
 )
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
@@ -58,18 +58,18 @@ THREE = [
 
 
 def test_only_what_nothing_beats_is_on_the_frontier():
-    assert frontier([1, 2, 3, 4], [4, 2, 3, 1]) == [0, 1, 3]
-    assert frontier([1, 1, 2], [3, 2, 2]) == [1]  # as dear and better; dearer and no better
-    assert frontier([], []) == []
+    assert find_frontier([1, 2, 3, 4], [4, 2, 3, 1]) == [0, 1, 3]
+    assert find_frontier([1, 1, 2], [3, 2, 2]) == [1]  # as dear and better; dearer and no better
+    assert find_frontier([], []) == []
     generator = np.random.default_rng(0)
     cost, error = generator.random((2, 200))
-    on = frontier(cost, error)
+    on = find_frontier(cost, error)
     beaten = [(cost < cost[i]) & (error < error[i]) for i in range(200)]
     assert sorted(on) == [i for i in range(200) if not beaten[i].any()]
 
 
 def test_the_frontier_is_named_by_metric_and_cost():
-    found = efficient(record(summary(THREE)))
+    found = list_efficient(record(summary(THREE)))
     for metric in ERRORS:
         assert found[metric]["train_seconds"] == ["small", "middling", "large"]
         assert found[metric]["ms_per_image"] == ["small", "wasteful", "middling", "large"]
@@ -80,7 +80,7 @@ def test_costs_are_means_over_seeds_and_cells_without_figures_are_left_out():
     made["cells"][0]["costs"]["1"]["train_seconds"]["disentangled"] = 30
     made["cells"][1]["metrics"] = {}
     made["cells"][2]["costs"] = {}  # it failed
-    labels, cost, _ = points(record(made), "pose/disentangled/edge_mm", "train_seconds")
+    labels, cost, _ = collect_points(record(made), "pose/disentangled/edge_mm", "train_seconds")
     assert labels == ["small", "large"]
     assert cost == pytest.approx([20, 400])
 
@@ -90,35 +90,37 @@ def test_a_reference_without_figures_stops_nothing(reference):
     found = summary(THREE[:2])
     found["reference"] = reference
     found["cells"][0] |= {"metrics": {}, "metric": {}}
-    assert efficient(record(found))["ms_ssim/disentangled"]["train_seconds"] == ["middling"]
+    assert list_efficient(record(found))["ms_ssim/disentangled"]["train_seconds"] == ["middling"]
     found["cells"][1] |= {"metrics": {}, "metric": {}}
-    assert set(efficient(record(found))) == set(ERRORS) and frontier_figure(record(found)) is None
+    assert (
+        set(list_efficient(record(found))) == set(ERRORS) and plot_frontier(record(found)) is None
+    )
 
 
 def test_a_taught_network_took_the_time_of_its_teacher_too():
     found = summary(THREE[:2])
-    before = points(record(found), "ms_ssim/disentangled", "train_seconds")[1]
+    before = collect_points(record(found), "ms_ssim/disentangled", "train_seconds")[1]
     for costs in found["cells"][1]["costs"].values():
         costs["train_seconds"]["posenet_teacher"] = 30.0
     np.testing.assert_allclose(
-        points(record(found), "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30]
+        collect_points(record(found), "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30]
     )
 
 
 def test_likeness_of_other_scales_is_not_compared():
     made = summary(THREE)
     made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}
-    assert points(record(made), "ms_ssim/disentangled", "train_seconds")[0] == [
+    assert collect_points(record(made), "ms_ssim/disentangled", "train_seconds")[0] == [
         "small",
         "middling",
         "wasteful",
     ]
-    assert len(points(record(made), "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
+    assert len(collect_points(record(made), "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
     for cell in made["cells"][:3]:
         cell["settings"]["paired.preprocess.size"] = "64"
-    assert points(record(made | {"reference": "large"}), "ms_ssim/disentangled", "train_seconds")[
-        0
-    ] == ["large"]
+    assert collect_points(
+        record(made | {"reference": "large"}), "ms_ssim/disentangled", "train_seconds"
+    )[0] == ["large"]
 
 
 @pytest.mark.parametrize(
@@ -128,9 +130,13 @@ def test_cells_with_another_test_than_the_reference_are_not_ranked(changed):
     made = summary(THREE)
     made["cells"][3]["settings"][changed] = "another"
     for metric in ERRORS:
-        assert efficient(record(made))[metric]["train_seconds"] == ["small", "middling"]
-        assert efficient(record(made))[metric]["ms_per_image"] == ["small", "wasteful", "middling"]
-        assert efficient(record(made | {"reference": "large"}))[metric]["train_seconds"] == [
+        assert list_efficient(record(made))[metric]["train_seconds"] == ["small", "middling"]
+        assert list_efficient(record(made))[metric]["ms_per_image"] == [
+            "small",
+            "wasteful",
+            "middling",
+        ]
+        assert list_efficient(record(made | {"reference": "large"}))[metric]["train_seconds"] == [
             "large"
         ]
 
@@ -138,14 +144,14 @@ def test_cells_with_another_test_than_the_reference_are_not_ranked(changed):
 def test_images_of_another_size_are_ranked_by_their_errors_in_mm():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.preprocess.size"] = "256"
-    assert efficient(record(made)) == efficient(record(summary(THREE)))
+    assert list_efficient(record(made)) == list_efficient(record(summary(THREE)))
 
 
 def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.slides"] = "8"
     axes = Figure().subplots()
-    panel(
+    plot_panel(
         axes,
         record(made),
         "pose/disentangled/edge_mm",
@@ -161,8 +167,8 @@ def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
 
 
 def test_a_picture_is_drawn_where_there_is_something_to_draw():
-    assert frontier_figure(record(summary(THREE))).startswith(b"\x89PNG")
-    assert frontier_figure(record(summary(THREE[:1]))) is None
+    assert plot_frontier(record(summary(THREE))).startswith(b"\x89PNG")
+    assert plot_frontier(record(summary(THREE[:1]))) is None
 
 
 def test_cells_of_one_network_take_equally_long_for_an_image():
@@ -170,7 +176,10 @@ def test_cells_of_one_network_take_equally_long_for_an_image():
     for cell in (0, 1, 3):
         made["cells"][cell]["settings"] = {"train.epochs": str(cell)}
     cost = dict(
-        zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True)
+        zip(
+            *collect_points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2],
+            strict=True,
+        )
     )
     assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
 
@@ -181,6 +190,9 @@ def test_another_network_takes_its_own_time_for_an_image():
         cell["settings"] = {}
     made["cells"][3]["settings"] = {"unshear.widths": "8,8"}
     cost = dict(
-        zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True)
+        zip(
+            *collect_points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2],
+            strict=True,
+        )
     )
     assert cost == pytest.approx({"small": 3, "middling": 3, "wasteful": 3, "large": 9})

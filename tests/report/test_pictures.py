@@ -14,10 +14,10 @@ from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
 from jaxunshear.downstream.reconstruct import HeightMap, ShapeScore
 from jaxunshear.downstream.servo import CLOSED
-from jaxunshear.report import page
-from jaxunshear.report.geometry_figure import of_recordings
-from jaxunshear.report.object_figure import PICTURES, object_figure
-from jaxunshear.report.walk_figure import WORDS, walk_figure
+from jaxunshear.report import html
+from jaxunshear.report.geometry_figure import plot_recordings
+from jaxunshear.report.object_figure import PICTURES, plot_objects
+from jaxunshear.report.trajectory_figure import METHOD_TITLES, plot_trajectories
 from jaxunshear.scene.stimuli import STIMULI
 
 PAGE_PX = 1158  # of a picture, at most
@@ -71,7 +71,7 @@ def test_objects_fit(drawn, count):
         None,
     )
     for _, text in PICTURES.values():
-        object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid), text)
+        plot_objects("teardrop", dict.fromkeys(list(METHOD_TITLES)[:count], solid), text)
     for figure in drawn:
         check(figure)
 
@@ -80,18 +80,19 @@ def test_objects_fit(drawn, count):
 def test_walks_fit(drawn, count):
     line = trace_contour(STIMULI["disk"])
     tracks = np.repeat(line.points[None], 2 * count, 0)
-    way = np.repeat(list(WORDS)[:count], 2)
+    way = np.repeat(list(METHOD_TITLES)[:count], 2)
     end = np.where(np.arange(2 * count) % 2, CLOSED, CLOSED + 1)
-    walk_figure(SimpleNamespace(way=way, point=tracks, end=end), line, "disk")
+    plot_trajectories(SimpleNamespace(way=way, point=tracks, end=end), line, "disk")
     check(*drawn)
 
 
 def test_heights_fit(drawn):
     place = np.stack(np.meshgrid(*[np.linspace(-9, 9, 9)] * 2), -1).reshape(-1, 2)
     kinds = {
-        name: np.exp(-np.sum(place**2, 1) / 30)[None] for name in ("sheared", *list(WORDS)[2:7])
+        name: np.exp(-np.sum(place**2, 1) / 30)[None]
+        for name in ("sheared", *list(METHOD_TITLES)[2:7])
     }
-    of_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
+    plot_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
     check(*drawn)
 
 
@@ -99,14 +100,14 @@ def test_heights_fit(drawn):
 def test_no_table_is_cut_off_at_1280_px(tmp_path):
     """The widest: likeness with intervals, of four groups and with the paper's four."""
     head = ["image compared with its tap", *["teardrop"] * 4, *[Markup("teardrop<br>paper")] * 4]
-    cells = [page.spanned(0.5, [0.4, 0.6], 3)] * 4 + ["0.91"] * 4
+    cells = [html.format_with_interval(0.5, [0.4, 0.6], 3)] * 4 + ["0.91"] * 4
     rows = [
         ["sheared, best translation (knows the tap)", *cells],
         ["unsheared, entangled (large)", *cells],
     ]
     probe = "<script>for (const e of document.querySelectorAll('.wide')) document.title = e.scrollWidth - e.clientWidth</script>"
     (tmp_path / "a.html").write_text(
-        page.page("a", page.section("a", "b", page.table(head, rows, range(5, 9), [1])))
+        html.page("a", html.section("a", "b", html.table(head, rows, range(5, 9), [1])))
         + Markup(probe)
     )
     words = (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.report.sweep_figure import shown_metrics, sweep_figure, values_on_grid
+from jaxunshear.report.sweep_figure import collect_grid_values, plot_sweep, select_metrics
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 
@@ -65,7 +65,7 @@ def record(made):
 
 
 def test_metrics_that_differ_between_cells_are_shown_in_order():
-    assert shown_metrics(record(summary(2))) == [
+    assert select_metrics(record(summary(2))) == [
         "ms_ssim/disentangled",
         "pose/disentangled/edge_mm",
         "swap/DS(z_p,z_s)/mse",
@@ -74,7 +74,7 @@ def test_metrics_that_differ_between_cells_are_shown_in_order():
 
 
 def test_means_lie_where_their_cell_is():
-    values = values_on_grid(record(summary(2)), "ms_ssim/disentangled")
+    values = collect_grid_values(record(summary(2)), "ms_ssim/disentangled")
     assert (
         np.array_equal(values[:2], [[0, 1], [2, 3]])
         and values[2, 0] == 4
@@ -84,15 +84,15 @@ def test_means_lie_where_their_cell_is():
 
 @pytest.mark.parametrize("axes", [1, 2])
 def test_it_can_be_drawn_and_the_same_again(axes):
-    picture = sweep_figure(record(summary(axes)))
-    assert picture is not None and picture == sweep_figure(record(summary(axes)))
+    picture = plot_sweep(record(summary(axes)))
+    assert picture is not None and picture == plot_sweep(record(summary(axes)))
     assert np.asarray(Image.open(io.BytesIO(picture)).convert("L")).std() > 10
-    assert picture != sweep_figure(record(summary(axes, failing=False)))
+    assert picture != plot_sweep(record(summary(axes, failing=False)))
 
 
 def test_no_axis_or_nothing_done_is_no_picture():
-    assert sweep_figure(record(summary(0))) is None
+    assert plot_sweep(record(summary(0))) is None
     nothing = summary(2)
     for each in nothing["cells"]:
         each |= {"seeds": [], "metrics": {}, "ablation": {}}
-    assert sweep_figure(record(nothing)) is None
+    assert plot_sweep(record(nothing)) is None

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.report.history import read_lines
-from jaxunshear.training.events import open_events, scalars
 from jaxunshear.training.step import make_schedule
+from jaxunshear.training.tensorboard import list_scalars, open_events
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -41,10 +41,10 @@ def test_a_training_writes_what_its_log_says(tmp_path):
     small.train(tmp_path)
     lines, found = read_lines(tmp_path / "log.jsonl"), points(tmp_path)
     rate = make_schedule(small.TRAINING, 12, 4)
-    assert len(lines) == 3 and found.keys() == {*scalars(lines[0]), "learning_rate"}
+    assert len(lines) == 3 and found.keys() == {*list_scalars(lines[0]), "learning_rate"}
     for line in lines:
         for tag, value in (
-            scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
+            list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
         ).items():
             assert (line["step"], np.float32(value)) in found[tag]
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 from markupsafe import Markup
 
-from jaxunshear.report import page, words
-from jaxunshear.report.page import number, spanned
+from jaxunshear.report import html, labels
+from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.results.run import Results, Table
 
 READERS = {"pixels": "kernel ridge on pixels", "pins": "kernel ridge on pins"}
@@ -17,41 +17,45 @@ PIN_COLUMNS = (  # heading, name, digits
 )
 
 
-def similarity(results: Results) -> Markup:
+def build_similarity_section(results: Results) -> Markup:
     """Nothing where nothing is unsheared."""
     ours, spread, paper = results.ms_ssim, results.spread.ms_ssim, results.paper["ms_ssim"]
     if not ours:
         return Markup()
     groups = list(next(iter(ours.values())))
-    known = [group for group in groups if group in paper["sheared"] and words.comparable(results)]
+    known = [
+        group for group in groups if group in paper["sheared"] and labels.is_comparable(results)
+    ]
     head = [
-        f"image compared with its {words.truth(results)}",
+        f"image compared with its {labels.name_target(results)}",
         *groups,
         *(Markup("{}<br>paper").format(group) for group in known),
     ]
     rows = [
         [
-            words.kind_of(results, kind),
-            *(spanned(ours[kind][group], spread[kind][group], 3) for group in groups),
-            *(number(paper.get(kind, {}).get(group)) for group in known),
+            labels.name_kind(results, kind),
+            *(format_with_interval(ours[kind][group], spread[kind][group], 3) for group in groups),
+            *(format_number(paper.get(kind, {}).get(group)) for group in known),
         ]
         for kind in ours
     ]
     name, size = results.metric["ms_ssim"], results.metric["image_px"]
-    drawn = " of drawn pins" if words.over_pins(results) else ""
-    lead = f"{name}{drawn} at {size} px, 1 is equal; {words.spread(results)}"
+    drawn = " of drawn pins" if labels.reads_pins(results) else ""
+    lead = f"{name}{drawn} at {size} px, 1 is equal; {labels.describe_intervals(results)}"
     if known and name != "ms_ssim":
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
     real = range(1 + len(groups), len(head))
-    return page.section(
+    return html.section(
         "How alike the images are",
         lead,
-        page.table(head, rows, real, [len(rows) - 1]),
-        apart(results, "ms_ssim", "likeness", 4, 1),
+        html.table(head, rows, real, [len(rows) - 1]),
+        describe_differences(results, "ms_ssim", "likeness", 4, 1),
     )
 
 
-def apart(results: Results, column: str, what: str, digits: int, better: int) -> Markup:
+def describe_differences(
+    results: Results, column: str, what: str, digits: int, better: int
+) -> Markup:
     """The disentangled network less each other one, contact by contact; `better` is the sign of a gain."""
     said = []
     for kind, columns in results.difference.items():
@@ -62,38 +66,40 @@ def apart(results: Results, column: str, what: str, digits: int, better: int) ->
         verdict = (
             "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
         )
-        name = words.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
+        name = labels.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         said.append(
             f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})"
         )
     if not said:
         return Markup()
-    return page.soft(
+    return html.soft(
         f"Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}."
     )
 
 
-def further(results: Results) -> Markup:
+def build_further_tests(results: Results) -> Markup:
     """The tests of their own: shapes that no network has seen, taps at other depths."""
-    parts, names = [], words.targets(results)
+    parts, names = [], labels.list_targets(results)
     for name, test in results.tests.items():
         ours, pose, spread = test.ms_ssim, test.pose_mae, test.spread
         groups = list(next(iter(ours.values())))
-        head = ["image", *groups, *(words.heading(q) for q in names if pose)]
+        head = ["image", *groups, *(labels.format_heading(q) for q in names if pose)]
         rows = [
             [
-                words.KINDS[kind],
+                labels.KINDS[kind],
                 *(
-                    spanned(ours.get(kind, {}).get(g), spread.ms_ssim.get(kind, {}).get(g), 3)
+                    format_with_interval(
+                        ours.get(kind, {}).get(g), spread.ms_ssim.get(kind, {}).get(g), 3
+                    )
                     for g in groups
                 ),
                 *(
-                    spanned(pose[kind].get(q), spread.pose_mae[kind].get(q), 2)
+                    format_with_interval(pose[kind].get(q), spread.pose_mae[kind].get(q), 2)
                     for q in names
                     if kind in pose
                 ),
             ]
-            for kind in words.KINDS
+            for kind in labels.KINDS
             if kind in pose or kind in ours
         ]
         what = "shapes that no network has seen" if name == "unseen" else "the shapes trained on"
@@ -104,7 +110,7 @@ def further(results: Results) -> Markup:
             else "taps as deep as the slide"
         )
         if test.followed:
-            depth = f"{depth}, their pins found in the images ({_followed(test.followed)})"
+            depth = f"{depth}, their pins found in the images ({_describe_tracking(test.followed)})"
         ways = {"twist_deg": "slides that twist", "tilt_deg": "sensors that lean"}
         wide = {
             reported: size
@@ -112,16 +118,16 @@ def further(results: Results) -> Markup:
             if (size := (test.ranges or {}).get(field))
         }
         depth += "".join(f", {reported} by up to {size:g} deg" for reported, size in wide.items())
-        lead = f"{test.contacts} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
+        lead = f"{test.contacts} slides over {what}, {depth}: likeness of the images, then errors of pose; {labels.describe_intervals(test)}"
         parts.append(
-            page.section(
-                f"Test of its own: {name}", lead, page.table(head, rows, (), [len(rows) - 1])
+            html.section(
+                f"Test of its own: {name}", lead, html.table(head, rows, (), [len(rows) - 1])
             )
         )
     return Markup().join(parts)
 
 
-def _followed(pins: Table) -> str:
+def _describe_tracking(pins: Table) -> str:
     kinds = {"tap": "taps", "sheared": "slides"}
     said = [
         f"{pins[k]['followed']:.1%} of {name} followed, {pins[k]['rms_px']:.2f} px off"
@@ -130,7 +136,7 @@ def _followed(pins: Table) -> str:
     return "; ".join(said)
 
 
-def pins(results: Results) -> Markup:
+def build_pin_section(results: Results) -> Markup:
     """Columns that nothing is known for are left out, and so is all of it where there are no pairs."""
     errors = results.pin_error
     if not errors:
@@ -144,45 +150,45 @@ def pins(results: Results) -> Markup:
     ]
     rows = [
         [
-            _pinned(results, kind),
-            *(number(errors[kind].get(name), digits) for _, name, digits in shown),
+            _name_pin_kind(results, kind),
+            *(format_number(errors[kind].get(name), digits) for _, name, digits in shown),
         ]
-        for kind in words.KINDS
+        for kind in labels.KINDS
         if kind in errors
     ]
-    truth = "tap's true pins" if results.simulated else f"{words.truth(results)}'s pins"
+    truth = "tap's true pins" if results.simulated else f"{labels.name_target(results)}'s pins"
     lead = (
         f"Centroids found in each image, matched one to one with the {truth} within half a pitch. The first row is "
         "what finding pins costs by itself; the last is how far the slide really moved them."
     )
-    if words.over_pins(results) and not results.simulated:
+    if labels.reads_pins(results) and not results.simulated:
         lead = f"How far each pin, known by name, is from the {truth}; the last row is how far the slide moved them."
-    return page.section(
-        "Where the pins are", lead, page.table(["image", *(head for head, _, _ in shown)], rows)
+    return html.section(
+        "Where the pins are", lead, html.table(["image", *(head for head, _, _ in shown)], rows)
     )
 
 
-def _pinned(results: Results, kind: str) -> str:
+def _name_pin_kind(results: Results, kind: str) -> str:
     """Images are compared with one partner or tap, which has a row, too."""
     return (
-        words.truth(results)
+        labels.name_target(results)
         if kind == "tap" and not results.simulated
-        else words.kind_of(results, kind)
+        else labels.name_kind(results, kind)
     )
 
 
-def swap(results: Results) -> Markup:
+def build_swap_section(results: Results) -> Markup:
     """Nothing of networks without two codes."""
     paper, name = results.paper["swap"], results.metric["ms_ssim"]
     if not results.swap:
         return Markup()
-    known = ("mse", "ms_ssim") if words.comparable(results) else ()
+    known = ("mse", "ms_ssim") if labels.is_comparable(results) else ()
     rows = [
         [
             cell,
-            words.truth(results) if entry.target == "tap" else entry.target,
-            *(number(value, 3) for value in (entry.mse, entry.ssim, entry.ms_ssim)),
-            *(number(paper[cell][m], 3) for m in known),
+            labels.name_target(results) if entry.target == "tap" else entry.target,
+            *(format_number(value, 3) for value in (entry.mse, entry.ssim, entry.ms_ssim)),
+            *(format_number(paper[cell][m], 3) for m in known),
         ]
         for cell, entry in results.swap.items()
     ]
@@ -201,8 +207,8 @@ def swap(results: Results) -> Markup:
         name,
         *(Markup("{}<br>paper").format(metric) for metric in ("MSE", "MS-SSIM") if known),
     ]
-    return page.section(
-        "Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6))
+    return html.section(
+        "Swapped codes" if both else "The two decoders", lead, html.table(head, rows, (5, 6))
     )
 
 
@@ -211,15 +217,17 @@ def readers(results: Results) -> Markup:
     ours = results.readers
     if not ours:
         return Markup()
-    names, spread = words.targets(results), results.spread.readers
-    head = ["reader", "given", "images", *map(words.heading, names)]
+    names, spread = labels.list_targets(results), results.spread.readers
+    head = ["reader", "given", "images", *map(labels.format_heading, names)]
     rows = [
         [
             READERS[reader] if not place else "",
-            words.kind_of(results, kind),
+            labels.name_kind(results, kind),
             _counted(results.reader_images[reader][kind]),
             *(
-                spanned(errors.get(q), spread[reader][kind].get(q), words.digits(results, q))
+                format_with_interval(
+                    errors.get(q), spread[reader][kind].get(q), labels.choose_digits(results, q)
+                )
                 for q in names
             ),
         ]
@@ -230,19 +238,19 @@ def readers(results: Results) -> Markup:
     learnt = "; ".join(f"{READERS[reader]}: {count} taps" for reader, count in taps.items())
     lead = (
         "A network may please readers of the make that taught it. These are no neural networks: kernel ridges that learnt from "
-        f"PoseNet's training taps alone{f' ({learnt})' if learnt else ''}. Mean absolute errors; {words.spread(results)}"
+        f"PoseNet's training taps alone{f' ({learnt})' if learnt else ''}. Mean absolute errors; {labels.describe_intervals(results)}"
     )
     found = (
         "Kernel ridge on pins learnt from the taps' true pins. It reads the pins that are found in a part of the test images; those "
         "whose pins are not known by name for sure are left out and counted."
-        if "pins" in ours and results.simulated and not words.over_pins(results)
+        if "pins" in ours and results.simulated and not labels.reads_pins(results)
         else ""
     )
-    return page.section(
+    return html.section(
         "Read by readers of another make",
         lead,
-        page.table(head, rows),
-        page.soft(found) if found else "",
+        html.table(head, rows),
+        html.soft(found) if found else "",
     )
 
 

@@ -9,7 +9,7 @@ from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
-WORDS = {
+METHOD_TITLES = {
     "true": "true pose",
     "sheared": "sheared images",
     **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
@@ -17,7 +17,7 @@ WORDS = {
 }
 
 
-def walk_figure(walks: Trajectories, line: Contour, stimulus: str) -> bytes:
+def plot_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> bytes:
     """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
     ways = list(dict.fromkeys(walks.method.tolist()))
     columns, rows = min(ABREAST, len(ways)), -(-len(ways) // ABREAST)
@@ -39,7 +39,7 @@ def walk_figure(walks: Trajectories, line: Contour, stimulus: str) -> bytes:
         ends = [ENDS[end] for end in walks.end[mine] if end != CLOSED]
         why = f"\n{max(set(ends), key=ends.count)}" if ends else ""
         axes.set_title(
-            f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}",
+            f"{METHOD_TITLES.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}",
             fontsize=HEAD,
         )
         axes.set_aspect("equal")

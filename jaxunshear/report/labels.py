@@ -16,7 +16,7 @@ KINDS = {
     **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
     "true_slide": "sheared, pins known by name",
 }
-OF_RECORDINGS = {
+RECORDED_KINDS = {
     "tap": "taps (no slide)",
     "partner": "partners of the slides",
     "sheared": "slides, as felt",
@@ -41,15 +41,15 @@ QUANTITIES |= {
     f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED
 }
 EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
-CARDS = 3  # quantities that have a card, at most
+MAX_CARDS = 3  # quantities that have a card, at most
 
 
-def over_pins(results: Results) -> bool:
+def reads_pins(results: Results) -> bool:
     """Whether the networks read pins: images are then pins, drawn."""
     return results.settings["unshear"].get("input") == "pins"
 
 
-def truth(results: Results) -> str:
+def name_target(results: Results) -> str:
     """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
     return (
         "partner"
@@ -58,49 +58,49 @@ def truth(results: Results) -> str:
     )
 
 
-def comparable(results: Results) -> bool:
+def is_comparable(results: Results) -> bool:
     """Whether the paper's likenesses are of the same quantity: images, compared with taps."""
-    return results.simulated or (truth(results) == "tap" and not over_pins(results))
+    return results.simulated or (name_target(results) == "tap" and not reads_pins(results))
 
 
-def kind_of(results: Results, kind: str) -> str:
+def name_kind(results: Results, kind: str) -> str:
     """A kind of contact in words, plain text."""
-    return KINDS[kind] if results.simulated else OF_RECORDINGS.get(kind) or KINDS[kind]
+    return KINDS[kind] if results.simulated else RECORDED_KINDS.get(kind) or KINDS[kind]
 
 
-def targets(results: Results) -> list[str]:
+def list_targets(results: Results) -> list[str]:
     """The quantities that the run's PoseNets read, in its order."""
     if results.targets is not None:
         return [target.name for target in results.targets]
     return list(results.baselines["pose_chance"])
 
 
-def chief(results: Results) -> list[str]:
+def list_main_targets(results: Results) -> list[str]:
     """Those that the page opens with."""
-    names = targets(results)
-    return [name for name in EDGE if name in names] or names[:CARDS]
+    names = list_targets(results)
+    return [name for name in EDGE if name in names] or names[:MAX_CARDS]
 
 
-def word(name: str) -> str:
+def name_quantity(name: str) -> str:
     """A quantity without its unit."""
     return QUANTITIES.get(name, name.rpartition("_")[0])
 
 
-def unit(name: str) -> str:
+def get_unit(name: str) -> str:
     return name.rpartition("_")[2]
 
 
-def heading(name: str) -> Markup:
+def format_heading(name: str) -> Markup:
     """Of a column."""
-    return Markup("{}<br>{}").format(word(name), unit(name))
+    return Markup("{}<br>{}").format(name_quantity(name), get_unit(name))
 
 
-def digits(results: Results, name: str) -> int:
+def choose_digits(results: Results, name: str) -> int:
     """Of an error: a real sensor's pins determine some lengths to a few hundredths of a mm."""
-    return 2 if results.simulated or unit(name) != "mm" else 3
+    return 2 if results.simulated or get_unit(name) != "mm" else 3
 
 
-def spread(results: Tables) -> str:
+def describe_intervals(results: Tables) -> str:
     """What brackets mean, plain text: intervals of one run know nothing of other trainings. Its end is a full stop."""
     what = f"brackets: {results.spread.what}."
     over = results.spread.over

@@ -27,24 +27,24 @@ montage, caption, figure = _piece("montage"), _piece("caption"), _piece("figure"
 folded, listed, row, soft, code = map(_piece, ("folded", "listed", "row", "soft", "code"))
 
 
-def drawing(svg: str, text: str) -> Markup:
+def embed_svg(svg: str, text: str) -> Markup:
     """An SVG as a picture, so that the names inside one drawing cannot meet those of another; `text` describes it."""
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     points = re.findall(r'(?:width|height)="([\d.]+)pt"', svg[: svg.index(">")])
     return figure(address, text, [round(float(size) * 4 / 3) for size in points])
 
 
-def number(value: float | None, digits: int = 2) -> str:
+def format_number(value: float | None, digits: int = 2) -> str:
     """Fixed digits; a dash where there is no value."""
     return "\u2013" if value is None else f"{value:.{digits}f}"
 
 
-def spanned(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
+def format_with_interval(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
     """A figure with its interval below; without one where there is none."""
     if value is None or interval is None:
-        return number(value, digits)
-    low, high = (number(end, digits) for end in interval)
-    return Markup("{} <small>[{}, {}]</small>").format(number(value, digits), low, high)
+        return format_number(value, digits)
+    low, high = (format_number(end, digits) for end in interval)
+    return Markup("{} <small>[{}, {}]</small>").format(format_number(value, digits), low, high)
 
 
 def address_of(png: bytes) -> str:

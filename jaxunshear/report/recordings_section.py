@@ -6,13 +6,13 @@ from markupsafe import Markup
 
 from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_descriptions import describe_test
-from jaxunshear.report import page, words
-from jaxunshear.report.page import number
+from jaxunshear.report import html, labels
+from jaxunshear.report.html import format_number
 from jaxunshear.results.run import Results, Scores
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Target
 
-WAYS = {
+PAIRING_TEXTS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "
     "need be recorded there, and the two poses are equal. How true the drawings are, the errors of pose on partners show.",
     "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a "
@@ -24,7 +24,7 @@ WAYS = {
 }
 
 
-def recordings(results: Results) -> Markup:
+def build_recordings_section(results: Results) -> Markup:
     reported, _ = results.recorded
     rows = [
         [kind, *(str(counted[split]) for split in SPLITS)]
@@ -60,28 +60,30 @@ def recordings(results: Results) -> Markup:
         "Frames of a real sensor: networks learn from train, their best step is chosen on "
         f"validation, all figures are of test ({describe_test(results)})."
     )
-    return page.section(
+    return html.section(
         "The recordings",
         lead,
-        page.table(["contacts", *SPLITS], rows),
-        *map(page.soft, facts),
-        _listed(f"Frames left out ({reported.dropped})", reported.dropped_frames, reported.dropped),
-        _listed("Notes from reading them", reported.notes, len(reported.notes)),
+        html.table(["contacts", *SPLITS], rows),
+        *map(html.soft, facts),
+        _fold_list(
+            f"Frames left out ({reported.dropped})", reported.dropped_frames, reported.dropped
+        ),
+        _fold_list("Notes from reading them", reported.notes, len(reported.notes)),
     )
 
 
-def intervals(results: Results) -> Markup:
+def build_intervals_section(results: Results) -> Markup:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
     widths, held = results.half_width or {}, results.coverage or {}
     names = [
         name
-        for name in words.targets(results)
+        for name in labels.list_targets(results)
         if any(name in reported for reported in held.values())
     ]
     rows = [
         [
-            words.kind_of(results, way),
-            *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names),
+            labels.name_kind(results, way),
+            *(f"{format_number(widths[way][name])} ({reported[name]:.1%})" for name in names),
         ]
         for way, reported in held.items()
         if way in widths
@@ -93,42 +95,42 @@ def intervals(results: Results) -> Markup:
         f"brackets the share of test contacts that they hold ({describe_test(results)}). "
         f"{ELSEWHERE_NOTE}. For yours: jaxunshear evaluate RUN --recordings DIR."
     )
-    return page.section(
+    return html.section(
         "How far an answer may be off",
         lead,
-        page.table(["pose read from", *map(words.heading, names)], rows),
+        html.table(["pose read from", *map(labels.format_heading, names)], rows),
     )
 
 
 def _range(target: Target) -> str:
     name = target.name
     if target.circle:
-        return f"{words.word(name)} over the full circle"
+        return f"{labels.name_quantity(name)} over the full circle"
     low, high = target.middle - target.reach, target.middle + target.reach
-    return f"{words.word(name)} {low:.2f} to {high:.2f} {words.unit(name)}"
+    return f"{labels.name_quantity(name)} {low:.2f} to {high:.2f} {labels.get_unit(name)}"
 
 
-def _listed(heading: str, lines: Sequence[str], count: int) -> Markup:
+def _fold_list(heading: str, lines: Sequence[str], count: int) -> Markup:
     """Folded away; nothing of no lines."""
     if not lines:
         return Markup()
-    return page.folded(heading, page.listed(lines, count - len(lines)))
+    return html.folded(heading, html.listed(lines, count - len(lines)))
 
 
-def pairing(results: Results) -> Markup:
+def build_pairing_section(results: Results) -> Markup:
     """Nothing where there are no pairs."""
-    if results.pairing is None or (way := results.pairing.way) not in WAYS:
+    if results.pairing is None or (way := results.pairing.way) not in PAIRING_TEXTS:
         return Markup()
-    names = words.targets(results)
+    names = labels.list_targets(results)
     rows = [
         [split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)]
         for split, gap in results.pairing.gaps.items()
     ]
-    head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
-    note = page.soft("Median, and in brackets the 95th percentile.")
-    return page.section("How slides are paired", WAYS[way], page.table(head, rows), note)
+    head = ["pose of the partner off by", "pairs", *map(labels.format_heading, names)]
+    note = html.soft("Median, and in brackets the 95th percentile.")
+    return html.section("How slides are paired", PAIRING_TEXTS[way], html.table(head, rows), note)
 
 
 def _gap(gap: Scores | int) -> str:
     assert not isinstance(gap, int)
-    return f"{number(gap['median'])} ({number(gap['p95'])})"
+    return f"{format_number(gap['median'])} ({format_number(gap['p95'])})"

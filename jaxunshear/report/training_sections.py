@@ -10,20 +10,22 @@ from matplotlib.figure import Figure
 
 from jaxunshear.plain import plain
 from jaxunshear.progress import duration
-from jaxunshear.report import page, words
+from jaxunshear.report import html, labels
 from jaxunshear.report.history import History
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.run import Results
 from jaxunshear.style import COLOURS, INK, STYLE
 
-TRAINED = "delete it, then run the same experiment again, which goes on from the checkpoint"
+RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 ABREAST = 3  # panels of loss curves
 DASHES = ("-", "--", ":")
 
 
-def training(histories: dict[str, History], summaries: dict[str, TrainingSummary]) -> Markup:
+def build_training_section(
+    histories: dict[str, History], summaries: dict[str, TrainingSummary]
+) -> Markup:
     if not histories:
-        return page.section("Training", "This run has no training logs.")
+        return html.section("Training", "This run has no training logs.")
     rows = [
         [
             name,
@@ -38,21 +40,21 @@ def training(histories: dict[str, History], summaries: dict[str, TrainingSummary
     head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
     text = "loss over epochs of " + ", ".join(histories)
     lead = "Losses at each validation, in training (thin) and on poses kept out of it (thick). The best step is used."
-    return page.section(
-        "Training", lead, page.drawing(loss_curves(histories), text), page.table(head, rows)
+    return html.section(
+        "Training", lead, html.embed_svg(loss_curves(histories), text), html.table(head, rows)
     )
 
 
-def times(results: Results, histories: dict[str, History]) -> Markup:
+def build_times_section(results: Results, histories: dict[str, History]) -> Markup:
     stages = {name: value for name, value in results.time_s.items() if value is not None}
     drawn = []
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
-        drawn.append(page.drawing(stage_times(list(stages), list(stages.values())), text))
+        drawn.append(html.embed_svg(stage_times(list(stages), list(stages.values())), text))
     for name, label in _over_time(results).items():
         if any(name in history.validation for history in histories.values()):
             drawn.append(
-                page.drawing(
+                html.embed_svg(
                     error_over_time(histories, name, label), f"{label} over seconds of training"
                 )
             )
@@ -64,8 +66,8 @@ def times(results: Results, histories: dict[str, History]) -> Markup:
         f"{name} {_short(times['median'])} ms (95th percentile {_short(times['p95'])})"
         for name, times in results.ms_per_image.items()
     )
-    note = page.soft(f"One image at a time, compilation apart: {waits}.") if waits else ""
-    return page.section("Error against run time", lead, page.row(*drawn), note)
+    note = html.soft(f"One image at a time, compilation apart: {waits}.") if waits else ""
+    return html.section("Error against run time", lead, html.row(*drawn), note)
 
 
 def _short(milliseconds: float) -> str:
@@ -74,13 +76,16 @@ def _short(milliseconds: float) -> str:
 
 def _over_time(results: Results) -> dict[str, str]:
     """A network's validation figures that are drawn over its seconds of training, with their labels."""
-    what = "pins" if words.over_pins(results) else "image"
+    what = "pins" if labels.reads_pins(results) else "image"
     form = "{} of taps, {}" if results.simulated else "error in {}, {}"
-    chief = {name: form.format(words.word(name), words.unit(name)) for name in words.chief(results)}
+    chief = {
+        name: form.format(labels.name_quantity(name), labels.get_unit(name))
+        for name in labels.list_main_targets(results)
+    }
     return {"supervised": f"unsheared {what}, MSE"} | chief
 
 
-def contacts(results: Results) -> Markup:
+def build_contacts_section(results: Results) -> Markup:
     """Nothing of recorded contacts, which no solver has solved."""
     if not results.simulated:
         return Markup()
@@ -107,26 +112,26 @@ def contacts(results: Results) -> Markup:
     )
     poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
     lead = "How well the simulated contacts behind the test images were solved."
-    return page.section(
-        "Contact quality", lead, page.table(head, rows), page.soft(f"{tried} {pairs}; {poses}")
+    return html.section(
+        "Contact quality", lead, html.table(head, rows), html.soft(f"{tried} {pairs}; {poses}")
     )
 
 
-def provenance(results: Results) -> Markup:
+def build_provenance_section(results: Results) -> Markup:
     held = (
         results.seeds,
         plain(results.machine),
         results.versions,
         plain(results.source) if results.source else {},
     )
-    parts = (page.table(("", ""), list(part.items())) for part in held if part)
-    settings = page.code(json.dumps(results.settings, indent=2))
-    return page.section(
+    parts = (html.table(("", ""), list(part.items())) for part in held if part)
+    settings = html.code(json.dumps(results.settings, indent=2))
+    return html.section(
         "How to get this again",
         "The same command, seeds and versions on the same machine give the same numbers.",
-        page.code(results.command),
-        page.row(*parts),
-        page.folded("All settings", settings),
+        html.code(results.command),
+        html.row(*parts),
+        html.folded("All settings", settings),
     )
 
 

@@ -30,7 +30,7 @@ def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Calla
         return
 
     def append(line: Json) -> None:
-        values = scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
+        values = list_scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}
         summary = Summary(
             value=[Summary.Value(tag=tag, simple_value=value) for tag, value in values.items()]
         )
@@ -43,7 +43,7 @@ def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Calla
         yield append
 
 
-def scalars(line: Json) -> dict[str, float]:
+def list_scalars(line: Json) -> dict[str, float]:
     """Return the known figures of a line of log.jsonl by tag."""
     return {
         f"{group}/{name}": float(value)
