@@ -15,7 +15,7 @@ from jaxunshear.dataset.chunks import make_engine, simulate_chunks
 from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.dataset.sampling import sample_contacts
-from jaxunshear.settings.configs import PAIRED, set_folder, unfinished_folder
+from jaxunshear.settings.configs import PAIRED, get_set_folder, get_unfinished_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.splits import SPLITS
@@ -35,7 +35,7 @@ def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
 
 
 def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
-    engine, chunks = make_engine(), unfinished_folder(settings, TACTIP_331, data)
+    engine, chunks = make_engine(), get_unfinished_folder(settings, TACTIP_331, data)
     drawn = [
         sample_contacts(one)
         for one in (settings, dataclasses.replace(settings, poses=PLANNED * settings.poses))
@@ -56,7 +56,9 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     )
     chunk = _step("simulate and draw", counts[0], simulated)
     make_set(settings, TACTIP_331, data, engine)
-    files = sum(path.stat().st_size for path in set_folder(settings, TACTIP_331, data).iterdir())
+    files = sum(
+        path.stat().st_size for path in get_set_folder(settings, TACTIP_331, data).iterdir()
+    )
     stored = {"name": "stored", "contacts": counts[0], "cpu_ms": None, "bytes": files / counts[0]}
     return [plan, chunk, stored, _step("read into memory", counts[0], read)]
 

@@ -21,10 +21,10 @@ from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
@@ -82,14 +82,14 @@ def _images(widths: tuple[int, ...]) -> Case:
 
 
 def _pins() -> Case:
-    training = replace(PINS, pose_weight=0.0)
+    training = replace(PIN_TRAINING, pose_weight=0.0)
     pins = (
         np.random.default_rng(0)
         .normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2))
         .astype(np.float32)
     )
     task = make_pin_unshear_task(
-        PinUnshear(), training, of_ranges((), Ranges()), pins[0].mean(axis=0), 20.0
+        PinUnshear(), training, make_range_targets((), Ranges()), pins[0].mean(axis=0), 20.0
     )
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
     return Case("pins", task, training, stored | _poses(), 128, 40)

@@ -25,7 +25,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
@@ -136,7 +136,7 @@ def _step(net: UnshearNet, training: Training) -> Way:
 def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
-    targets = of_ranges((), Ranges())
+    targets = make_range_targets((), Ranges())
     values = {
         ENTANGLED: variables_of(partial(unshearnet.init, entangled), 1),
         DISENTANGLED: variables,

@@ -30,7 +30,7 @@ from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.progress import Progress
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET
-from jaxunshear.settings.targets import names_of
+from jaxunshear.settings.targets import list_target_names
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
@@ -197,7 +197,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
     def ours() -> Work:
         forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
         run = jit_for_inference(
-            make_perceive_function(forward, names_of(TARGETS)), fresh_variables()
+            make_perceive_function(forward, list_target_names(TARGETS)), fresh_variables()
         )
         return lambda: jax.device_get(run(image)) is None
 

@@ -21,11 +21,11 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import layer_choice, pin_networks
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from verification.clock import seconds
@@ -60,7 +60,7 @@ def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Jso
     with Progress("bench pinnets", 3 * len(NETS), unit="rows") as progress:
         for name, net in NETS.items():
             for what, batch in (
-                ("training step", PINS.batch),
+                ("training step", PIN_TRAINING.batch),
                 *(("a frame", batch) for batch in BATCHES),
             ):
                 made = {
@@ -100,8 +100,8 @@ def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 
 
 def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
-    training = replace(PINS, pose_weight=0.0)
-    task = make_pin_unshear_task(net, training, of_ranges((), Ranges()), rest, SPREAD)
+    training = replace(PIN_TRAINING, pose_weight=0.0)
+    task = make_pin_unshear_task(net, training, make_range_targets((), Ranges()), rest, SPREAD)
     step, first = step_of(task, training)
     state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}

@@ -17,7 +17,7 @@ from jaxunshear.image.pin_detection import detect_pins
 from jaxunshear.image.pin_tracking import fit_motion_prior, track_pins
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
-from jaxunshear.settings.configs import PAIRED, sensor_of
+from jaxunshear.settings.configs import PAIRED, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Nuisance
 from jaxunshear.storage import Json
@@ -47,7 +47,7 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
         preprocess=replace(before.preprocess, size=size),
         nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
     )
-    experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
+    experiment = Experiment("bench_pins", "none", sensor=get_config_sensor(config), paired=paired)
     contacts = simulate_contacts(experiment, FRAMES, seed)
     lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
     seen = {

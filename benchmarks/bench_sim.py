@@ -21,7 +21,7 @@ from jaxunshear.contact.level import LEVELS, Level, without_omissions
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import RING_MM, ring_spacing, spaced
+from jaxunshear.settings.reach import RING_MM, compute_ring_spacing, set_ring_spacing
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
 from verification.clock import laps, matrix_product, seconds
@@ -173,14 +173,14 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
         "press_mm": setting.how.press_mm,
         "slide_mm": setting.how.slide_mm,
         "solver": setting.solver,
-        "mesh_mm": setting.mesh_mm or ring_spacing(sensor),
+        "mesh_mm": setting.mesh_mm or compute_ring_spacing(sensor),
         "against": setting.against,
         "scenes": len(compared),
         "timed_scenes": len(scenes),
     }
     pins = _truth(sensor, setting, kind, effort)[: len(compared)]
     contacts: list[Contacts] = []
-    here = sensor if setting.mesh_mm is None else spaced(sensor, setting.mesh_mm)
+    here = sensor if setting.mesh_mm is None else set_ring_spacing(sensor, setting.mesh_mm)
     how = replace(setting.how, solver=RIVALS[setting.solver])
 
     def work() -> None:
@@ -222,7 +222,7 @@ def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.nd
     scenes = effort.scenes(kind, effort.compared)
     if setting.against == "reference":
         return true_pins(sensor, NAMES, scenes, effort.truth)
-    finest = spaced(sensor, FINEST_MM)
+    finest = set_ring_spacing(sensor, FINEST_MM)
     return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
 
 

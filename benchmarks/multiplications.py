@@ -3,9 +3,9 @@
 from jaxunshear.model import posenet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 
-TARGETS = of_ranges((), Ranges())
+TARGETS = make_range_targets((), Ranges())
 
 
 def multiplications(net: UnshearNet, training: bool) -> int:

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from jaxunshear.cli import read_base
 from jaxunshear.plain import plain
 from jaxunshear.results.measurement import Source
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.storage import Json
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -16,13 +16,13 @@ from dataclasses import replace
 
 import demo
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 
 experiment = replace(
     demo.experiment,
     name="calibrated",
     claim="Minutes of training take the slide out of images of a fitted sensor, and not out of the pose read off them.",
-    sensor=sensor_of("calibrated"),
+    sensor=get_config_sensor("calibrated"),
     paired=PAIRED["calibrated"],
     pose=POSE["calibrated"],
 )

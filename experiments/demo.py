@@ -14,7 +14,7 @@ demo undoes 69 % (docs/results/calibrated.json, one seed; demo.json, five). We t
 levers are the reason, because they show how the skin turns at an edge; this was not tested.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.training import Training
@@ -26,7 +26,7 @@ POSENET = Training(
 experiment = Experiment(
     name="demo",
     claim="Minutes of training on simulated pairs take most of the slide out of a tactile image.",
-    sensor=sensor_of("demo"),
+    sensor=get_config_sensor("demo"),
     paired=PAIRED["demo"],
     pose=POSE["demo"],
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),

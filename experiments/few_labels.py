@@ -15,7 +15,7 @@ unsheared, .25 and 3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2
 from dataclasses import replace
 
 from jaxunshear.fit import BASE
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -27,7 +27,7 @@ sweep = Sweep(
         name="few_labels",
         unshear=replace(BASE.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone: many rows
-        train_pins=replace(PINS, epochs=40),
+        train_pins=replace(PIN_TRAINING, epochs=40),
     ),
     grid=(
         ("paired.labelled", (0.01, 0.05, 0.1, 0.3, 1.0)),

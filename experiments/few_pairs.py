@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.sweep import Sweep
 
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
@@ -35,7 +35,7 @@ sweep = Sweep(
         parted.sweep.base,
         name="few_pairs",
         claim="With taps that no slide belongs to, a tenth of the pairs is enough.",
-        train_pins=replace(PINS, epochs=13, pose_weight=0.0, slide_weight=1.0),
+        train_pins=replace(PIN_TRAINING, epochs=13, pose_weight=0.0, slide_weight=1.0),
     ),
     rows=tuple(
         ((("train_pins.paired_share", share), (FIELDS, WAYS[way])))

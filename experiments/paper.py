@@ -18,7 +18,7 @@ friction are those fitted to recordings of a TacTip (docs/calibration.md): those
 4x4 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
@@ -45,7 +45,7 @@ experiment = Experiment(
     name="paper",
     claim="The paper's set-up, in simulation.",
     other_jitters_mm=(0.0,),  # also against taps of the slide's own depth
-    sensor=sensor_of("paper"),
+    sensor=get_config_sensor("paper"),
     paired=PAIRED["paper"],  # 200 poses x 3 shapes: 50 taps with +-1 mm of depth, 150 slides
     pose=POSE["paper"],  # 10,000 taps x 3 shapes
     unshear=UnshearNet(

@@ -11,7 +11,7 @@ Slides are paired with taps of their own depth; against taps that miss it by up 
 own.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
@@ -27,7 +27,7 @@ experiment = Experiment(
     claim="The paper's tables at its resolution, on two cores.",
     unseen=("flower", "leaf", "spiral_1", "spiral_2"),
     other_jitters_mm=(1.0,),
-    sensor=sensor_of("paper_short"),
+    sensor=get_config_sensor("paper_short"),
     paired=PAIRED["paper_short"],
     pose=POSE["paper_short"],
     # a layer more than at 128 px, to see as far; codes of 4x4x256 hold as many numbers as the paper's of 8x8x64

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import paper
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 
 experiment = replace(
     paper.experiment,
     name="paper_tenth",
     claim="The paper's training, on a tenth of its taps and slides.",
-    sensor=sensor_of("paper_tenth"),
+    sensor=get_config_sensor("paper_tenth"),
     paired=PAIRED["paper_tenth"],
     pose=POSE["paper_tenth"],
     train=replace(

@@ -16,8 +16,8 @@ table.
 
 from dataclasses import replace
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.settings.experiment import PIN_TRAINING, Experiment
 from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -42,13 +42,13 @@ sweep = Sweep(
         claim="Codes that hold what they should, and nothing else.",
         networks=("disentangled", "posenet"),
         targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
-        sensor=sensor_of("parted"),
+        sensor=get_config_sensor("parted"),
         paired=PAIRED["parted"],
         pose=POSE["parted"],
         unshear=UnshearNet(input="pins"),
         pins=PinNet(pose_code=8, shear_code=2, apart=True),
         train_pins=replace(
-            PINS,
+            PIN_TRAINING,
             epochs=50,
             pose_weight=0.0,
             swap_weight=1.0,

@@ -16,7 +16,7 @@ Expected: docs/results/parted_skin.json. For a full table
 from dataclasses import replace
 
 from jaxunshear.fit import BASE
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -37,7 +37,7 @@ sweep = Sweep(
         name="parted_skin",
         unshear=replace(BASE.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone, as in parted.py
-        train_pins=replace(PINS, epochs=40),
+        train_pins=replace(PIN_TRAINING, epochs=40),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -14,7 +14,7 @@ AMD EPYC.
 from dataclasses import replace
 
 from jaxunshear.fit import BASE
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -26,7 +26,7 @@ sweep = Sweep(
         name="simulated_slides",
         unshear=replace(BASE.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone: many rows
-        train_pins=replace(PINS, epochs=40),
+        train_pins=replace(PIN_TRAINING, epochs=40),
     ),
     grid=(("paired.pairing", ("simulated", "rendered")),),
     seeds=(0, 1, 2),

@@ -11,8 +11,8 @@ Expected: minutes to simulate and to train on two cores (no file has the times);
 docs/results/skin.json for its scores on recordings of a real edge.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.settings.experiment import PIN_TRAINING, Experiment
 from jaxunshear.settings.networks import PinNet, UnshearNet
 
 experiment = Experiment(
@@ -20,10 +20,10 @@ experiment = Experiment(
     claim="Networks that learnt in simulation alone take most of a slide's turn out of recorded pins.",
     networks=("disentangled", "posenet"),
     targets=("edge_mm", "edge_deg:circle", "depth_mm"),
-    sensor=sensor_of("skin"),
+    sensor=get_config_sensor("skin"),
     paired=PAIRED["skin"],
     pose=POSE["skin"],
     unshear=UnshearNet(input="pins"),
     pins=PinNet(convolved=(24, 48, 96), noise_px=0.3, turned=1.0),
-    train_pins=PINS,
+    train_pins=PIN_TRAINING,
 )

@@ -13,7 +13,7 @@ own: the four shapes that no network has seen, and taps whose depth misses the s
 1 mm, as the paper pairs them.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS
@@ -29,7 +29,7 @@ experiment = Experiment(
     networks=ALL_NETWORKS,
     unseen=("flower", "leaf", "spiral_1", "spiral_2"),
     other_jitters_mm=(1.0,),
-    sensor=sensor_of("standard"),
+    sensor=get_config_sensor("standard"),
     paired=PAIRED["standard"],
     pose=POSE["standard"],
     unshear=UnshearNet(

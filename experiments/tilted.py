@@ -14,7 +14,7 @@ from dataclasses import replace
 import parted
 
 from jaxunshear.settings.configs import PAIRED, POSE
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -31,7 +31,7 @@ sweep = Sweep(
         paired=PAIRED["tilted"],
         pose=POSE["tilted"],
         pins=PinNet(),
-        train_pins=replace(PINS, pose_weight=0.0),
+        train_pins=replace(PIN_TRAINING, pose_weight=0.0),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

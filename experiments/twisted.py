@@ -15,7 +15,7 @@ from dataclasses import replace
 import parted
 
 from jaxunshear.settings.configs import PAIRED
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
@@ -35,7 +35,7 @@ sweep = Sweep(
         other_twists_deg=(0.0, 5.0, 20.0),
         paired=PAIRED["twisted"],
         pins=PinNet(),
-        train_pins=replace(PINS, pose_weight=0.0),
+        train_pins=replace(PIN_TRAINING, pose_weight=0.0),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

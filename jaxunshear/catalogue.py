@@ -19,8 +19,8 @@ from jaxunshear.scene.stimuli import (
     make_stimulus,
 )
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.outlines import touched
-from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
+from jaxunshear.settings.outlines import parse_stimulus
+from jaxunshear.settings.sensor import SENSORS, Sensor, get_sensor
 from jaxunshear.storage import write_bytes
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -58,7 +58,7 @@ def draw(kind: str, name: str, out: Path) -> None:
     """Draws a sensor's pins or a stimulus' outline (mm) to `out`, a PNG, SVG or PDF."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
-    subject = sensor_named(name) if kind == "sensors" else make_stimulus(touched(name))
+    subject = get_sensor(name) if kind == "sensors" else make_stimulus(parse_stimulus(name))
     figure = Figure(figsize=(6, 6), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
     if isinstance(subject, Sensor):

@@ -22,7 +22,7 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.sweep import Figure, Outcome
-from jaxunshear.settings.configs import differences as differing_fields
+from jaxunshear.settings.configs import list_differences as differing_fields
 from jaxunshear.storage import read_object_if_sound, write_text
 from jaxunshear.sweep.scores import Measured, read_tests, same_contacts
 from jaxunshear.sweep.summary import differences, metrics

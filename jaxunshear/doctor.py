@@ -27,7 +27,7 @@ from jaxunshear.image.preprocess import combine_views, find_view, prepare_frame
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
-from jaxunshear.settings.targets import RECORDED, SLIDES
+from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.storage import Json
 
 LAYOUTS = (TACTIP_331, TACTIP_127)
@@ -158,7 +158,7 @@ def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     posed, moved = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
     slid = (np.abs(moves) > MIN_MOVE).any(axis=1)
     ranges = {}
-    for name, (field, column) in (RECORDED | SLIDES).items():
+    for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items():
         values = poses[posed, column] if field == "pose" else moves[moved, column]
         if len(values) and np.ptp(values) > MIN_MOVE:
             ranges[name] = (float(values.min()), float(values.max()))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.stored import from_json
+from jaxunshear.settings.serialization import from_json
 from jaxunshear.storage import read_object
 
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card

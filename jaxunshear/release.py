@@ -14,7 +14,7 @@ from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
-from jaxunshear.settings.stimuli import stimulus_names
+from jaxunshear.settings.stimuli import list_stimulus_names
 from jaxunshear.settings.targets import to_json
 from jaxunshear.storage import read_object, write_json, write_text
 
@@ -115,7 +115,7 @@ def _show(machine: Machine) -> str:
 
 def _describe_simulated(results: Results) -> str:
     sensor, paired = results.settings["sensor"]["name"], results.settings["paired"]
-    ranges, shapes = paired["ranges"], ", ".join(stimulus_names(paired["stimuli"]))
+    ranges, shapes = paired["ranges"], ", ".join(list_stimulus_names(paired["stimuli"]))
     named = {"twist": ranges.get("twist_deg"), "tilt": ranges.get("tilt_deg")}
     angles = "".join(f", {angle} up to {most:g} deg" for angle, most in named.items() if most)
     return (

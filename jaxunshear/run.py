@@ -16,9 +16,9 @@ from jaxunshear.locks import locked
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.settings import configs
-from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
+from jaxunshear.settings.experiment import Experiment, get_recorded, get_training
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
-from jaxunshear.settings.stored import from_json, to_json, with_version
+from jaxunshear.settings.serialization import from_json, to_json, with_version
 from jaxunshear.storage import Json, read_object, write_json
 from jaxunshear.training.data_origin import check_origin, describe_origin
 from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
@@ -101,7 +101,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
                     f"{error}; to start anew give another --out, or delete {folder}"
                 ) from error
             stored = {}
-        changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
+        changed = [name for name in configs.list_differences(stored, wanted) if name != "claim"]
         if changed and started:
             raise UserError(
                 f"{folder} holds a run with another {', '.join(changed[:3])}: give another --out, or delete that folder"
@@ -115,7 +115,7 @@ def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
     from jaxunshear.dataset.chunks import make_engine
     from jaxunshear.dataset.generation import make_sets
 
-    there = all(_exist(experiment, data, configs.set_folder))
+    there = all(_exist(experiment, data, configs.get_set_folder))
     for name, metadata in make_sets(experiment, data, make_engine(spread)).items():
         counts = metadata["counts"]
         print(
@@ -165,10 +165,10 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training, examples = (
-        training_of(experiment, network),
+        get_training(experiment, network),
         open_examples(experiment, network, data, folder),
     )
-    if recorded_of(experiment):
+    if get_recorded(experiment):
         write_json(folder / FRAME, open_recorded_set(experiment, data).frame)
     full = examples
     if training.paired_share < 1:
@@ -204,9 +204,9 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
 def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:
     """Whether a stopped run has left work of `stage` to go on with. An evaluation is always done from the start."""
     if stage == "data":
-        there = _exist(experiment, data, configs.set_folder)
+        there = _exist(experiment, data, configs.get_set_folder)
         return not all(there) and any(
-            (*there, *_exist(experiment, data, configs.unfinished_folder))
+            (*there, *_exist(experiment, data, configs.get_unfinished_folder))
         )
     place = folder / stage
     return (

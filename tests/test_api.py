@@ -18,7 +18,7 @@ from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import felt_of
+from jaxunshear.settings.targets import make_slide_targets
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_images_codes_and_poses_of_released_weights(model, images):
 
 
 def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model, images):
-    slides = felt_of(Ranges(move_mm=2.0, twist_deg=10.0))
+    slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=10.0))
     z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
     taught = dataclasses.replace(
         model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides

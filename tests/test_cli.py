@@ -15,7 +15,7 @@ from PIL import Image
 from jaxunshear import cli
 from jaxunshear.cli.program import AGAIN
 from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import load_sweep
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -364,12 +364,12 @@ def test_every_stage_of_a_command_is_one_of_run():
 
 
 def test_every_field_has_its_meaning_in_help(command):
-    from jaxunshear.settings.fields import field_types
+    from jaxunshear.settings.fields import list_field_types
 
-    groups = {name.rpartition(".")[0] for name, _ in field_types()}
+    groups = {name.rpartition(".")[0] for name, _ in list_field_types()}
     written = "".join(command("run", "--help-fields", group).out for group in groups)
     entries = dict(re.findall(r"^--(\S+) .*\n((?:    .*\n?)+)", written, re.MULTILINE))
-    assert entries.keys() == {name for name, _ in field_types()}
+    assert entries.keys() == {name for name, _ in list_field_types()}
     assert not [
         name for name, text in entries.items() if len(" ".join(text.split()).partition(". ")[2]) < 6
     ]

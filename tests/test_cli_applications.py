@@ -33,7 +33,7 @@ def experiment(size):
 def run_of(folder, size, seed=0):
     """A run with networks that have learnt nothing."""
     from jaxunshear.model import posenet, unshearnet
-    from jaxunshear.settings.stored import to_json
+    from jaxunshear.settings.serialization import to_json
     from jaxunshear.storage import write_json
 
     small, run = experiment(size), folder / "small"

@@ -9,12 +9,12 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.configs import CONFIGS, config_name, set_name
+from jaxunshear.settings.configs import CONFIGS, compute_config_name, get_set_name
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.fields import override
+from jaxunshear.settings.fields import override_fields
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.sweep import check, load_sweep, with_overrides
+from jaxunshear.settings.sweep import check_sweep, load_sweep, override_base
 from jaxunshear.sweep.rows import cells_of, reference_of, rows_of, training_part
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
@@ -44,11 +44,11 @@ def test_valid_and_self_describing(path):
     if of_recordings(experiment):
         with pytest.raises(UserError, match="add --recordings DIR"):
             validate(experiment)
-        validate(override(experiment, SOMEWHERE))
+        validate(override_fields(experiment, SOMEWHERE))
     else:
         validate(experiment)
-        assert config_name(experiment.paired, experiment.sensor) == path.stem
-        assert config_name(experiment.pose, experiment.sensor) == path.stem
+        assert compute_config_name(experiment.paired, experiment.sensor) == path.stem
+        assert compute_config_name(experiment.pose, experiment.sensor) == path.stem
     assert experiment.name == path.stem
     text = path.read_text()
     assert text.startswith('"""Claim: ')
@@ -60,13 +60,13 @@ def test_valid_and_self_describing(path):
 def test_sweeps_are_valid_and_self_describing(path):
     sweep = load_sweep(path)
     if of_recordings(sweep.base):
-        sweep = with_overrides(sweep, SOMEWHERE)
-    check(sweep, path.name)
+        sweep = override_base(sweep, SOMEWHERE)
+    check_sweep(sweep, path.name)
     cells = cells_of(sweep)
     assert sweep.name == path.stem and reference_of(sweep, cells) is not None
     for data in () if of_recordings(sweep.base) else (sweep.base.paired, sweep.base.pose):
         assert (
-            config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]
+            compute_config_name(data, sweep.base.sensor) in CONFIGS[get_set_name(data)]
         )  # a set that an experiment has, too
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text
@@ -98,7 +98,7 @@ def test_lambda_split_is_five_by_five_by_three():
 
 
 def test_rivals_are_of_one_make_and_read_by_one_posenet():
-    sweep = with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE)
+    sweep = override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE)
     cells = cells_of(sweep)
     for name in ("posenet", "renderer"):
         assert len({training_part(cell.experiment, name).name for cell in cells}) == 1
@@ -119,7 +119,7 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     }
     recorded = load_experiment(FOLDER / "recorded.py")
     cells = {
-        c.label: c for c in cells_of(with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
+        c.label: c for c in cells_of(override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
     }
     given = {
         label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split(
@@ -131,7 +131,7 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     given["convolving, no pose labels in the loss"] += f" --{given['convolving']}"
     for label, words in given.items():
         asked = ["--unshear.input", "pins", *SOMEWHERE, *f"--{words}".split()]
-        made, row = override(recorded, asked), cells[label].experiment
+        made, row = override_fields(recorded, asked), cells[label].experiment
         assert replace(made, name="", claim="") == replace(row, name="", claim=""), label
 
 
@@ -204,4 +204,4 @@ def test_a_tenth_of_the_paper_is_the_paper_but_for_the_amount():
 def test_the_small_version_of_paper_that_its_docstring_gives_is_valid():
     text = (FOLDER / "paper.py").read_text()
     words = text[text.index("`--paired.poses") + 1 : text.index("32`") + 2].split()
-    validate(override(load_experiment(FOLDER / "paper.py"), words))
+    validate(override_fields(load_experiment(FOLDER / "paper.py"), words))

@@ -24,7 +24,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
@@ -33,7 +33,7 @@ SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
-TARGETS = targets.of_ranges((), Ranges())
+TARGETS = targets.make_range_targets((), Ranges())
 EXPERIMENT = Experiment(
     "small",
     "A claim.",
@@ -232,7 +232,7 @@ RELEASED = sorted(path.parent for path in folders.RELEASED.glob("*/experiment.js
 def test_what_is_released_with_the_package_can_be_used(folder):
     experiment = from_json(read_json(folder / "experiment.json"))
     validate(experiment)
-    wanted = targets.of_ranges(experiment.targets, experiment.paired.ranges)
+    wanted = targets.make_range_targets(experiment.targets, experiment.paired.ranges)
     for name in ("disentangled", "posenet"):
         assert checkpoint.load_best(folder / name)["params"]
         checkpoint.read_net(folder / name)

@@ -355,13 +355,13 @@ def test_a_stage_done_again_from_the_start_counts_anew(stage, tmp_path, ending):
 
 def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock):
     made = {
-        name: configs.set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path)
+        name: configs.get_set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path)
         for name in ("paired", "pose")
     }
 
     def make(*_):
         clock[0] += 5
-        part = configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
+        part = configs.get_unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
         if not part.exists():
             part.mkdir(parents=True)
             raise KeyboardInterrupt
@@ -433,7 +433,7 @@ def test_data_that_another_process_makes_bind_nobody(tmp_path):
     def idle(calls):
         pytest.fail("work that another process does")
 
-    folder = configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
+    folder = configs.get_unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
     folder.mkdir(parents=True)
     other = os.open(folder, os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_EX)  # as that process would

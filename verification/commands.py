@@ -115,10 +115,10 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.settings.sensor import sensor_named
+    from jaxunshear.settings.sensor import get_sensor
     from verification import show_plan
 
-    given, sensor = vars(arguments), sensor_named(arguments.sensor)
+    given, sensor = vars(arguments), get_sensor(arguments.sensor)
     if arguments.scenes is not None:
         for option in (*_CONTACT, "friction"):
             if given[option] is not None:

@@ -18,7 +18,7 @@ from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.weights import Variables
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
@@ -30,7 +30,7 @@ from verification.network_images import Batch
 from verification.stability_networks import Found
 
 STEPS, SAVED_EVERY = 8, 4
-TARGETS = of_ranges((), Ranges())
+TARGETS = make_range_targets((), Ranges())
 Net = UnshearNet | UNet | PoseNet
 Guards = tuple[Callable[..., dict[str, float]], Callable[..., None]]
 

@@ -22,7 +22,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, make_paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import make_stimulus
-from jaxunshear.settings.outlines import touched as named
+from jaxunshear.settings.outlines import parse_stimulus as named
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
 from verification.clock import seconds

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import paper
 
-from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.settings.sweep import Sweep
 
 WEIGHTS = ("train.l1", "train.l2")
@@ -27,7 +27,7 @@ sweep = Sweep(
         paper.experiment,
         networks=("disentangled",),
         other_jitters_mm=(),
-        sensor=sensor_of("calibrated"),
+        sensor=get_config_sensor("calibrated"),
         paired=PAIRED["calibrated"],
         pose=POSE["calibrated"],
         unshear=replace(paper.experiment.unshear, size=128),

@@ -18,7 +18,7 @@ from jaxunshear.image.camera import project
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
 from jaxunshear.settings.image import Camera
-from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import Sensor
 
 PROBE_DEG = 5.0  # between its rings
@@ -132,7 +132,9 @@ def simulate_displacements(
 def is_within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
     """(N,) bool: contacts that the sensor's contact rings cover at every way point."""
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    deepest = np.vectorize(lambda degrees: deepest_mm(sensor, degrees), otypes=[float])(tilt)
+    deepest = np.vectorize(lambda degrees: compute_max_depth_mm(sensor, degrees), otypes=[float])(
+        tilt
+    )
     return np.all(paths.points[..., DEPTH] <= deepest, axis=1)
 
 

@@ -84,10 +84,10 @@ class _Parser(Parser):
     def format_help(self) -> str:
         if not self.get_default("takes_fields"):
             return super().format_help()
-        from jaxunshear.settings.fields import field_types  # only for this: help must be quick
+        from jaxunshear.settings.fields import list_field_types  # only for this: help must be quick
 
         groups: dict[str, list[str]] = {}
-        for name, _ in field_types():
+        for name, _ in list_field_types():
             groups.setdefault(name.rpartition(".")[0], []).append(name.rpartition(".")[2])
         lines = []
         for group, names in groups.items():

@@ -24,7 +24,7 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import code_exchange, code_swap_test, leakage, leakage_table
-    from jaxunshear.settings.stored import from_json
+    from jaxunshear.settings.serialization import from_json
     from jaxunshear.storage import read_object, write_bytes, write_json
 
     settings = arguments.run / "experiment.json"

@@ -9,8 +9,14 @@ from typing import NamedTuple
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import NOT_SET, show
-from jaxunshear.settings.types import choices, describe, groups, hints, origin
+from jaxunshear.settings.fields import NOT_SETTABLE, format_value
+from jaxunshear.settings.types import (
+    describe_hint,
+    get_origin,
+    list_choices,
+    list_groups,
+    list_hints,
+)
 
 FLAG = "--help-fields"
 WIDTH = 100
@@ -60,10 +66,10 @@ def _group(experiment: Experiment, name: str) -> object:
 def _groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
     """Groups by dotted name, with the kinds of settings that each may hold."""
     yield name, [kind]
-    for field, hint in hints(kind).items():
+    for field, hint in list_hints(kind).items():
         below = f"{name}.{field}".lstrip(".")
         found: dict[str, list[type]] = {}
-        for each in groups(hint):
+        for each in list_groups(hint):
             for inner, kinds in _groups(each, below):
                 found.setdefault(inner, []).extend(kinds)
         yield from found.items()
@@ -80,12 +86,14 @@ class _Entry(NamedTuple):
 def _entries(kind: type, held: object, prefix: str) -> Iterator[_Entry]:
     """Yield the fields of a kind of settings, with the values of `held` if it is of that kind."""
     for field in dataclasses.fields(kind):
-        hint = hints(kind)[field.name]
-        if field.name in NOT_SET or (groups(hint) and prefix + field.name != "sensor"):
+        hint = list_hints(kind)[field.name]
+        if field.name in NOT_SETTABLE or (list_groups(hint) and prefix + field.name != "sensor"):
             continue
-        several = origin(hint) is tuple and choices(hint)
-        takes = f"some of {', '.join(several)}" if several else describe(hint)
-        value = show(getattr(held, field.name)) if isinstance(held, kind) else _default(field)
+        several = get_origin(hint) is tuple and list_choices(hint)
+        takes = f"some of {', '.join(several)}" if several else describe_hint(hint)
+        value = (
+            format_value(getattr(held, field.name)) if isinstance(held, kind) else _default(field)
+        )
         yield _Entry(prefix + field.name, value, takes, _meaning(kind, field.name), kind.__name__)
 
 
@@ -106,8 +114,12 @@ def _text(entries: list[_Entry]) -> str:
 
 def _default(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
-        return show(field.default)
-    return "" if field.default_factory is dataclasses.MISSING else show(field.default_factory())
+        return format_value(field.default)
+    return (
+        ""
+        if field.default_factory is dataclasses.MISSING
+        else format_value(field.default_factory())
+    )
 
 
 def _meaning(kind: type, field: str) -> str:

@@ -7,7 +7,7 @@ from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_
 from jaxunshear.places import check_beside
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import GeometryScores
-from jaxunshear.settings.experiment import simulated_of
+from jaxunshear.settings.experiment import require_simulated
 
 
 def add_parser(commands: Commands) -> None:
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         )  # refuses a place without images before there is work to lose
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
-    paired, _ = simulated_of(experiment, "geometry")
+    paired, _ = require_simulated(experiment, "geometry")
     felt = score_geometry(folder, experiment, arguments.contacts)
     figure = geometry_figure.plot_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
     write_bytes(out / "geometry.png", figure)

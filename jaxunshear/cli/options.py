@@ -6,8 +6,8 @@ from typing import Any, TypeAlias
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.outlines import touched
-from jaxunshear.settings.stimuli import Touched, stimulus_names
+from jaxunshear.settings.outlines import parse_stimulus
+from jaxunshear.settings.stimuli import StimulusSetting, list_stimulus_names
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
@@ -75,14 +75,16 @@ def add_stimulus(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def stimuli_of(text: str) -> tuple[Touched, ...]:
+def stimuli_of(text: str) -> tuple[StimulusSetting, ...]:
     """The objects that --stimulus names. Raises UserError."""
     from jaxunshear.scene.stimuli import SHAPES, get_closed_stimulus
 
-    found = tuple(touched(name.strip()) for name in (SHAPES if text == "all" else text.split(",")))
+    found = tuple(
+        parse_stimulus(name.strip()) for name in (SHAPES if text == "all" else text.split(","))
+    )
     for one in found:
         get_closed_stimulus(one)
-    if len(set(stimulus_names(found))) < len(found):
+    if len(set(list_stimulus_names(found))) < len(found):
         raise UserError(f"--stimulus {text}: name each once")
     return found
 

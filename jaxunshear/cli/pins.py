@@ -7,7 +7,7 @@ from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.places import check_beside
 from jaxunshear.results.applications import PinScores
-from jaxunshear.settings.experiment import simulated_of
+from jaxunshear.settings.experiment import require_simulated
 
 
 def add_parser(commands: Commands) -> None:
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
     from jaxunshear.image.lattice_fitting import MarkerLayout, make_layout, read_layout
     from jaxunshear.plain import csv_text, plain
     from jaxunshear.settings.image import Preprocess
-    from jaxunshear.settings.sensor import sensor_named
+    from jaxunshear.settings.sensor import get_sensor
     from jaxunshear.storage import write_bytes, write_npz, write_text
 
     if not arguments.path.exists():
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
         from jaxunshear.image.rest_positions import compute_rest_lattice
 
         experiment = model[1]
-        paired, _ = simulated_of(experiment, "pins --model")
+        paired, _ = require_simulated(experiment, "pins --model")
         if arguments.size or arguments.rest:
             raise UserError(
                 "--model knows the images' size and the untouched pins: leave --size and --rest out"
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
         lattice = (
             read_layout(arguments.layout)
             if arguments.layout
-            else make_layout(sensor_named(arguments.sensor))
+            else make_layout(get_sensor(arguments.sensor))
         )
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
     from jaxunshear.report.pin_figure import plot_pins

@@ -14,8 +14,8 @@ from jaxunshear.cli.options import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
-from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.settings.stimuli import stimulus_names
+from jaxunshear.settings.experiment import require_simulated
+from jaxunshear.settings.stimuli import list_stimulus_names
 
 
 def add_parser(commands: Commands) -> None:
@@ -35,10 +35,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.table import plain_table
 
     folder, experiment = model
-    simulated_of(
+    require_simulated(
         experiment, "reconstruct"
     )  # before walks are missed that such a model cannot have made
-    asked = list(stimulus_names(stimuli_of(arguments.stimulus)))
+    asked = list(list_stimulus_names(stimuli_of(arguments.stimulus)))
     if arguments.stimulus == "all":  # of outlines of one's own, too
         asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
     names = [name for name in asked if (out / f"{name}.npz").is_file()]

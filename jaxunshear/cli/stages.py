@@ -15,7 +15,7 @@ from jaxunshear.cli.options import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
-from jaxunshear.settings.experiment import Experiment, recorded_of, trained
+from jaxunshear.settings.experiment import Experiment, get_recorded, list_trained_networks
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             return 0
     else:
         experiment = _experiment(arguments)
-    networks = trained(experiment)
+    networks = list_trained_networks(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
             raise UserError(
@@ -134,19 +134,19 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
     """Return the experiment of FILE with what the command line changes in it, before it is checked or finds recordings."""
     from jaxunshear.fit import BASE
     from jaxunshear.folders import load_settings, model_folder
-    from jaxunshear.settings.fields import override
+    from jaxunshear.settings.fields import override_fields
     from jaxunshear.settings.load import load_experiment
 
     if arguments.command == "fit":
-        return override(BASE, fields)
+        return override_fields(BASE, fields)
     if arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
         return load_settings(folder)
     experiment = load_experiment(arguments.file)
     if arguments.sensor_from:
-        from jaxunshear.settings.preset import with_preset
+        from jaxunshear.settings.preset import apply_preset
 
-        experiment = with_preset(experiment, arguments.sensor_from)
-    return override(experiment, fields)
+        experiment = apply_preset(experiment, arguments.sensor_from)
+    return override_fields(experiment, fields)
 
 
 def _experiment(arguments: argparse.Namespace) -> Experiment:
@@ -167,12 +167,12 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
 def _fitted(arguments: argparse.Namespace) -> Experiment:
     """The experiment that `fit` writes beside its results."""
     from jaxunshear.fit import BASE, with_recordings, write_experiment
-    from jaxunshear.settings.fields import override
+    from jaxunshear.settings.fields import override_fields
     from jaxunshear.settings.rules import validate
 
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
-    experiment = override(BASE, ["--name", "fit", *arguments.fields])
+    experiment = override_fields(BASE, ["--name", "fit", *arguments.fields])
     words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
     experiment = with_recordings(experiment, *words)
     validate(experiment)
@@ -205,7 +205,7 @@ def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) 
     from jaxunshear.evaluation.sim_to_real import score_transfer
     from jaxunshear.results.record_files import write_record
 
-    if recorded_of(experiment):
+    if get_recorded(experiment):
         results = score_recordings(
             experiment, arguments.file, arguments.recordings, arguments.data, command
         )

@@ -53,27 +53,27 @@ def add_parsers(commands: Commands) -> None:
 
 
 def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
-    from jaxunshear.settings.sweep import load_sweep, with_overrides
+    from jaxunshear.settings.sweep import load_sweep, override_base
 
     sweep = load_sweep(arguments.file)
     if arguments.sensor_from is not None:
-        from jaxunshear.settings.preset import with_preset
+        from jaxunshear.settings.preset import apply_preset
 
-        sweep = dataclasses.replace(sweep, base=with_preset(sweep.base, arguments.sensor_from))
-    return with_overrides(sweep, fields)
+        sweep = dataclasses.replace(sweep, base=apply_preset(sweep.base, arguments.sensor_from))
+    return override_base(sweep, fields)
 
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experiment":
     """Return the base of the sweep in FILE with what the command line changes in it, before it is checked."""
-    from jaxunshear.settings.sweep import base_of
+    from jaxunshear.settings.sweep import get_base
 
-    return base_of(_read(arguments, fields))
+    return get_base(_read(arguments, fields))
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
     asked = engine_asked(arguments)
-    from jaxunshear.settings.sweep import check, parse_seeds
+    from jaxunshear.settings.sweep import check_sweep, parse_seeds
 
     sweep = _read(arguments, arguments.fields)
     if arguments.seeds is not None:
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         words = (str(arguments.recordings), str(arguments.recordings))
         sweep = dataclasses.replace(sweep, base=with_recordings(sweep.base, *words))
-    check(sweep, str(arguments.file))
+    check_sweep(sweep, str(arguments.file))
 
     from jaxunshear.owners import check_apart
     from jaxunshear.results.record_files import write_record

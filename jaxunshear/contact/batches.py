@@ -34,7 +34,7 @@ from jaxunshear.contact.systems import build_matrices, build_system, load_shared
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.stimuli import Stimulus, make_stimulus
-from jaxunshear.settings.reach import ring_arcs, ring_spacing
+from jaxunshear.settings.reach import compute_ring_arcs, compute_ring_spacing
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline
 
@@ -247,7 +247,7 @@ def _needs_more_nodes(
 ) -> np.ndarray:
     """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
     full = load_shared_dome(sensor)
-    last_ring = part.nodes >= len(full.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
+    last_ring = part.nodes >= len(full.nodes) - 6 * (len(compute_ring_arcs(sensor)) - 1)
     beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
     near = np.any(_find_neighbours(sensor)[part.nodes[loaded]], axis=0)
@@ -268,7 +268,9 @@ def _needs_more_nodes(
 def _find_neighbours(sensor: Sensor) -> np.ndarray:
     """(N, N) bool: pairs of neighbouring contact nodes."""
     nodes = load_shared_dome(sensor).nodes
-    return np.linalg.norm(nodes[:, None] - nodes[None], axis=-1) < NEIGHBOURS * ring_spacing(sensor)
+    return np.linalg.norm(
+        nodes[:, None] - nodes[None], axis=-1
+    ) < NEIGHBOURS * compute_ring_spacing(sensor)
 
 
 @partial(jax.jit, static_argnames=("tolerance", "limit", "tilted", "strong", "solver"))

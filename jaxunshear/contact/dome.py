@@ -29,7 +29,7 @@ from jaxunshear.contact.mesh import make_dome_mesh
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
-from jaxunshear.settings.reach import RING_MM, ring_arcs, ring_spacing
+from jaxunshear.settings.reach import RING_MM, compute_ring_arcs, compute_ring_spacing
 from jaxunshear.settings.sensor import Sensor, check_sensor
 from jaxunshear.storage import cache_folder
 
@@ -58,7 +58,7 @@ def compute_dome(sensor: Sensor) -> Compliance:
 
 
 def _mesh_mm(sensor: Sensor) -> float:
-    return MESH_MM * ring_spacing(sensor) / RING_MM
+    return MESH_MM * compute_ring_spacing(sensor) / RING_MM
 
 
 def _compute(
@@ -69,8 +69,8 @@ def _compute(
     gel = compute_isotropic_stiffness(sensor.gel_modulus_mpa, sensor.gel_poisson)
     skin = compute_isotropic_stiffness(sensor.skin_modulus_mpa, sensor.skin_poisson)
     materials = np.where(mesh.skin[:, None, None], skin, gel)
-    arcs = ring_arcs(sensor)
-    hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
+    arcs = compute_ring_arcs(sensor)
+    hats = np.append(arcs, arcs[-1] + compute_ring_spacing(sensor))
     levers, part = compute_pin_levers(sensor), mesh.skin if modulus_derivative else None
     return compute_response(
         mesh, materials, hats, compute_pin_tips(sensor), _harmonics(sensor), levers, part, progress
@@ -79,7 +79,7 @@ def _compute(
 
 def _harmonics(sensor: Sensor) -> int:
     """As many as nodes in the outer ring; the others bear fewer."""
-    return 6 * (len(ring_arcs(sensor)) - 1)
+    return 6 * (len(compute_ring_arcs(sensor)) - 1)
 
 
 def _load_cached(sensor: Sensor, varied: bool) -> HarmonicResponse:
@@ -88,7 +88,7 @@ def _load_cached(sensor: Sensor, varied: bool) -> HarmonicResponse:
         **asdict(sensor),
         "version": VERSION,
         "mesh": _mesh_mm(sensor),
-        "rings": ring_arcs(sensor).tolist(),
+        "rings": compute_ring_arcs(sensor).tolist(),
         "harmonics": _harmonics(sensor),
         "varied": varied,
     }
@@ -143,7 +143,7 @@ def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
         if str(stored["settings"]) != settings:
             raise ValueError("made with other settings")
     rings, harmonics, places = (
-        len(ring_arcs(sensor)),
+        len(compute_ring_arcs(sensor)),
         _harmonics(sensor) + 1,
         int(made.positions.max(initial=0)) + 1,
     )

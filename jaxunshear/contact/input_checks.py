@@ -8,7 +8,7 @@ from jaxunshear.contact.scheduler import MIN_LEG_MM
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import deepest_touch_mm
+from jaxunshear.settings.reach import compute_max_contact_depth_mm
 from jaxunshear.settings.sensor import Sensor, check_sensor
 
 
@@ -53,7 +53,9 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
             f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named"
         )
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    deepest = np.vectorize(lambda degrees: deepest_touch_mm(sensor, degrees), otypes=[float])(tilt)
+    deepest = np.vectorize(
+        lambda degrees: compute_max_contact_depth_mm(sensor, degrees), otypes=[float]
+    )(tilt)
     deep = np.argwhere(paths.points[..., DEPTH] > deepest)
     if len(deep):
         row, point = deep[0]

@@ -24,7 +24,7 @@ from jaxunshear.contact.harmonics import make_sixfold_permutations
 from jaxunshear.contact.level import STRONG_FRICTION, Level
 from jaxunshear.contact.obstacle import Obstacles, compute_surface_drop, interpolate_distance
 from jaxunshear.scene.paths import DEPTH, TILT_X, TURNS, YAW, Paths
-from jaxunshear.settings.reach import REACHED
+from jaxunshear.settings.reach import REACHED_SHARE
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
 WIDE_MARGINS = (1.1, 3.0)  # both, where that was not enough
@@ -118,7 +118,7 @@ def _can_touch(
     wide: bool,
 ) -> jax.Array:
     """(B, N): whether a node can touch at any of poses (S, B, 6)."""
-    reached, margin = WIDE_MARGINS if wide else (REACHED, MARGIN_MM)
+    reached, margin = WIDE_MARGINS if wide else (REACHED_SHARE, MARGIN_MM)
 
     def at(pose: jax.Array) -> jax.Array:
         still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)

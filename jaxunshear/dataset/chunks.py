@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.png import encode_png
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.configs import config_name, set_name
+from jaxunshear.settings.configs import compute_config_name, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
@@ -79,7 +79,7 @@ def simulate_chunks(
         )
         for path, batch in left.items()
     )
-    label = f"simulate {set_name(settings)}/{config_name(settings, sensor)}"
+    label = f"simulate {get_set_name(settings)}/{compute_config_name(settings, sensor)}"
     with Progress(
         label, total, unit="contacts", done=total - sum(map(len, left.values()))
     ) as progress:

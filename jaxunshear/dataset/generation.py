@@ -10,7 +10,7 @@ from jaxunshear.dataset.sampling import check_settings
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import PoseData, Recorded
-from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps
+from jaxunshear.settings.experiment import Experiment, list_further_tests, takes_taps
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import blame_the_machine, checksum, os_error, read_object
 
@@ -23,10 +23,10 @@ def make_damage_error(folder: Path, what: str) -> UserError:
     return UserError(f"the data set in {folder} is damaged ({what}): {format_remedy(folder)}")
 
 
-def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
+def read_metadata(settings: configs.DataSettings, sensor: Sensor, data_dir: Path) -> dict:
     """`metadata.json` of a set: settings, sensor, counts, versions. Raises `UserError` if it is missing, or was made with
     other settings."""
-    folder = configs.set_folder(settings, sensor, data_dir)
+    folder = configs.get_set_folder(settings, sensor, data_dir)
     if not folder.exists():
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
     try:
@@ -42,8 +42,8 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
     )
     if not intact:
         raise make_damage_error(folder, configs.METADATA)
-    wanted = configs.describe(settings, sensor)
-    changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
+    wanted = configs.describe_set(settings, sensor)
+    changed = configs.list_differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         raise UserError(
@@ -54,7 +54,7 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
 
 
 def make_set(
-    settings: configs.Settings,
+    settings: configs.DataSettings,
     sensor: Sensor = TACTIP_331,
     data_dir: Path = Path("datasets"),
     engine: SimulationEngine | None = None,
@@ -65,7 +65,7 @@ def make_set(
     """
     if not isinstance(settings, Recorded):
         check_settings(settings)
-    folder = configs.set_folder(settings, sensor, data_dir)
+    folder = configs.get_set_folder(settings, sensor, data_dir)
     if not folder.exists():
         try:
             _make(settings, sensor, folder.parents[2], engine)
@@ -73,44 +73,46 @@ def make_set(
             raise os_error(folder, error) from error
     metadata = read_metadata(settings, sensor, data_dir)
     shutil.rmtree(
-        configs.unfinished_folder(settings, sensor, data_dir), ignore_errors=True
+        configs.get_unfinished_folder(settings, sensor, data_dir), ignore_errors=True
     )  # no longer needed
     return metadata
 
 
 def _make(
-    settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
+    settings: configs.DataSettings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
 ) -> None:
     import absl.logging
     import tensorflow_datasets as tfds
 
     from jaxunshear.dataset.builders import paired, pose, recorded, stored
 
-    name = configs.config_name(settings, sensor)
+    name = configs.compute_config_name(settings, sensor)
     builders = {
         configs.PAIRED_SET: paired.TactipPaired,
         configs.POSE_SET: pose.TactipPose,
         configs.RECORDED_SET: recorded.TactipRecorded,
     }
-    standard = name in configs.CONFIGS.get(configs.set_name(settings), {})
+    standard = name in configs.CONFIGS.get(configs.get_set_name(settings), {})
     config = name if standard else stored.SetConfig(name=name, settings=settings, sensor=sensor)
     absl.logging.set_verbosity(
         absl.logging.ERROR
     )  # TFDS warns of each configuration that it does not know
     tfds.disable_progress_bar()
-    builder = builders[configs.set_name(settings)](config=config, data_dir=data_dir)
+    builder = builders[configs.get_set_name(settings)](config=config, data_dir=data_dir)
     if engine is not None:
         builder.engine = engine
     with contextlib.redirect_stdout(io.StringIO()):  # TFDS announces a download
         builder.download_and_prepare()
 
 
-def list_sets(experiment: Experiment) -> dict[str, configs.Settings]:
+def list_sets(experiment: Experiment) -> dict[str, configs.DataSettings]:
     """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
-    sets: dict[str, configs.Settings] = {configs.set_name(experiment.paired): experiment.paired}
+    sets: dict[str, configs.DataSettings] = {
+        configs.get_set_name(experiment.paired): experiment.paired
+    }
     if takes_taps(experiment) and isinstance(experiment.pose, PoseData):
         sets[configs.POSE_SET] = experiment.pose
-    return sets | further_tests(experiment)
+    return sets | list_further_tests(experiment)
 
 
 def make_sets(

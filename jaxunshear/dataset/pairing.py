@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import Delaunay, cKDTree
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.settings.targets import RECORDED, Targets
+from jaxunshear.settings.targets import RECORDED_FIELDS, Targets
 
 MAX_OUTSIDE_SPACINGS = (
     0.75  # of the pins' spacing: how far beyond the outermost pins an image moves with them
@@ -22,7 +22,7 @@ SAME_POSE = 1e-3  # mm and deg: labels of one `pose_id` that differ by more are 
 def compute_pose_gaps(slides: np.ndarray, taps: np.ndarray) -> np.ndarray:
     """Absolute differences of poses (N, 6), angles the short way round."""
     apart = taps - np.asarray(slides, np.float64)
-    angle = np.array([name.endswith("_deg") for name in RECORDED])
+    angle = np.array([name.endswith("_deg") for name in RECORDED_FIELDS])
     return np.abs(np.where(angle, wrap_degrees(apart), apart))
 
 

@@ -11,8 +11,8 @@ contact, and what validation chooses is chosen on poses that are kept out, too.
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.splits import SPLITS, hashed
-from jaxunshear.settings.targets import Target, of_labels
+from jaxunshear.settings.splits import SPLITS, hash_text
+from jaxunshear.settings.targets import Target, make_label_targets
 
 DIGITS = 4  # mm or deg: labels that agree so far count as one value
 TRAIN, VALIDATION, TEST = range(len(SPLITS))
@@ -32,7 +32,7 @@ def cut_block(
     value = pose[:, target.column]
     outer, inner = (test + validation) / 2, test / 2
     margin = min(2 * outer, 0.5)  # so training poses remain on both sides
-    middle = margin + (1 - 2 * margin) * hashed(f"block {seed}") / 2**64
+    middle = margin + (1 - 2 * margin) * hash_text(f"block {seed}") / 2**64
     ends = middle + np.array([-outer, -inner, inner, outer])
     start, first, last, end = np.quantile(value, ends)
     if start == first or last == end:
@@ -53,7 +53,7 @@ def cut_block(
 
 def _choose_label(pose: np.ndarray) -> Target:
     """Choose the label of the most values; a full circle only if nothing else varies."""
-    varying = of_labels((), pose)
+    varying = make_label_targets((), pose)
     if not varying:
         raise UserError(f"paired.split block: no label of the poses varies: {RANDOM_REMEDY}")
     ranges = [target for target in varying if not target.circle]

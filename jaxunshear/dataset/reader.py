@@ -25,7 +25,7 @@ from jaxunshear.dataset.chunks import pack_bits, unpack_bits
 from jaxunshear.dataset.generation import format_remedy, make_damage_error, read_metadata
 from jaxunshear.dataset.pose_groups import group_by_pose
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.settings.configs import MANIFEST, Settings, set_folder
+from jaxunshear.settings.configs import MANIFEST, DataSettings, get_set_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
@@ -132,7 +132,7 @@ class Reader:
 class SetReader(Reader):
     """One set on disk."""
 
-    def __init__(self, settings: Settings, folder: Path, metadata: dict) -> None:
+    def __init__(self, settings: DataSettings, folder: Path, metadata: dict) -> None:
         super().__init__(self._load, settings.preprocess.size)
         self.settings, self.folder, self.metadata = settings, folder, metadata
 
@@ -158,14 +158,16 @@ class SetReader(Reader):
 
 
 def open_set(
-    settings: Settings,
+    settings: DataSettings,
     data_dir: Path,
     sensor: Sensor = TACTIP_331,
     kind: type[SetReader] = SetReader,
 ) -> SetReader:
     """The set made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
     return kind(
-        settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir)
+        settings,
+        get_set_folder(settings, sensor, data_dir),
+        read_metadata(settings, sensor, data_dir),
     )
 
 

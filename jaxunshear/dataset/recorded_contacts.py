@@ -22,7 +22,7 @@ from jaxunshear.evenly import evenly
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import SENSORS, Sensor
-from jaxunshear.settings.splits import SPLITS, hashed
+from jaxunshear.settings.splits import SPLITS, hash_text
 
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
@@ -290,7 +290,7 @@ def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
             np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True
         )
     ]
-    return np.array([hashed(f"{seed} {key}") / 2**64 for key in keys])
+    return np.array([hash_text(f"{seed} {key}") / 2**64 for key in keys])
 
 
 def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:

@@ -19,10 +19,15 @@ from jaxunshear.dataset.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
-from jaxunshear.settings.data import RENDERED, Recorded
+from jaxunshear.settings.data import RENDERED_PAIRINGS, Recorded
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.splits import SPLITS, hashed
-from jaxunshear.settings.targets import Targets, moves_of, of_labels, slides_of
+from jaxunshear.settings.splits import SPLITS, hash_text
+from jaxunshear.settings.targets import (
+    Targets,
+    list_slide_names,
+    make_label_targets,
+    make_move_targets,
+)
 from jaxunshear.storage import Json
 
 TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
@@ -105,20 +110,20 @@ class RecordedSet:
     def targets(self, wanted: tuple[str, ...]) -> Targets:
         """Targets by the labels of training contacts alone. Raises UserError."""
         labels = self.stored.rows("train")
-        if asked := slides_of(wanted):
+        if asked := list_slide_names(wanted):
             for split in SPLITS:
                 slides = self._slides(split)
                 if unknown := np.count_nonzero(~np.isfinite(slides["move"]).all(axis=1)):
                     raise UserError(
                         f"target '{asked[0]}': {unknown} {split} slides have a pose but no label of their slide"
                     )
-        return of_labels(wanted, labels["pose"], labels["move"])
+        return make_label_targets(wanted, labels["pose"], labels["move"])
 
     def slide_targets(self) -> Targets:
         """What training slides vary of their move."""
         rows = self.stored.rows("train")
         labelled = _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
-        return moves_of(rows["move"][labelled & (rows["slid"] == 1)])
+        return make_move_targets(rows["move"][labelled & (rows["slid"] == 1)])
 
     def count(self, kind: str, split: str) -> int:
         """Of "taps" or "slides"."""
@@ -194,7 +199,7 @@ class RecordedSet:
         self, split: str, batch: Batch, targets: Targets, render: TapRenderer | None, images: bool
     ) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
-        if way in RENDERED:
+        if way in RENDERED_PAIRINGS:
             if render is None:
                 raise ValueError(f"pairing '{way}' takes a renderer")
             pins = render(batch["pose"]).astype(np.float32)
@@ -292,4 +297,4 @@ def _number_poses(rows: Batch) -> Batch:
 
 def _draw_label_shares(number: np.ndarray, seed: int) -> np.ndarray:
     """(N,) in [0, 1) by seed and contact: which labels are used does not depend on the order of the files."""
-    return np.array([hashed(f"label {seed} {n}") / 2**64 for n in number.tolist()])
+    return np.array([hash_text(f"label {seed} {n}") / 2**64 for n in number.tolist()])

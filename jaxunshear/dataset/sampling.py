@@ -18,9 +18,9 @@ from jaxunshear.scene.scene import (
     sample_slides,
     sample_tilts,
 )
-from jaxunshear.settings.configs import config_name, set_name
+from jaxunshear.settings.configs import compute_config_name, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData
-from jaxunshear.settings.splits import SPLITS, splits_of
+from jaxunshear.settings.splits import SPLITS, assign_splits
 from jaxunshear.settings.types import check_rules
 
 MIN_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
@@ -42,8 +42,8 @@ class ContactSamples(NamedTuple):
 
 def check_settings(settings: PairedData | PoseData) -> None:
     """Refuses settings from which no set can be drawn, by name."""
-    config_name(settings)
-    check_rules(settings, set_name(settings))
+    compute_config_name(settings)
+    check_rules(settings, get_set_name(settings))
 
 
 def _generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
@@ -123,7 +123,7 @@ def sample_paired(settings: PairedData) -> ContactSamples:
 
 def find_slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
     """(poses,) number of the pose whose slides each pose has: its own, or that of the first of `poses_a_slide` of its split."""
-    split = splits_of(settings.seed, stimulus, settings.poses)
+    split = assign_splits(settings.seed, stimulus, settings.poses)
     leader = np.arange(settings.poses)
     for index in range(len(SPLITS)):
         inside = np.flatnonzero(split == index)
@@ -154,7 +154,7 @@ def _shots(
     pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
     age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
     split = np.concatenate(
-        [np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names]
+        [np.repeat(assign_splits(settings.seed, name, settings.poses), each) for name in names]
     )
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
     return ContactSamples(

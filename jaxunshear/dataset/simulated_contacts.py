@@ -14,7 +14,7 @@ from jaxunshear.dataset.chunks import render_images
 from jaxunshear.dataset.sampling import sample_paired
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated
 from jaxunshear.settings.splits import BLOCK
 
 SCALE_TAPS = 300  # simulated taps that scales are fitted to
@@ -43,7 +43,7 @@ def simulate_contacts(
     stimulus (a block of the split); less those that did not converge. `depth_mm` sets one depth for
     all, else depths are the experiment's. The same seed gives the same contacts.
     """
-    paired, _ = simulated_of(experiment, "this")
+    paired, _ = require_simulated(experiment, "this")
     poses = max(BLOCK, -(-count // len(paired.stimuli)))
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
@@ -76,7 +76,7 @@ def simulate_contacts(
 
 def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
-    paired, _ = simulated_of(experiment, "this")
+    paired, _ = require_simulated(experiment, "this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
     return render_images(
         paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)

@@ -34,7 +34,7 @@ from jaxunshear.inference.perception import (
     load_unshearers,
 )
 from jaxunshear.results.applications import GeometryScore, GeometryScores
-from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated
 from jaxunshear.storage import Json
 
 SEED = 0
@@ -65,7 +65,7 @@ def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> Ge
     Raises UserError."""
     if count < 3:
         raise UserError(f"--contacts {count}: use at least 3")
-    paired, _ = simulated_of(experiment, "geometry")
+    paired, _ = require_simulated(experiment, "geometry")
     networks = load_unshearers(folder, experiment, list_unshearing_networks(folder))
     if not networks:
         raise UserError(

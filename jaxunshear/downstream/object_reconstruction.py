@@ -38,7 +38,7 @@ from jaxunshear.inference.perception import Unshear
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import ObjectScore
 from jaxunshear.scene.stimuli import compute_distances, make_stimulus
-from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated
 
 STEPS_PER_IMAGE = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 
@@ -61,7 +61,7 @@ def make_estimators_for(
     experiment: Experiment, known: SimulatedContacts
 ) -> dict[str, ShapeEstimator]:
     """The ways to an object by name, from taps whose poses and indentations are known."""
-    paired, _ = simulated_of(experiment, "reconstruct")
+    paired, _ = require_simulated(experiment, "reconstruct")
     lattice = perception.compute_model_lattice(experiment)
     xy = transform_to_target(known.pose[:, :3], compute_skin_positions(experiment.sensor))
     distance = np.zeros(xy.shape[:2])
@@ -127,7 +127,7 @@ def reconstruct(
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
     pose code, by the disentangled one. Raises UserError, for walks that are of others before anything is simulated.
     """
-    paired, _ = simulated_of(experiment, "reconstruct")
+    paired, _ = require_simulated(experiment, "reconstruct")
     for course, walks in trajectories:
         ways = tuple(dict.fromkeys(walks.way.tolist()))
         if (walks.end == WALKING).any():

@@ -34,7 +34,7 @@ from jaxunshear.scene.stimuli import make_stimulus
 from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.stimuli import Outline, Touched
+from jaxunshear.settings.stimuli import Outline, StimulusSetting
 from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 MAX_EDGE_DISTANCE_MM = 8.0  # from the edge: farther than any network has seen
@@ -57,7 +57,7 @@ WALKING, CLOSED, LOST, UNTOUCHED, UNSTABLE, LATE = range(6)
 class ServoTask:
     """Where and how the walks go."""
 
-    stimulus: Touched
+    stimulus: StimulusSetting
     starts: int = 5
     depth_mm: float = 3.0
     start_offset_mm: float = 1.0  # starts lie within this of the edge, at random,

@@ -17,8 +17,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference import perception
 from jaxunshear.results.applications import TrajectoryScore
 from jaxunshear.scene.stimuli import get_closed_stimulus
-from jaxunshear.settings.experiment import Experiment, simulated_of
-from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.experiment import Experiment, require_simulated
+from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import Sensor
 
 
@@ -44,7 +44,7 @@ def servo(
     `methods` to perceive are names of `perception.METHODS`, and `perception.TRUE_POSE`; None: all that the networks allow. Walks are kept as
     <out>/<object>.npz, and go on from there. Raises UserError, before anything is simulated, where that cannot be asked for.
     """
-    paired, _ = simulated_of(experiment, "servo")
+    paired, _ = require_simulated(experiment, "servo")
     for course in tasks:
         _check(course, experiment.sensor)
     if methods is None:
@@ -79,7 +79,7 @@ def _check(course: ServoTask, sensor: Sensor) -> None:
         raise UserError(f"--starts {course.starts}: use at least 1")
     if course.seed < 0:
         raise UserError(f"--seed {course.seed}: use 0 or more")
-    deepest = deepest_mm(sensor)
+    deepest = compute_max_depth_mm(sensor)
     if not 0 < course.depth_mm <= deepest:
         raise UserError(f"--depth {course.depth_mm:g}: use more than 0, up to {deepest:.1f} mm")
 

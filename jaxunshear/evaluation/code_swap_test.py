@@ -21,7 +21,7 @@ from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_json
@@ -57,7 +57,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     other data or is not trained to the end.
     """
     folder = Path(run_dir) / DISENTANGLED
-    if over_pins(experiment):
+    if uses_pins(experiment):
         raise UserError(
             f"{run_dir} reads pins: its table of swapped codes is in results.json; ablate a run over images"
         )
@@ -96,7 +96,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     scores = {name: np.concatenate([part[name] for part in found])[:total] for name in found[0]}
     results = {
         "experiment": experiment.name,
-        "simulated": recorded_of(experiment) is None,
+        "simulated": get_recorded(experiment) is None,
         "metric": {"ms_ssim": format_ms_ssim_name(count_scales(net.size))},
         "rows": build_rows(scores, poses),
         "contacts": total,

@@ -67,14 +67,14 @@ from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import (
     Experiment,
-    further_tests,
-    over_pins,
-    recorded_of,
-    simulated_of,
+    get_recorded,
+    list_further_tests,
+    require_simulated,
+    uses_pins,
 )
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import of_ranges, true_values
+from jaxunshear.settings.targets import make_range_targets, read_true_values
 from jaxunshear.storage import write_bytes
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
@@ -103,7 +103,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     for network in experiment.networks:
         check_finished(run_dir / network)
         check_origin(experiment, network, run_dir)
-    if recorded_of(experiment):
+    if get_recorded(experiment):
         results, gathered, further, names = _evaluate_recorded(experiment, run_dir, data_dir)
     else:
         results, gathered, further, names = _evaluate_simulated(experiment, run_dir, data_dir)
@@ -127,7 +127,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
 
 def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> ScoredRun:
     """On the test split of the simulated pairs, and on further tests."""
-    paired, _ = simulated_of(experiment, "this")
+    paired, _ = require_simulated(experiment, "this")
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     pairs, targets = examples.reader, examples.targets
     total = pairs.length("test")
@@ -135,7 +135,7 @@ def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -
         raise UserError(
             f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses"
         )
-    over = over_pins(experiment)
+    over = uses_pins(experiment)
     taps = (
         None
         if over
@@ -163,13 +163,13 @@ def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -
     if PIN_PLACES in readers and not over:
         true = {
             name: value[gathered.kept]
-            for name, value in true_values(targets, gathered.labels).items()
+            for name, value in read_true_values(targets, gathered.labels).items()
         }
         gathered = gathered._replace(
             read=score_detected_pins(readers[PIN_PLACES], lattice, gathered.images, true)
         )
     further = {}
-    for name, settings in further_tests(experiment).items():
+    for name, settings in list_further_tests(experiment).items():
         reader = open_set(settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
@@ -257,12 +257,12 @@ def build_results(
     further: Mapping[str, CollectedScores] = MappingProxyType({}),
 ) -> Results:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
-    labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
+    labels, (paired, pose) = gathered.labels, require_simulated(experiment, "this")
     names, size = paired.names, paired.preprocess.size
     scales = count_scales(size)
-    targets = of_ranges(experiment.targets, paired.ranges)
-    true = true_values(targets, labels)
-    tested = further_tests(experiment) | {DETECTED: paired}
+    targets = make_range_targets(experiment.targets, paired.ranges)
+    true = read_true_values(targets, labels)
+    tested = list_further_tests(experiment) | {DETECTED: paired}
     return Results(
         experiment=experiment.name,
         claim=experiment.claim,

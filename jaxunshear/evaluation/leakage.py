@@ -33,7 +33,7 @@ from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
@@ -89,7 +89,7 @@ def measure_leakage(
     rows = _probe_all(codes, fresh, train, test, controls)
     results = {
         "experiment": experiment.name,
-        "simulated": recorded_of(experiment) is None,
+        "simulated": get_recorded(experiment) is None,
         "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
         f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}",
         "rows": rows,
@@ -200,7 +200,7 @@ def _slide(
     """What both codes together say of the slide, in mm and deg, and how surely."""
     train, test = splits
     batch = take_labelled(experiment, examples.reader, "validation", MOST_TESTED)
-    seen = (train.seen, batch[PINS if over_pins(experiment) else "sheared"], test.seen)
+    seen = (train.seen, batch[PINS if uses_pins(experiment) else "sheared"], test.seen)
     codes = [np.concatenate(list(encode(each).values()), axis=1) for each in seen]
     wanted = [train.wanted["slide"], compute_slides(examples.slides, batch), test.wanted["slide"]]
     slipped = (

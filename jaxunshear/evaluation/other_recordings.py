@@ -25,7 +25,7 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results, Table
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, recorded_of
+from jaxunshear.settings.experiment import Experiment, get_recorded
 from jaxunshear.storage import read_object
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
@@ -36,7 +36,7 @@ def score_recordings(
     experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str
 ) -> Results:
     """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
-    settings = recorded_of(experiment)
+    settings = get_recorded(experiment)
     if settings is None:
         raise UserError(
             f"{run_dir} learnt from simulated touches: score it with `jaxunshear evaluate`"

@@ -24,9 +24,9 @@ from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.model.posenet import scale_poses, unscale_outputs
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.registry import POSENET, UNSHEARING
-from jaxunshear.settings.targets import Targets, fields_of
+from jaxunshear.settings.targets import Targets, list_label_fields
 from jaxunshear.training.examples import open_examples
 
 PIXELS, PIN_PLACES = "pixels", "pins"
@@ -68,7 +68,7 @@ def fit_estimator(
 ) -> RidgeEstimator | None:
     """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
     rows = evenly(taps.length("train"), max_taps)
-    fields = fields_of(targets)
+    fields = list_label_fields(targets)
     batch = taps.take("train", rows, (INPUT_FIELDS[name], *fields))
     return fit_to_features(
         FEATURES[name](batch[INPUT_FIELDS[name]]),
@@ -109,8 +109,8 @@ def fit_estimators(
     if POSENET not in experiment.networks:
         return {}
     examples = open_examples(experiment, POSENET, data_dir, run_dir)
-    images = not over_pins(experiment)
-    names = [PIXELS] * images + [PIN_PLACES] * (not images or recorded_of(experiment) is None)
+    images = not uses_pins(experiment)
+    names = [PIXELS] * images + [PIN_PLACES] * (not images or get_recorded(experiment) is None)
     found = {name: fit_estimator(name, examples.reader, examples.targets) for name in names}
     return {name: reader for name, reader in found.items() if reader}
 

@@ -11,8 +11,14 @@ from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.evenly import evenly
 from jaxunshear.settings.data import PairedData, Ranges
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
-from jaxunshear.settings.targets import SIMULATED, Target, Targets, of_ranges, true_values
+from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.settings.targets import (
+    SIMULATED_FIELDS,
+    Target,
+    Targets,
+    make_range_targets,
+    read_true_values,
+)
 from jaxunshear.training.examples import Examples, open_recorded_set
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
@@ -50,14 +56,14 @@ def _read_split(
 ) -> ProbeSplit:
     batch = take_labelled(experiment, examples.reader, split, most)
     wanted = {"pose": _values(pose, batch), "slide": compute_slides(examples.slides, batch)}
-    seen = batch[PINS if over_pins(experiment) else "sheared"]
+    seen = batch[PINS if uses_pins(experiment) else "sheared"]
     poses = number_poses(batch["stimulus"], batch["pose_id"])
     return ProbeSplit(seen, compute_pin_features(batch[PINS]), wanted, poses, batch)
 
 
 def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
     """Evenly chosen slides with labels, those whose pins are sure."""
-    sure = ("sure",) if recorded_of(experiment) else ()
+    sure = ("sure",) if get_recorded(experiment) else ()
     batch = reader.take(split, np.arange(reader.length(split)), (*LABELS, *sure))
     kept = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
     rows = np.flatnonzero(kept & (batch["sure"] == 1) if sure else kept)
@@ -66,8 +72,8 @@ def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int)
             f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
         )
     rows = rows[evenly(len(rows), most)]
-    more = () if recorded_of(experiment) else ("felt", "edge", "stuck", "slipping")
-    images = () if over_pins(experiment) else ("sheared",)
+    more = () if get_recorded(experiment) else ("felt", "edge", "stuck", "slipping")
+    images = () if uses_pins(experiment) else ("sheared",)
     return reader.take(split, rows, (PINS, *images, *LABELS, *more))
 
 
@@ -76,7 +82,7 @@ def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
     if isinstance(experiment.paired, PairedData):
         return [
             target
-            for name in SIMULATED
+            for name in SIMULATED_FIELDS
             for target in _list_varied_targets(name, experiment.paired.ranges)
         ]
     return list(open_recorded_set(experiment, data_dir).targets(()))
@@ -84,12 +90,12 @@ def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
 
 def compute_slides(slides: Targets, batch: Batch) -> Quantities:
     """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled."""
-    return {name: value[:, None] for name, value in true_values(slides, batch).items()}
+    return {name: value[:, None] for name, value in read_true_values(slides, batch).items()}
 
 
 def _list_varied_targets(name: str, ranges: Ranges) -> tuple[Target, ...]:
     try:
-        return of_ranges((name,), ranges)
+        return make_range_targets((name,), ranges)
     except UserError:  # it does not vary
         return ()
 
@@ -101,8 +107,8 @@ def _values(targets: list[Target], batch: Batch) -> Quantities:
         angle = np.radians(value)
         scaled = (
             [np.cos(angle), np.sin(angle)]
-            if target.circle
-            else [(value - target.middle) / target.reach]
+            if target.is_circular
+            else [(value - target.centre) / target.half_range]
         )
         values[target.name] = np.stack(scaled, axis=-1)
     return values

@@ -6,8 +6,8 @@ from jaxunshear.dataset.reader import Reader
 from jaxunshear.dataset.recorded_set import RecordedSet
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
-from jaxunshear.settings.data import KEPT_OUT
-from jaxunshear.settings.experiment import Experiment, recorded_of
+from jaxunshear.settings.data import SPLIT_TEXTS
+from jaxunshear.settings.experiment import Experiment, get_recorded
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Targets
 
@@ -33,7 +33,7 @@ def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordin
 
 def describe_pairing(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
     """How slides are paired, and how far the partners' poses are off."""
-    recorded = recorded_of(experiment)
+    recorded = get_recorded(experiment)
     if recorded is None or slides is None:
         return Pairing("none", {})
     shown: dict[str, dict[str, Scores | int]] = {}
@@ -61,7 +61,7 @@ def describe_test(results: Results) -> str:
     """
     if results.test_data == "other recordings":
         return results.test_data
-    return f"same session, {KEPT_OUT[results.settings['paired'].get('split', 'random')]}"
+    return f"same session, {SPLIT_TEXTS[results.settings['paired'].get('split', 'random')]}"
 
 
 def count_test_contacts(

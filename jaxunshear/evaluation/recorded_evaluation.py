@@ -36,9 +36,9 @@ from jaxunshear.evaluation.score_collection import (
 )
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.results.run import Results, Tables, TestData
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.registry import POSENET, POSENETS
-from jaxunshear.settings.targets import Targets, names_of, true_values
+from jaxunshear.settings.targets import Targets, list_target_names, read_true_values
 from jaxunshear.training.examples import open_pairs, read_pin_layout
 
 Row = TypeVar("Row")
@@ -85,7 +85,7 @@ def choose_test(
 
 def load_recorded_run(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
     """The networks of a run, for contacts of a recorded set. Raises UserError where one is missing."""
-    pins = read_pin_layout(stored.frame) if over_pins(experiment) else None
+    pins = read_pin_layout(stored.frame) if uses_pins(experiment) else None
     return load_run(run_dir, experiment.networks, None, pins)
 
 
@@ -101,7 +101,7 @@ def collect_recorded_scores(
     alone whose pins were identified.
 
     Raises UserError where no slide and no tap is labelled, or read."""
-    pins = over_pins(experiment)
+    pins = uses_pins(experiment)
     inputs = PINS if pins else IMAGES
     slides = taps = None
     seen = PINS if test.paired else PINS[1:]
@@ -170,7 +170,7 @@ def build_results(
     """All of the results that follow from the scores alone."""
     size = stored.size
     scales = count_scales(size)
-    pins = over_pins(experiment)
+    pins = uses_pins(experiment)
     found = _tables(slides, taps, targets)
     labels = slides.labels if slides is not None else taps.labels if taps is not None else {}
     return Results(
@@ -199,7 +199,9 @@ def build_results(
         },
         **vars(found),
         pin_error=_pin_error(slides, test, pins),
-        baselines={"pose_chance": compute_chance_errors(true_values(targets, labels), targets)},
+        baselines={
+            "pose_chance": compute_chance_errors(read_true_values(targets, labels), targets)
+        },
         test_data=test.data,
         recordings=describe_recordings(experiment, stored),
         pairing=describe_pairing(experiment, test.slides if test.paired else None, targets),
@@ -248,7 +250,7 @@ def _tables(
     found = build_tables(scores, (), one.labels["stimulus"], poses, SEED, (of_taps, tap_means))
     if slides is not None:
         depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
-        if "z_mm" in names_of(targets):
+        if "z_mm" in list_target_names(targets):
             by = tabulate_by_size(
                 scores, depth, float(depth.min()), float(depth.max()), poses, SEED
             )

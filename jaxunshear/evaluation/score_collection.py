@@ -10,7 +10,7 @@ from jaxunshear.evaluation.score import BASELINES, Outputs, compute_differences,
 from jaxunshear.evenly import evenly
 from jaxunshear.image.png import to_uint8
 from jaxunshear.progress import Progress
-from jaxunshear.settings.targets import Targets, true_values
+from jaxunshear.settings.targets import Targets, read_true_values
 
 BATCH = 32  # contacts that are scored at once
 LABELS = (
@@ -75,7 +75,7 @@ def collect_scores(
                 for k, pose in outputs.poses.items()
             }
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
-            true = true_values(targets, batch)
+            true = read_true_values(targets, batch)
             scores[-1] |= score_poses(poses, true)
             for name, read in readers.items():
                 reported = {

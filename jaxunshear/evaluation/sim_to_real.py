@@ -45,8 +45,14 @@ from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
-from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_labels
+from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.settings.targets import (
+    MIN_VARIATION,
+    RECORDED_FIELDS,
+    Target,
+    list_target_names,
+    make_label_targets,
+)
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together
@@ -82,7 +88,7 @@ def score_transfer(
     """Results in the names of results.json, of the networks at `model` or of `network`. Raises UserError where the recordings hold no
     labelled taps and slides of one edge."""
     started = time.perf_counter()
-    paired, _ = simulated_of(experiment, "this")
+    paired, _ = require_simulated(experiment, "this")
     settings = Recorded(
         str(recordings),
         str(recordings),
@@ -123,7 +129,7 @@ def score_transfer(
         settings=asdict(experiment),
         pin_error={},
         test_data="other recordings",
-        targets=tuple(Target(name, *RECORDED[name]) for name in names),
+        targets=tuple(Target(name, *RECORDED_FIELDS[name]) for name in names),
         pose_mae=mae,
         pose_recovery={"unsheared": _recovery(mae)},
         readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
@@ -187,7 +193,7 @@ def _score_reader(
     if not tap_pins:
         return {}
     sure = known & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
-    targets = of_labels(names, tap_pose[sure])
+    targets = make_label_targets(names, tap_pose[sure])
     reader = fit_to_features(
         compute_pin_features(tap_pins[AS_RECORDED][sure]), {"pose": tap_pose[sure]}, targets
     )
@@ -208,9 +214,11 @@ def _score_reader(
 
 def choose_scored_labels(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
     """The labels (N, 6) that vary and that something was read for. Raises UserError where both x and y vary: an edge leaves one open."""
-    columns = {name: labels[:, column] for name, (_, column) in RECORDED.items()}
+    columns = {name: labels[:, column] for name, (_, column) in RECORDED_FIELDS.items()}
     names = tuple(
-        n for n, reads in LABEL_TARGETS.items() if reads in readings and np.ptp(columns[n]) > STILL
+        n
+        for n, reads in LABEL_TARGETS.items()
+        if reads in readings and np.ptp(columns[n]) > MIN_VARIATION
     )
     if not names or {"x_mm", "y_mm"} <= set(names):
         raise UserError(
@@ -223,7 +231,7 @@ def align_to_labels(
     name: str, readings: dict[str, np.ndarray], labels: np.ndarray
 ) -> LabelAlignment:
     """By the taps (N,) that could be read: the sign with the least scatter, and the median offset, of an angle the mean direction."""
-    reads, column = LABEL_TARGETS[name], RECORDED[name][1]
+    reads, column = LABEL_TARGETS[name], RECORDED_FIELDS[name][1]
     read, label = readings[reads], labels[:, column]
     fine = np.isfinite(read)
     if not fine.any():
@@ -257,7 +265,7 @@ def _read(
     if network is None:
         frame = (
             find_sensor_frame(contacts, settings, experiment.sensor)
-            if over_pins(experiment)
+            if uses_pins(experiment)
             else None
         )
         network = load_perceiver(model, experiment, True, frame)
@@ -315,12 +323,12 @@ def _compute_estimator_errors(
     """Of the contacts whose pins (N, P, 2) px are known."""
     sure = np.isfinite(pins).all(axis=(1, 2))
     if not sure.any():
-        return dict.fromkeys(names_of(reader.targets), float("nan"))
+        return dict.fromkeys(list_target_names(reader.targets), float("nan"))
     return _mean_errors(estimate_poses(reader, compute_pin_features(pins[sure])), labels[sure])
 
 
 def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
-    true = {name: labels[:, RECORDED[name][1]] for name in found}
+    true = {name: labels[:, RECORDED_FIELDS[name][1]] for name in found}
     return {name: float(error.mean()) for name, error in compute_pose_errors(found, true).items()}
 
 

@@ -29,7 +29,7 @@ from jaxunshear.plain import csv_text
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.storage import Json, write_bytes, write_text
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def unshear_recordings(
     network = _perceiver(
         model,
         experiment,
-        over_pins(experiment) or isinstance(experiment.paired, Recorded),
+        uses_pins(experiment) or isinstance(experiment.paired, Recorded),
         like or path,
     )
     recordings, network, frames = _read(path, network, force)

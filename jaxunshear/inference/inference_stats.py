@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear.results.measurement import Measurement
-from jaxunshear.settings.targets import RECORDED, SLIDES
+from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS
 
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
@@ -57,7 +57,7 @@ class LabelErrors:
         labels = {"pose": recordings.poses, "move": recordings.moves}
         true = {
             name: values[:, column]
-            for name, (field, column) in (RECORDED | SLIDES).items()
+            for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
             if name in names and (values := labels[field]) is not None
         }
         self._true = true if len(true) == len(names) else None

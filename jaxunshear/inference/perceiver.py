@@ -47,10 +47,10 @@ from jaxunshear.model.dispatch import predict, unshear
 from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.model.weights import Tree, Variables
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.settings.targets import names_of
+from jaxunshear.settings.targets import list_target_names
 from jaxunshear.storage import Json, read_object
 from jaxunshear.training.checkpoint import has_model
 from jaxunshear.training.examples import FRAME
@@ -145,14 +145,15 @@ def load_perceiver(
         )
     nets, variables, targets = load_networks(model, wanted)
     names = next(
-        (names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ()
+        (list_target_names(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets),
+        (),
     )
     run = jit_for_inference(partial(_forward, nets, targets, with_sheared_poses), variables)
     learnt, expected = (
         load_training_frame(model, experiment),
         load_sensor_appearance(model, experiment),
     )
-    if over_pins(experiment):
+    if uses_pins(experiment):
         rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
         frame = learnt or frame
         if frame is None:
@@ -189,7 +190,7 @@ def load_training_frame(model: Path, experiment: Experiment) -> SensorFrame | No
 
 def find_pin_frame(path: Path, experiment: Experiment) -> SensorFrame | None:
     """Where pins stand in recordings at `path`, for networks over simulated pins; None for others, which know. Raises UserError."""
-    if isinstance(experiment.paired, Recorded) or not over_pins(experiment):
+    if isinstance(experiment.paired, Recorded) or not uses_pins(experiment):
         return None
     preprocess = experiment.paired.preprocess
     return find_recordings_frame(read_recordings(path, preprocess), preprocess, experiment.sensor)

@@ -23,7 +23,7 @@ from jaxunshear.model import posenet
 from jaxunshear.model.dispatch import predict, unshear
 from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.model.weights import Net, Tree, Variables
-from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
 from jaxunshear.settings.registry import (
     DISENTANGLED,
     ENTANGLED,
@@ -33,7 +33,7 @@ from jaxunshear.settings.registry import (
     UNET,
     UNSHEARING,
 )
-from jaxunshear.settings.targets import Targets, names_of
+from jaxunshear.settings.targets import Targets, list_target_names
 from jaxunshear.training.checkpoint import (
     check_finished,
     compute_weights_digest,
@@ -127,7 +127,7 @@ def load_unshearers(
     them. Raises `UserError`."""
     lattice = compute_model_lattice(experiment)
     nets, variables, _ = load_networks(model, names)
-    unshearer = _make_pin_unshearer if over_pins(experiment) else _make_image_unshearer
+    unshearer = _make_pin_unshearer if uses_pins(experiment) else _make_image_unshearer
     return {name: unshearer(nets[name], variables[name], lattice) for name in names}
 
 
@@ -166,13 +166,13 @@ def load_forward(model: Path, method: str) -> tuple[Forward, Variables, Targets]
 
 def compute_model_lattice(experiment: Experiment) -> Lattice:
     """Where the simulated sensor's pins stand untouched. Raises `UserError` for a model that learnt from recordings."""
-    paired, _ = simulated_of(experiment, "this")
+    paired, _ = require_simulated(experiment, "this")
     return compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
 
 
 def _make_input_reader(experiment: Experiment) -> InputReader:
     """How the networks of a run are given images: as they are, or as the pins that are followed in each."""
-    if not over_pins(experiment):
+    if not uses_pins(experiment):
         return lambda images: (images, np.ones(len(images), bool))
     lattice = compute_model_lattice(experiment)
 
@@ -203,9 +203,9 @@ def _make_pin_unshearer(net: Net, variables: Variables, lattice: Lattice) -> Uns
 
 def _perception(model: Path, see: InputReader, way: str) -> EdgeEstimator:
     forward, variables, targets = load_forward(model, way)
-    if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
+    if not {"edge_mm", "edge_deg"} <= set(list_target_names(targets)):
         raise UserError(
-            f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg"
+            f"{model} reads {', '.join(list_target_names(targets))}: an edge is followed by edge_mm and edge_deg"
         )
 
     def edge(variables: Variables, given: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Which frames the networks of a model suit, by what they learnt from."""
 
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 
 
 def suits_recordings(experiment: Experiment) -> bool:
@@ -10,7 +10,7 @@ def suits_recordings(experiment: Experiment) -> bool:
     They do if they learnt from recordings, or from simulated pins drawn as other sensors and
     cameras would show them.
     """
-    drawn = over_pins(experiment) and experiment.pins.turned > 0
+    drawn = uses_pins(experiment) and experiment.pins.turned > 0
     return isinstance(experiment.paired, Recorded) or drawn
 
 

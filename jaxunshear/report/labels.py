@@ -4,7 +4,7 @@ from markupsafe import Markup
 
 from jaxunshear.results.run import Results, Tables
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
-from jaxunshear.settings.targets import RECORDED
+from jaxunshear.settings.targets import RECORDED_FIELDS
 
 KINDS = {
     "tap": "tap (no slide)",
@@ -38,7 +38,7 @@ QUANTITIES = {
     "Rz_deg": "Rz",
 }
 QUANTITIES |= {
-    f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED
+    f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED_FIELDS
 }
 EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
 MAX_CARDS = 3  # quantities that have a card, at most

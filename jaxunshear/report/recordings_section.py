@@ -104,9 +104,9 @@ def build_intervals_section(results: Results) -> Markup:
 
 def _range(target: Target) -> str:
     name = target.name
-    if target.circle:
+    if target.is_circular:
         return f"{labels.name_quantity(name)} over the full circle"
-    low, high = target.middle - target.reach, target.middle + target.reach
+    low, high = target.centre - target.half_range, target.centre + target.half_range
     return f"{labels.name_quantity(name)} {low:.2f} to {high:.2f} {labels.get_unit(name)}"
 
 

@@ -8,7 +8,7 @@ from jaxunshear.results.measurement import Machine, Source, Versions
 from jaxunshear.settings.targets import Target
 
 EVALUATE_REMEDY = "run `jaxunshear evaluate` again"  # what makes a file of it anew
-Settings = Mapping[str, Any]  # as `settings.stored.to_json` makes them
+Settings = Mapping[str, Any]  # as `settings.serialization.to_json` makes them
 Notes = Mapping[str, str | int]  # what exactly a name of a table stands for
 Scores = Mapping[str, float | None]  # by target or shape
 Table = Mapping[str, Scores]  # by kind of contact

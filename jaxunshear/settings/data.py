@@ -6,22 +6,22 @@ from typing import Literal
 
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.splits import BLOCK
-from jaxunshear.settings.stimuli import Touched, stimulus_names
+from jaxunshear.settings.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.settings.types import Rule
 
-Pairing = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
-Split = Literal["random", "block", "folder"]
-KEPT_OUT: dict[str, str] = {  # what each way of splitting keeps out, in a report's words
+PairingMethod = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
+SplitMethod = Literal["random", "block", "folder"]
+SPLIT_TEXTS: dict[str, str] = {  # what each way of splitting keeps out, in a report's words
     "random": "random split",
     "block": "block of poses",
     "folder": "split by folders",
 }
-MOST_TWIST_DEG = 90.0
-MOST_SEED = 2**31 - 1
+MAX_TWIST_DEG = 90.0
+MAX_SEED = 2**31 - 1
 
 
-def seed_rule(seed: int) -> Rule:
-    return 0 <= seed <= MOST_SEED, "seed", f"use an integer from 0 to {MOST_SEED}"
+def make_seed_rule(seed: int) -> Rule:
+    return 0 <= seed <= MAX_SEED, "seed", f"use an integer from 0 to {MAX_SEED}"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Ranges:
         for name in ("lateral_mm", "move_mm", "tilt_deg"):
             yield getattr(self, name) >= 0, name, "must not be below zero"
         yield 0 <= self.yaw_deg <= 180, "yaw_deg", "use 0 to 180"
-        yield 0 <= self.twist_deg <= MOST_TWIST_DEG, "twist_deg", f"use 0 to {MOST_TWIST_DEG:g}"
+        yield 0 <= self.twist_deg <= MAX_TWIST_DEG, "twist_deg", f"use 0 to {MAX_TWIST_DEG:g}"
         yield (
             self.depth_min_mm > 0,
             "depth_min_mm",
@@ -56,7 +56,7 @@ class Ranges:
         )
 
 
-DRIFTING = Nuisance(
+DRIFTING_NUISANCE = Nuisance(
     drift_px=1.0, drift_brightness=0.1
 )  # a set is recorded over days (paper section 3.2.2)
 
@@ -66,7 +66,7 @@ class PairedData:
     """`tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
-    stimuli: tuple[Touched, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
+    stimuli: tuple[StimulusSetting, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 600  # per stimulus
     taps: int = 1  # canonical images a pose
     slides: int = 2  # sheared images a pose
@@ -77,16 +77,16 @@ class PairedData:
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
-    nuisance: Nuisance = DRIFTING
+    nuisance: Nuisance = DRIFTING_NUISANCE
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the stimuli."""
-        return stimulus_names(self.stimuli)
+        return list_stimulus_names(self.stimuli)
 
     def rules(self) -> Iterator[Rule]:
-        yield from _simulated(self)
+        yield from _list_simulated_rules(self)
         yield self.taps >= 1, "taps", "use at least 1: a sheared image needs a tap to pair with"
         yield (
             self.poses_a_slide >= 1,
@@ -115,25 +115,25 @@ class PoseData:
     """`tactip_pose`: taps at poses of their own, drawn separately (paper section 3.2.2)."""
 
     config: str = "demo"
-    stimuli: tuple[Touched, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
+    stimuli: tuple[StimulusSetting, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 2400  # per stimulus
     seed: int = 1  # of the poses: another than the pairs'
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
-    nuisance: Nuisance = DRIFTING
+    nuisance: Nuisance = DRIFTING_NUISANCE
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the stimuli."""
-        return stimulus_names(self.stimuli)
+        return list_stimulus_names(self.stimuli)
 
     def rules(self) -> Iterator[Rule]:
-        yield from _simulated(self)
+        yield from _list_simulated_rules(self)
 
 
-def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
+def _list_simulated_rules(data: PairedData | PoseData) -> Iterator[Rule]:
     yield len(data.stimuli) > 0, "stimuli", "name at least one"
     yield len(set(data.names)) == len(data.names), "stimuli", "name each stimulus once"
     yield (
@@ -141,7 +141,7 @@ def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
         "poses",
         f"use at least {BLOCK}, so that each of the three splits gets a pose",
     )
-    yield seed_rule(data.seed)
+    yield make_seed_rule(data.seed)
     yield (
         data.friction is None or data.friction >= 0,
         "friction",
@@ -161,7 +161,7 @@ def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
         )
 
 
-RENDERED = (
+RENDERED_PAIRINGS = (
     "rendered",
     "simulated",
 )  # pairings that take a renderer; the latter for test slides alone
@@ -184,7 +184,7 @@ class Recorded:
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     # a slide's partner: "rendered", what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"; or "simulated":
     # the slides that teach are simulated, recorded ones test alone
-    pairing: Pairing = "rendered"
+    pairing: PairingMethod = "rendered"
     labelled: float = 1.0  # share of the training slides whose labels teach
     # training slides without a label; "read": posenet_sheared reads their poses
     unlabelled: Literal["left_out", "read"] = "left_out"
@@ -193,7 +193,7 @@ class Recorded:
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
     # what validation and test keep out: poses drawn at random; a block of poses, which has no near
     # neighbours in training; or "folder", folders called *val* and *test* alone
-    split: Split = "random"
+    split: SplitMethod = "random"
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1  # likewise, for the choice of the best state
     seed: int = 0  # of that draw, or of the block's place
@@ -228,7 +228,7 @@ class Recorded:
         )
         for name in ("test", "validation"):
             yield 0 < getattr(self, name) < 0.5, name, "use a share between 0 and 0.5"
-        yield seed_rule(self.seed)
+        yield make_seed_rule(self.seed)
 
 
 @dataclass(frozen=True)

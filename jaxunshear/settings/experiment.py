@@ -7,31 +7,31 @@ from typing import cast
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import (
-    RENDERED,
+    RENDERED_PAIRINGS,
     PairedData,
     PoseData,
     Recorded,
     RecordedTaps,
-    seed_rule,
+    make_seed_rule,
 )
 from jaxunshear.settings.networks import PinNet, PoseNet, UnshearNet
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
     NETWORKS,
-    OF_TAPS,
     POSENET_SHEARED,
     POSENETS,
     RENDERER,
+    TAP_NETWORKS,
     TEACHER,
     UNSHEARING,
     Network,
 )
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.settings.stimuli import Touched, stimulus_names
+from jaxunshear.settings.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Rule
 
-PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
+PAIR_LOSS_FIELDS = (  # fields of `Training` that no PoseNet's training reads
     "patch_weight",
     "crops",
     "crop_px",
@@ -46,7 +46,7 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "pose_target",
 )
 
-PINS = Training(
+PIN_TRAINING = Training(
     epochs=100,
     batch=64,
     learning_rate=3e-3,
@@ -71,7 +71,7 @@ class Experiment:
     seed: int = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
     # stimuli that no network sees in training, evaluated as a test of their own
-    unseen: tuple[Touched, ...] = ()
+    unseen: tuple[StimulusSetting, ...] = ()
     # tests of their own, with taps that miss the slide's depth by up to this
     other_jitters_mm: tuple[float, ...] = ()
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
@@ -89,7 +89,7 @@ class Experiment:
     train: Training = field(default_factory=Training)
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
-    train_pins: Training = PINS  # networks over pins, in the place of the first two
+    train_pins: Training = PIN_TRAINING  # networks over pins, in the place of the first two
 
     def rules(self) -> Iterator[Rule]:
         named = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name)
@@ -98,22 +98,22 @@ class Experiment:
             "name",
             "use letters, digits, '-', '_' and '.'; it names the folder of the results",
         )
-        yield seed_rule(self.seed)
+        yield make_seed_rule(self.seed)
         yield len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
         yield len(set(self.networks)) == len(self.networks), "networks", "name each network once"
         yield (
-            len(set(stimulus_names(self.unseen))) == len(self.unseen),
+            len(set(list_stimulus_names(self.unseen))) == len(self.unseen),
             "unseen",
             "name each stimulus once",
         )
 
 
-def recorded_of(experiment: Experiment) -> Recorded | None:
+def get_recorded(experiment: Experiment) -> Recorded | None:
     """The recordings that an experiment is about; None for a simulated one."""
     return experiment.paired if isinstance(experiment.paired, Recorded) else None
 
 
-def simulated_of(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
+def require_simulated(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
     """The simulated sets of an experiment. Raises UserError where it is about recordings, which `what` cannot use."""
     if isinstance(experiment.paired, Recorded) or isinstance(experiment.pose, RecordedTaps):
         raise UserError(
@@ -122,20 +122,20 @@ def simulated_of(experiment: Experiment, what: str) -> tuple[PairedData, PoseDat
     return experiment.paired, experiment.pose
 
 
-def over_pins(experiment: Experiment) -> bool:
+def uses_pins(experiment: Experiment) -> bool:
     """Whether the networks that are evaluated read pins, not images."""
     return experiment.unshear.input == "pins"
 
 
-def trained(experiment: Experiment) -> tuple[str, ...]:
+def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
     """The networks to train, in this order: those of the results, after those that one of them needs: a
     renderer, a teacher, a reader of slides without labels."""
     unshears = set(experiment.networks) & set(UNSHEARING)
-    recorded = recorded_of(experiment)
+    recorded = get_recorded(experiment)
     reader = (POSENET_SHEARED,) if recorded and recorded.unlabelled == "read" and unshears else ()
-    training = experiment.train_pins if over_pins(experiment) else experiment.train
+    training = experiment.train_pins if uses_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
-    drawn = over_pins(experiment) and set(OF_TAPS) & {
+    drawn = uses_pins(experiment) and set(TAP_NETWORKS) & {
         *experiment.networks,
         *taught,
     }  # learn from rendered taps, too
@@ -144,19 +144,19 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
         and recorded.direct_taps == "rendered"
         and POSENET_SHEARED in (*reader, *experiment.networks)
     )
-    partners = recorded is not None and recorded.pairing in RENDERED and unshears
+    partners = recorded is not None and recorded.pairing in RENDERED_PAIRINGS and unshears
     rendered = (RENDERER,) if recorded and (drawn or direct or partners) else ()
     return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
 
-def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
+def list_required_networks(experiment: Experiment, network: str) -> tuple[str, ...]:
     """The networks that must be trained in a folder, in this order, to have `network` there."""
-    return trained(replace(experiment, networks=(cast(Network, network),)))
+    return list_trained_networks(replace(experiment, networks=(cast(Network, network),)))
 
 
-def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
+def get_training_data(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
     """The data set that `network` learns from."""
-    if isinstance(experiment.pose, PoseData) and network in OF_TAPS:
+    if isinstance(experiment.pose, PoseData) and network in TAP_NETWORKS:
         return experiment.pose
     return experiment.paired
 
@@ -164,28 +164,28 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 def takes_taps(experiment: Experiment) -> bool:
     """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
     return any(
-        name in OF_TAPS or training_of(experiment, name).tap_weight > 0
-        for name in trained(experiment)
+        name in TAP_NETWORKS or get_training(experiment, name).tap_weight > 0
+        for name in list_trained_networks(experiment)
     )
 
 
-def training_of(experiment: Experiment, network: str) -> Training:
+def get_training(experiment: Experiment, network: str) -> Training:
     """How `network` is trained."""
-    if network == RENDERER or (over_pins(experiment) and network in POSENETS):
-        return without_pair_losses(experiment.train_pins)
-    if over_pins(experiment):
+    if network == RENDERER or (uses_pins(experiment) and network in POSENETS):
+        return drop_pair_losses(experiment.train_pins)
+    if uses_pins(experiment):
         return experiment.train_pins
     if network == TEACHER:
         return experiment.train_teacher
     return experiment.train_posenet if network in POSENETS else experiment.train
 
 
-def without_pair_losses(training: Training) -> Training:
+def drop_pair_losses(training: Training) -> Training:
     """`training` with what only a network that unshears reads at its default."""
-    return replace(training, **{field: getattr(Training, field) for field in PAIR_LOSSES})
+    return replace(training, **{field: getattr(Training, field) for field in PAIR_LOSS_FIELDS})
 
 
-def further_tests(experiment: Experiment) -> dict[str, PairedData]:
+def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:
     """Data sets that are for tests alone, all of their splits: a fifth of the poses, as the test split has."""
     if not isinstance(experiment.paired, PairedData):
         return {}

@@ -1,6 +1,6 @@
 """Single settings by dotted name: read from a command line, replaced, shown.
 
->>> experiment = override(load_experiment("experiments/demo.py"), ["--train.epochs", "5", "--sensor", "tactip127"])
+>>> experiment = override_fields(load_experiment("experiments/demo.py"), ["--train.epochs", "5", "--sensor", "tactip127"])
 >>> validate(experiment)
 """
 
@@ -12,44 +12,44 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.outlines import touched
-from jaxunshear.settings.sensor import Sensor, sensor_named
+from jaxunshear.settings.outlines import parse_stimulus
+from jaxunshear.settings.sensor import Sensor, get_sensor
 from jaxunshear.settings.types import (
     Hint,
     Value,
-    choices,
-    describe,
-    groups,
-    hints,
-    optional,
-    origin,
+    describe_hint,
+    get_optional,
+    get_origin,
+    list_choices,
+    list_groups,
+    list_hints,
 )
 from jaxunshear.storage import Json
 
-NOT_SET = ("config", "digest")
+NOT_SETTABLE = ("config", "digest")
 
 
-def override(experiment: Experiment, argv: Sequence[str]) -> Experiment:
+def override_fields(experiment: Experiment, argv: Sequence[str]) -> Experiment:
     """`experiment` with fields replaced: `--train.epochs 5` or `--train.epochs=5`, several at will; the last wins."""
     for name, value in parse_overrides(argv):
-        experiment = replaced(experiment, name, value)
+        experiment = replace_field(experiment, name, value)
     return experiment
 
 
-def replaced(experiment: Experiment, name: str, value: object) -> Experiment:
+def replace_field(experiment: Experiment, name: str, value: object) -> Experiment:
     """`experiment` with the field of this dotted name replaced; its type is for `check_types` to judge.
 
     Raises `UserError` where there is no such field.
     """
-    kinds = dict(field_types())
+    kinds = dict(list_field_types())
     if name not in kinds:
         raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
-    return _replaced(experiment, name.split("."), value)
+    return _replace_at_path(experiment, name.split("."), value)
 
 
 def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
     """Dotted names and parsed values of `--name value` or `--name=value`; names and types are refused here, by name."""
-    kinds, pairs = dict(field_types()), []
+    kinds, pairs = dict(list_field_types()), []
     words = iter(argv)
     for word in words:
         if not word.startswith("--"):
@@ -62,7 +62,7 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
         if not equals:
             text = next(words, None)  # type: ignore[assignment]
             if text is None or text.startswith("--"):
-                raise UserError(f"--{name} needs a value: {describe(kinds[name])}")
+                raise UserError(f"--{name} needs a value: {describe_hint(kinds[name])}")
         pairs.append((name, _parse(text, kinds[name], name)))
     return pairs
 
@@ -87,25 +87,25 @@ def split_overrides(
     return kept, fields
 
 
-def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Hint]]:
+def list_field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Hint]]:
     """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name.
 
     No `config` and no `digest`: they name settings and set none. A group that may be of several kinds has the fields of all.
     """
     for field in dataclasses.fields(kind):
-        if field.name in NOT_SET:
+        if field.name in NOT_SETTABLE:
             continue
-        hint = hints(kind)[field.name]
-        kinds = groups(hint)
+        hint = list_hints(kind)[field.name]
+        kinds = list_groups(hint)
         if not kinds or hint is Sensor:
             yield prefix + field.name, hint
         known: Json = {}
         for group in kinds:
-            known |= dict(field_types(group, f"{prefix}{field.name}."))
+            known |= dict(list_field_types(group, f"{prefix}{field.name}."))
         yield from known.items()
 
 
-def show(value: object) -> str:
+def format_value(value: object) -> str:
     """A field's value as it is written on the command line; a sensor by its name."""
     if isinstance(value, Sensor):
         return value.name
@@ -139,41 +139,44 @@ def _suggestion(name: str, kinds: Iterable[str]) -> str:
     )
 
 
-def _replaced(node: Any, path: list[str], value: object) -> Any:
+def _replace_at_path(node: Any, path: list[str], value: object) -> Any:
     if not hasattr(node, path[0]):
         raise UserError(
             f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields"
         )
     if len(path) > 1:
-        value = _replaced(getattr(node, path[0]), path[1:], value)
+        value = _replace_at_path(getattr(node, path[0]), path[1:], value)
     return dataclasses.replace(node, **{path[0]: value})
 
 
 def _parse(text: str, kind: Hint, name: str) -> Value:
     """`text` as a value of `kind`; tuples are comma lists, tuples within them are joined by colons."""
     try:
-        return _parsed(text.strip(), kind)
+        return _parse_value(text.strip(), kind)
     except ValueError:
-        raise UserError(f"--{name} takes {describe(kind)}, not '{text}'") from None
+        raise UserError(f"--{name} takes {describe_hint(kind)}, not '{text}'") from None
 
 
-def _parsed(text: str, kind: Hint) -> Value:
-    if (inner := optional(kind)) is not None:
-        return None if text.lower() == "none" else _parsed(text, inner)
-    if origin(kind) is tuple:
+def _parse_value(text: str, kind: Hint) -> Value:
+    if (inner := get_optional(kind)) is not None:
+        return None if text.lower() == "none" else _parse_value(text, inner)
+    if get_origin(kind) is tuple:
         first, *more = typing.get_args(kind)
         if more[-1:] == [...]:
-            return tuple(_parsed(item.strip(), first) for item in text.split(",")) if text else ()
+            return (
+                tuple(_parse_value(item.strip(), first) for item in text.split(",")) if text else ()
+            )
         items = text.split(":")
         return tuple(
-            _parsed(item.strip(), part) for item, part in zip(items, (first, *more), strict=True)
+            _parse_value(item.strip(), part)
+            for item, part in zip(items, (first, *more), strict=True)
         )
     if kind is bool:
         if text.lower() not in ("true", "false"):
             raise ValueError
         return text.lower() == "true"
     if kind is Sensor:
-        return sensor_named(text)
-    if choices(kind):
-        return touched(text) if groups(kind) else text
+        return get_sensor(text)
+    if list_choices(kind):
+        return parse_stimulus(text) if list_groups(kind) else text
     return kind(text)

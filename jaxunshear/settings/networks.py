@@ -47,7 +47,7 @@ class UnshearNet:
         )
 
 
-def without_codes(net: UnshearNet) -> UnshearNet:
+def drop_codes(net: UnshearNet) -> UnshearNet:
     """`net` with the channels of its codes, which an entangled network does not have, at their defaults."""
     codes = ("pose_channels", "shear_channels", "apart")
     return replace(net, **{field: getattr(UnshearNet, field) for field in codes})
@@ -113,18 +113,18 @@ class PinNet:
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
-def without_pin_codes(net: PinNet) -> PinNet:
+def drop_pin_codes(net: PinNet) -> PinNet:
     """`net` with what only PinUnshear reads at its default."""
     codes = ("convolved", "pose_code", "shear_code", "apart")
     return replace(net, **{field: getattr(PinNet, field) for field in codes})
 
 
-def without_direct(net: PinNet) -> PinNet:
+def drop_direct(net: PinNet) -> PinNet:
     """Return `net` with what only posenet_sheared reads at its default."""
     return replace(net, direct_convolved=PinNet.direct_convolved)
 
 
-def without_turns(net: PinNet) -> PinNet:
+def drop_rotation(net: PinNet) -> PinNet:
     """`net` with nothing turned: what only training reads."""
     return replace(net, turned=PinNet.turned)
 

@@ -1,7 +1,7 @@
 """Outlines from files, and from signed distances that are functions of one's own.
 
 >>> read_outline(Path("shapes/gear.svg"))                  # also .csv and .json; named by the file
->>> traced("ring", lambda xy: np.hypot(*xy.T) - 12, within_mm=20)
+>>> trace_outline("ring", lambda xy: np.hypot(*xy.T) - 12, within_mm=20)
 """
 
 import re
@@ -14,7 +14,14 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.stimuli import ABS_FRICTION, Outline, Points, StimulusName, Target, Touched
+from jaxunshear.settings.stimuli import (
+    ABS_FRICTION,
+    Outline,
+    Points,
+    StimulusName,
+    StimulusSetting,
+    Target,
+)
 from jaxunshear.storage import read_json
 
 FILES = (".svg", ".csv", ".json")
@@ -24,7 +31,7 @@ CLOSE_MM = 0.01  # of that line to the curve: what the contact's grid resolves
 GRID_MM = 0.25  # between the points at which a function is asked
 
 
-def touched(text: str) -> Touched:
+def parse_stimulus(text: str) -> StimulusSetting:
     """What a text means where a stimulus is named: the outline in a file, or else a name, right or wrong. Raises UserError."""
     return (
         read_outline(Path(text)) if Path(text).suffix.lower() in FILES else cast(StimulusName, text)
@@ -41,14 +48,16 @@ def read_outline(file: Path) -> Outline:
         raise UserError(
             f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)"
         )
-    fields = {".svg": _of_drawing, ".csv": _of_table, ".json": _of_json}[file.suffix.lower()](file)
+    fields = {".svg": _read_svg, ".csv": _read_table, ".json": _read_json}[file.suffix.lower()](
+        file
+    )
     try:
         return Outline(**{"name": file.stem, **fields})
     except UserError as error:
         raise UserError(f"{file}: {error}") from None
 
 
-def traced(
+def trace_outline(
     name: str,
     distance: Callable[[np.ndarray], Any],
     within_mm: float,
@@ -80,10 +89,10 @@ def traced(
             f"outline '{name}': its function {what} within {within_mm:g} mm: one piece without holes will do"
         )
     points = curves[0] * (2 * within_mm / steps) - within_mm
-    return Outline(name, _plain(simplified(points, CLOSE_MM)), target, friction)
+    return Outline(name, _plain(simplify_curve(points, CLOSE_MM)), target, friction)
 
 
-def simplified(closed: np.ndarray, close_mm: float) -> np.ndarray:
+def simplify_curve(closed: np.ndarray, close_mm: float) -> np.ndarray:
     """A closed curve (N, 2) without the points that lie this close to a straight line between others, and without its end."""
     from skimage.measure import approximate_polygon
 
@@ -95,7 +104,7 @@ def _plain(points: np.ndarray) -> Points:
     return tuple((x, y) for x, y in np.round(points, 5).tolist())
 
 
-def _of_table(file: Path) -> dict[str, Any]:
+def _read_table(file: Path) -> dict[str, Any]:
     try:
         lines = [line.strip() for line in file.read_text().splitlines()]
         rows = [re.split(r"[,;\s]+", line) for line in lines if line and not line.startswith("#")]
@@ -107,7 +116,7 @@ def _of_table(file: Path) -> dict[str, Any]:
         ) from None
 
 
-def _of_json(file: Path) -> dict[str, Any]:
+def _read_json(file: Path) -> dict[str, Any]:
     found = read_json(file)
     fields = found if isinstance(found, dict) else {"points": found}
     odd = sorted(fields.keys() - {"name", "points", "target", "friction"})
@@ -118,7 +127,7 @@ def _of_json(file: Path) -> dict[str, Any]:
     return fields
 
 
-def _of_drawing(file: Path) -> dict[str, Any]:
+def _read_svg(file: Path) -> dict[str, Any]:
     from fontTools.pens.recordingPen import RecordingPen
     from fontTools.svgLib.path import SVGPath
 
@@ -140,7 +149,7 @@ def _of_drawing(file: Path) -> dict[str, Any]:
         raise UserError(
             f"outline {file} has {len(curves)} paths: leave the one that goes around the shape"
         )
-    return {"points": _plain(simplified(curves[0] * [scale, -scale], CLOSE_MM))}
+    return {"points": _plain(simplify_curve(curves[0] * [scale, -scale], CLOSE_MM))}
 
 
 def _mm_a_unit(root: Element) -> float:

@@ -1,16 +1,16 @@
 """A sensor as `jaxunshear calibrate` fitted it -> a simulated experiment with that sensor.
 
->>> experiment = with_preset(load_experiment("experiments/calibrated.py"), Path("calibration/calibration.json"))
+>>> experiment = apply_preset(load_experiment("experiments/calibrated.py"), Path("calibration/calibration.json"))
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.stored import build
+from jaxunshear.settings.serialization import build_value
 from jaxunshear.storage import read_json
 
 
@@ -34,12 +34,12 @@ def read_preset(file: Path) -> Preset:
         raise UserError(
             f"--sensor-from {file} holds no preset: name a calibration.json of `jaxunshear calibrate`"
         )
-    return build(stored["preset"], Preset, f"--sensor-from {file}", "preset")
+    return build_value(stored["preset"], Preset, f"--sensor-from {file}", "preset")
 
 
-def with_preset(experiment: Experiment, file: Path) -> Experiment:
+def apply_preset(experiment: Experiment, file: Path) -> Experiment:
     """`experiment` with the sensor, camera and friction in `file`; frames keep their number of pixels. Raises UserError."""
-    paired, pose = simulated_of(experiment, "--sensor-from")
+    paired, pose = require_simulated(experiment, "--sensor-from")
     preset = read_preset(file)
     camera = replace(preset.camera, frame_px=paired.camera.frame_px)
     return replace(

@@ -11,57 +11,61 @@ import numpy as np
 from jaxunshear.settings.sensor import Sensor
 
 RING_MM = 1.0  # apart, along the surface
-COVERED_DEG = 60.0
+COVERED_ANGLE_DEG = 60.0
 # A node can touch if the undeformed dome there lies below this share of the depth: the skin yields before the rest arrives.
 # Of 128 slides over all shapes one had to be solved again, and pins differ from those with many more nodes by 0.04 px rms.
-REACHED = 0.7
+REACHED_SHARE = 0.7
 FEWEST, MOST = 8, 21  # rings beside the apex: larger domes get wider rings, small ones narrower
 
 
 @dataclass(frozen=True)
-class Meshed(Sensor):
+class RingSpacedSensor(Sensor):
     """A sensor whose contact rings stand further apart, or closer, than its size asks for."""
 
     ring_mm: float = RING_MM
 
 
-def spaced(sensor: Sensor, ring_mm: float) -> Sensor:
+def set_ring_spacing(sensor: Sensor, ring_mm: float) -> Sensor:
     """The same sensor on rings of that spacing, under a name of its own."""
-    if ring_mm == ring_spacing(sensor):
+    if ring_mm == compute_ring_spacing(sensor):
         return sensor
-    return Meshed(**asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm)
+    return RingSpacedSensor(
+        **asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm
+    )
 
 
-def ring_spacing(sensor: Sensor) -> float:
+def compute_ring_spacing(sensor: Sensor) -> float:
     """Arc between neighbouring rings in mm."""
-    covered = sensor.dome_radius_mm * math.radians(COVERED_DEG)
-    wanted = sensor.ring_mm if isinstance(sensor, Meshed) else max(RING_MM, covered / MOST)
+    covered = sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG)
+    wanted = (
+        sensor.ring_mm if isinstance(sensor, RingSpacedSensor) else max(RING_MM, covered / MOST)
+    )
     return min(wanted, covered / FEWEST)
 
 
-def ring_arcs(sensor: Sensor) -> np.ndarray:
+def compute_ring_arcs(sensor: Sensor) -> np.ndarray:
     """Arc from the apex to each ring in mm, (rings,); the apex is the first."""
-    spacing = ring_spacing(sensor)
-    last = round(sensor.dome_radius_mm * math.radians(COVERED_DEG) / spacing)
+    spacing = compute_ring_spacing(sensor)
+    last = round(sensor.dome_radius_mm * math.radians(COVERED_ANGLE_DEG) / spacing)
     return spacing * np.arange(last + 1)
 
 
-def contact_angle(sensor: Sensor) -> float:
+def compute_contact_angle(sensor: Sensor) -> float:
     """Degrees from the apex to the last ring."""
-    return math.degrees(float(ring_arcs(sensor)[-1]) / sensor.dome_radius_mm)
+    return math.degrees(float(compute_ring_arcs(sensor)[-1]) / sensor.dome_radius_mm)
 
 
-def deepest_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
+def compute_max_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
     """The depth at which the undeformed sphere's circle of contact, tilted, reaches the last ring."""
-    covered = max(contact_angle(sensor) - abs(tilt_deg), 0.0)
+    covered = max(compute_contact_angle(sensor) - abs(tilt_deg), 0.0)
     return sensor.dome_radius_mm * (1 - math.cos(math.radians(covered)))
 
 
-def deepest_touch_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
+def compute_max_contact_depth_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
     """The deepest contact that is simulated; tilted ones may go on to where the skin, which yields, reaches the last ring."""
-    return min(deepest_mm(sensor), deepest_mm(sensor, tilt_deg) / REACHED)
+    return min(compute_max_depth_mm(sensor), compute_max_depth_mm(sensor, tilt_deg) / REACHED_SHARE)
 
 
-def reach_mm(sensor: Sensor, depth_mm: float) -> float:
+def compute_reach_mm(sensor: Sensor, depth_mm: float) -> float:
     """Lateral reach of the undeformed dome below `depth_mm`."""
     return math.sqrt(max(2 * sensor.dome_radius_mm * depth_mm - depth_mm**2, 0.0))

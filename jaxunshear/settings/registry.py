@@ -21,66 +21,73 @@ RENDERER: Final = (
     "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
 )
 
-CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
+PIN_CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
 
 @dataclass(frozen=True)
-class Kind:
+class NetworkSpec:
     """What a network does, and what that takes."""
 
     name: str
-    does: Literal["unshears", "reads poses", "renders"]
+    role: Literal["unshears", "reads poses", "renders"]
     learns_from: Literal["pairs", "taps", "slides"]
     # groups of an experiment that its training over images does not read
-    unused: tuple[str, ...]
+    unused_groups: tuple[str, ...]
     title: str = ""  # of its images in tables and figures
-    codes: bool = False  # it depends on how many numbers the codes have
-    over_pins: bool = True  # whether it may read pins in the place of images
+    has_codes: bool = False  # it depends on how many numbers the codes have
+    supports_pins: bool = True  # whether it may read pins in the place of images
     # the parts that go with released weights, () for all of it; None: it stays
-    released: tuple[str, ...] | None = None
+    released_parts: tuple[str, ...] | None = None
 
 
 _UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
 REGISTRY = {
     kind.name: kind
     for kind in (
-        Kind(RENDERER, "renders", "taps", _UNSHEARS),
-        Kind(TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")),
-        Kind(
-            ENTANGLED, "unshears", "pairs", _UNSHEARS, "entangled", released=("E", "DC", *CONSTANTS)
+        NetworkSpec(RENDERER, "renders", "taps", _UNSHEARS),
+        NetworkSpec(
+            TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")
         ),
-        Kind(
+        NetworkSpec(
+            ENTANGLED,
+            "unshears",
+            "pairs",
+            _UNSHEARS,
+            "entangled",
+            released_parts=("E", "DC", *PIN_CONSTANTS),
+        ),
+        NetworkSpec(
             DISENTANGLED,
             "unshears",
             "pairs",
             _UNSHEARS,
             "disentangled",
-            codes=True,
-            released=("E", "pose", "DC", *CONSTANTS),
+            has_codes=True,
+            released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
         ),
-        Kind(
+        NetworkSpec(
             POSENET,
             "reads poses",
             "taps",
             ("paired", "unshear", "train", "train_teacher"),
-            released=(),
+            released_parts=(),
         ),
-        Kind(
+        NetworkSpec(
             ENTANGLED_LARGE,
             "unshears",
             "pairs",
             _UNSHEARS,
             "entangled, as many parameters",
-            codes=True,
-            over_pins=False,
+            has_codes=True,
+            supports_pins=False,
         ),
-        Kind(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", over_pins=False),
-        Kind(
+        NetworkSpec(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", supports_pins=False),
+        NetworkSpec(
             POSENET_SHEARED,
             "reads poses",
             "slides",
             ("pose", "unshear", "train", "train_teacher"),
-            released=(),
+            released_parts=(),
         ),
     )
 }
@@ -99,5 +106,5 @@ UNSHEARING = (
     DISENTANGLED,
 )  # the last that a run has is the one it is about
 POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.does == "reads poses")
-OF_TAPS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
-PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].over_pins)
+TAP_NETWORKS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
+PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].supports_pins)

@@ -8,24 +8,24 @@ from collections.abc import Iterator
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import show
-from jaxunshear.settings.rules_recorded import recorded_rules
-from jaxunshear.settings.rules_simulated import simulated_rules
-from jaxunshear.settings.types import Rule, check_types, own_rules, value_of
+from jaxunshear.settings.fields import format_value
+from jaxunshear.settings.rules_recorded import list_recorded_rules
+from jaxunshear.settings.rules_simulated import list_simulated_rules
+from jaxunshear.settings.types import Rule, check_types, get_value, list_own_rules
 
 
 def validate(experiment: Experiment) -> None:
     """Refuses values no run could work with, by dotted name and with a remedy: sizes, ranges, counts, unknown names."""
     check_types(experiment)
-    for holds, name, complaint in rules(experiment):
+    for holds, name, complaint in list_rules(experiment):
         if not holds:
-            raise UserError(f"--{name} {show(value_of(experiment, name))}: {complaint}")
+            raise UserError(f"--{name} {format_value(get_value(experiment, name))}: {complaint}")
 
 
-def rules(experiment: Experiment) -> Iterator[Rule]:
+def list_rules(experiment: Experiment) -> Iterator[Rule]:
     """All rules for `experiment`; the first that does not hold is the one to report."""
-    yield from own_rules(experiment)
+    yield from list_own_rules(experiment)
     if isinstance(experiment.paired, PairedData) and isinstance(experiment.pose, PoseData):
-        yield from simulated_rules(experiment, experiment.paired, experiment.pose)
+        yield from list_simulated_rules(experiment, experiment.paired, experiment.pose)
     else:
-        yield from recorded_rules(experiment)
+        yield from list_recorded_rules(experiment)

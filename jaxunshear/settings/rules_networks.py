@@ -4,17 +4,25 @@ from collections.abc import Iterator, Mapping
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import PAIR_LOSSES, Experiment, over_pins, recorded_of, trained
+from jaxunshear.settings.experiment import (
+    PAIR_LOSS_FIELDS,
+    Experiment,
+    get_recorded,
+    list_trained_networks,
+    uses_pins,
+)
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER
-from jaxunshear.settings.targets import parsed
-from jaxunshear.settings.training import Training, exchanged
+from jaxunshear.settings.targets import parse_target
+from jaxunshear.settings.training import Training, uses_code_exchange
 from jaxunshear.settings.types import Rule
 
-TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
+ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
 
 
-def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> Iterator[Rule]:
+def list_network_rules(
+    experiment: Experiment, paired: Preprocess, pose: Preprocess
+) -> Iterator[Rule]:
     """`paired` and `pose`: how the images of the two sets are prepared."""
     unshear, posenet, pins = experiment.unshear, experiment.posenet, experiment.pins
     yield (
@@ -38,43 +46,45 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
         "both networks are trained from these settings: to train one of them use `--networks entangled`",
     )
     yield (
-        not pins.turned or over_pins(experiment),
+        not pins.turned or uses_pins(experiment),
         "pins.turned",
         "is for networks over pins: leave it at 0",
     )
     yield (
         not pins.turned
-        or recorded_of(experiment) is None
-        or POSENET_SHEARED in trained(experiment),
+        or get_recorded(experiment) is None
+        or POSENET_SHEARED in list_trained_networks(experiment),
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
     yield (
         not pins.direct_convolved
-        or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
+        or (uses_pins(experiment) and POSENET_SHEARED in list_trained_networks(experiment)),
         "pins.direct_convolved",
         "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
     )
     yield (
-        not (pins.direct_convolved and pins.turned) or recorded_of(experiment) is None,
+        not (pins.direct_convolved and pins.turned) or get_recorded(experiment) is None,
         "pins.direct_convolved",
         "takes recorded pins as they are: leave pins.turned at 0",
     )
     named = {text.partition(":")[0] for text in experiment.targets}
     yield (
-        not pins.turned or recorded_of(experiment) is not None or (bool(named) and named <= TURNED),
+        not pins.turned
+        or get_recorded(experiment) is not None
+        or (bool(named) and named <= ROTATED_TARGETS),
         "pins.turned",
-        f"turns touches about the sensor's axis, which leaves them these targets alone: {', '.join(sorted(TURNED))}",
+        f"turns touches about the sensor's axis, which leaves them these targets alone: {', '.join(sorted(ROTATED_TARGETS))}",
     )
     over = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
     yield (
-        not over_pins(experiment) or not over,
+        not uses_pins(experiment) or not over,
         "networks",
         f"{over} reads images alone: with unshear.input pins use {', '.join(PIN_NETWORKS)}",
     )
 
 
-def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
+def list_training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
     """Of `pairs` and `taps` to learn from."""
     yield _batch(experiment.train, "train", pairs)
     yield (
@@ -89,11 +99,11 @@ def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Ru
     )
     yield from _exchange(experiment)
     yield from _few_pairs(experiment)
-    taught = TEACHER in trained(experiment) and not over_pins(experiment)
+    taught = TEACHER in list_trained_networks(experiment) and not uses_pins(experiment)
     for name in ("train_posenet", "train_teacher") if taught else ("train_posenet",):
         yield _batch(getattr(experiment, name), name, taps)
         yield from _without_pair_losses(getattr(experiment, name), name)
-    if over_pins(experiment) or RENDERER in trained(experiment):
+    if uses_pins(experiment) or RENDERER in list_trained_networks(experiment):
         yield _batch(experiment.train_pins, "train_pins", min(pairs, taps))
         unused = not experiment.train_pins.patch_weight
         yield unused, "train_pins.patch_weight", "is for networks over images: leave it at 0"
@@ -112,7 +122,7 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     for field in ("swap_weight", "agreement_weight", "slide_weight"):
         weight = getattr(experiment.train, field)
         yield (
-            not weight or (experiment.unshear.apart and not over_pins(experiment)),
+            not weight or (experiment.unshear.apart and not uses_pins(experiment)),
             f"train.{field}",
             "takes codes of images that are apart: set unshear.apart, or leave it at 0",
         )
@@ -130,7 +140,7 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     )
     yield not training.swap_weight or shared, "train_pins.swap_weight", share
     yield (
-        not experiment.unshear.apart or not over_pins(experiment),
+        not experiment.unshear.apart or not uses_pins(experiment),
         "unshear.apart",
         "is of networks over images: use pins.apart",
     )
@@ -145,7 +155,7 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
 def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     """What learning from a share of the pairs takes, and from taps without a slide."""
     simulated, over_images, training = (
-        recorded_of(experiment) is None,
+        get_recorded(experiment) is None,
         experiment.train,
         experiment.train_pins,
     )
@@ -160,7 +170,7 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
         "is of simulated pairs: use paired.labelled",
     )
     yield (
-        training.paired_share == 1 or not exchanged(training),
+        training.paired_share == 1 or not uses_code_exchange(training),
         "train_pins.paired_share",
         "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
     )
@@ -185,7 +195,7 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
 
 
 def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
-    for field in PAIR_LOSSES:
+    for field in PAIR_LOSS_FIELDS:
         value, unused = getattr(training, field), getattr(Training, field)
         yield (
             value == unused,
@@ -198,11 +208,11 @@ def _plain(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
+def list_target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
     names = []
     for text in targets:
         try:
-            names.append(parsed(text, known)[0])
+            names.append(parse_target(text, known)[0])
         except UserError as error:
             yield False, "targets", str(error)
     yield len(set(names)) == len(names), "targets", "name each once"

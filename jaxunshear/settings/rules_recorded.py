@@ -3,18 +3,22 @@
 from collections.abc import Iterator
 
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment, over_pins, trained
+from jaxunshear.settings.experiment import Experiment, list_trained_networks, uses_pins
 from jaxunshear.settings.registry import POSENET_SHEARED
-from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
-from jaxunshear.settings.rules_simulated import FURTHER
+from jaxunshear.settings.rules_networks import (
+    list_network_rules,
+    list_target_rules,
+    list_training_rules,
+)
+from jaxunshear.settings.rules_simulated import FURTHER_TEST_PREFIXES
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
-from jaxunshear.settings.targets import RECORDED, SLIDES, slides_of
+from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_slide_names
 from jaxunshear.settings.types import Rule
 
-ANY = 2**62  # so many examples: how many there are is seen when the recordings are read
+ANY_COUNT = 2**62  # so many examples: how many there are is seen when the recordings are read
 
 
-def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
+def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
     """Of an experiment about recordings; what only they can show is refused when they are read."""
     recorded = experiment.paired
     if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
@@ -30,24 +34,24 @@ def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
     )
     yield (
-        recorded.direct_taps == "none" or POSENET_SHEARED in trained(experiment),
+        recorded.direct_taps == "none" or POSENET_SHEARED in list_trained_networks(experiment),
         "paired.direct_taps",
         "is for posenet_sheared, which this experiment does not train: leave it at none",
     )
     yield (
-        recorded.direct_taps != "rendered" or over_pins(experiment),
+        recorded.direct_taps != "rendered" or uses_pins(experiment),
         "paired.direct_taps",
         "rendered is for networks over pins: use recorded",
     )
-    yield from target_rules(experiment.targets, RECORDED | SLIDES)
-    slides = slides_of(experiment.targets)
+    yield from list_target_rules(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES)
+    slides = list_slide_names(experiment.targets)
     yield (
         not slides or recorded.direct_taps != "rendered",
         "paired.direct_taps",
         f"rendered knows no {', '.join(slides)}: use recorded or none",
     )
     yield (
-        not slides or set(trained(experiment)) == {POSENET_SHEARED},
+        not slides or set(list_trained_networks(experiment)) == {POSENET_SHEARED},
         "targets",
         f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
     )
@@ -56,11 +60,11 @@ def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         "pins.turned",
         f"does not turn {', '.join(slides)}: leave it at 0",
     )
-    yield from network_rules(experiment, recorded.preprocess, recorded.preprocess)
-    for field in ("unseen", *FURTHER):
+    yield from list_network_rules(experiment, recorded.preprocess, recorded.preprocess)
+    for field in ("unseen", *FURTHER_TEST_PREFIXES):
         yield (
             not getattr(experiment, field),
             field,
             "is a test of simulated touches: leave it empty",
         )
-    yield from training_rules(experiment, ANY, ANY)
+    yield from list_training_rules(experiment, ANY_COUNT, ANY_COUNT)

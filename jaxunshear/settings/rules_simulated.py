@@ -4,51 +4,71 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import CONFIGS, set_name
+from jaxunshear.settings.configs import CONFIGS, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
-from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps, trained
-from jaxunshear.settings.reach import contact_angle, deepest_touch_mm
+from jaxunshear.settings.experiment import (
+    Experiment,
+    list_further_tests,
+    list_trained_networks,
+    takes_taps,
+)
+from jaxunshear.settings.reach import compute_contact_angle, compute_max_contact_depth_mm
 from jaxunshear.settings.registry import POSENET, TEACHER
-from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
+from jaxunshear.settings.rules_networks import (
+    list_network_rules,
+    list_target_rules,
+    list_training_rules,
+)
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.splits import train_poses
-from jaxunshear.settings.stimuli import SHOWN, stimulus_names
-from jaxunshear.settings.targets import PAPER, SIMULATED, names_of, of_ranges
-from jaxunshear.settings.types import Rule, own_rules
+from jaxunshear.settings.splits import count_train_poses
+from jaxunshear.settings.stimuli import STIMULUS_TEXTS, list_stimulus_names
+from jaxunshear.settings.targets import (
+    PAPER_TARGETS,
+    SIMULATED_FIELDS,
+    list_target_names,
+    make_range_targets,
+)
+from jaxunshear.settings.types import Rule, list_own_rules
 
 # fields of an experiment that ask for tests of their own, and how the names of these begin
-FURTHER = {"other_jitters_mm": "depth_", "other_twists_deg": "twist_", "other_tilts_deg": "tilt_"}
+FURTHER_TEST_PREFIXES = {
+    "other_jitters_mm": "depth_",
+    "other_twists_deg": "twist_",
+    "other_tilts_deg": "tilt_",
+}
 
 
-def simulated_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+def list_simulated_rules(
+    experiment: Experiment, paired: PairedData, pose: PoseData
+) -> Iterator[Rule]:
     for group, data in (("paired", paired), ("pose", pose)):
-        known = CONFIGS[set_name(data)]
+        known = CONFIGS[get_set_name(data)]
         yield (
             data.config in known,
             f"{group}.config",
             f"is no stored configuration: use one of {', '.join(known)}; changed fields get a name of their own",
         )
-        yield from _reached(data, f"{group}.", experiment.sensor)
+        yield from _list_reach_rules(data, f"{group}.", experiment.sensor)
     yield from _targets(experiment, paired, pose)
-    yield from network_rules(experiment, paired.preprocess, pose.preprocess)
+    yield from list_network_rules(experiment, paired.preprocess, pose.preprocess)
     if takes_taps(experiment):
-        yield from _seen_alike(paired, pose)
-        yield from _kept_out(experiment, paired, pose)
-        yield from _covered(paired.ranges, pose.ranges)
+        yield from _list_camera_rules(paired, pose)
+        yield from _list_seed_rules(experiment, paired, pose)
+        yield from _list_range_rules(paired.ranges, pose.ranges)
         yield from _same_targets(experiment, paired, pose)
     yield from _tests(experiment, paired, pose)
-    pairs, taps = training_poses(paired) * paired.slides, training_poses(pose)
-    yield from training_rules(experiment, pairs, taps)
+    pairs, taps = count_training_poses(paired) * paired.slides, count_training_poses(pose)
+    yield from list_training_rules(experiment, pairs, taps)
     yield (
         experiment.train.pose_target != "label"
-        or of_ranges(experiment.targets, paired.ranges)
-        == of_ranges(experiment.targets, pose.ranges),
+        or make_range_targets(experiment.targets, paired.ranges)
+        == make_range_targets(experiment.targets, pose.ranges),
         "train.pose_target",
         "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
     )
 
 
-def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
+def _list_reach_rules(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
     """What the sensor can reach, and its camera see."""
     ranges, dome = data.ranges, sensor.dome_radius_mm
     yield (
@@ -57,13 +77,13 @@ def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterato
         f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched",
     )
     yield ranges.move_mm <= dome, f"{group}ranges.move_mm", f"use 0 to {dome:g} (the dome's radius)"
-    edge = contact_angle(sensor)
+    edge = compute_contact_angle(sensor)
     yield (
         ranges.tilt_deg < edge,
         f"{group}ranges.tilt_deg",
         f"use 0 to below {edge:.0f}, where the dome's contact ends",
     )
-    deepest = deepest_touch_mm(sensor, ranges.tilt_deg)
+    deepest = compute_max_contact_depth_mm(sensor, ranges.tilt_deg)
     leaning = (
         f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
     )
@@ -89,41 +109,52 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
     outlines = {*paired.stimuli, *pose.stimuli}
     twice = ", ".join(
         sorted(
-            {name for name in stimulus_names(outlines) if stimulus_names(outlines).count(name) > 1}
+            {
+                name
+                for name in list_stimulus_names(outlines)
+                if list_stimulus_names(outlines).count(name) > 1
+            }
         )
     )
     yield not twice, "pose.stimuli", f"two outlines are called {twice}: give each a name of its own"
     seen = ", ".join(
-        name for name in stimulus_names(experiment.unseen) if name in {*paired.names, *pose.names}
+        name
+        for name in list_stimulus_names(experiment.unseen)
+        if name in {*paired.names, *pose.names}
     )
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
-    for field in FURTHER:
+    for field in FURTHER_TEST_PREFIXES:
         names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
         yield len(set(names)) == len(names), field, "name each once"
         for data in (
             data
-            for name, data in further_tests(experiment).items()
-            if name.startswith(FURTHER[field])
+            for name, data in list_further_tests(experiment).items()
+            if name.startswith(FURTHER_TEST_PREFIXES[field])
         ):
-            for holds, _, remedy in (*own_rules(data), *_reached(data, "", experiment.sensor)):
+            for holds, _, remedy in (
+                *list_own_rules(data),
+                *_list_reach_rules(data, "", experiment.sensor),
+            ):
                 yield holds, field, remedy
-            yield from _varied(experiment, data.ranges, field, "leaves nothing to predict")
+            yield from _list_target_rules(
+                experiment, data.ranges, field, "leaves nothing to predict"
+            )
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
-    read = bool({POSENET, TEACHER} & set(trained(experiment)))
+    read = bool({POSENET, TEACHER} & set(list_trained_networks(experiment)))
     yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
 
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
-    yield from target_rules(experiment.targets, SIMULATED)
+    yield from list_target_rules(experiment.targets, SIMULATED_FIELDS)
     touched = {*paired.stimuli, *pose.stimuli, *experiment.unseen}
-    named = {text.partition(":")[0] for text in experiment.targets or PAPER}
-    for stimulus, shown in SHOWN.items():
+    named = {text.partition(":")[0] for text in experiment.targets or PAPER_TARGETS}
+    for stimulus, shown in STIMULUS_TEXTS.items():
         hidden = sorted(named - {*shown})
         remedy = f"the stimulus '{stimulus}' does not show {', '.join(hidden)}: name of {', '.join(shown)}"
         yield stimulus not in touched or not hidden, "targets", remedy
     for ranges in (paired.ranges, pose.ranges):
-        yield from _varied(
+        yield from _list_target_rules(
             experiment,
             ranges,
             "targets",
@@ -131,10 +162,12 @@ def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iter
         )
 
 
-def _varied(experiment: Experiment, ranges: Ranges, field: str, none: str) -> Iterator[Rule]:
+def _list_target_rules(
+    experiment: Experiment, ranges: Ranges, field: str, none: str
+) -> Iterator[Rule]:
     """Whether these ranges vary what is to be predicted."""
     try:
-        varied, wrong = len(of_ranges(experiment.targets, ranges)) > 0, none
+        varied, wrong = len(make_range_targets(experiment.targets, ranges)) > 0, none
     except UserError as error:
         varied, wrong = False, str(error)
     yield varied, field, wrong
@@ -142,17 +175,21 @@ def _varied(experiment: Experiment, ranges: Ranges, field: str, none: str) -> It
 
 def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     """PoseNet, which learns from taps, is judged by the poses of pairs; a teacher's outputs are compared one by one."""
-    pairs, taps = (of_ranges(experiment.targets, part.ranges) for part in (paired, pose))
-    remedy = f"pairs vary {', '.join(names_of(pairs))} and taps {', '.join(names_of(taps))}: name those that both vary"
-    yield names_of(pairs) == names_of(taps), "targets", remedy
+    pairs, taps = (make_range_targets(experiment.targets, part.ranges) for part in (paired, pose))
+    remedy = f"pairs vary {', '.join(list_target_names(pairs))} and taps {', '.join(list_target_names(taps))}: name those that both vary"
+    yield list_target_names(pairs) == list_target_names(taps), "targets", remedy
     for pair, tap in zip(pairs, taps, strict=False):
         remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
-        yield TEACHER not in trained(experiment) or pair.circle == tap.circle, "targets", remedy
+        yield (
+            TEACHER not in list_trained_networks(experiment) or pair.circle == tap.circle,
+            "targets",
+            remedy,
+        )
 
 
-def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+def _list_seed_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
-    for settings in (paired, *further_tests(experiment).values()):
+    for settings in (paired, *list_further_tests(experiment).values()):
         yield (
             settings.seed != pose.seed or not set(settings.names) & set(pose.names),
             "pose.seed",
@@ -160,7 +197,7 @@ def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Ite
         )
 
 
-def _covered(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
+def _list_range_rules(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
     for field in ("lateral_mm", "yaw_deg", "depth_max_mm", "tilt_deg"):
         most = getattr(taps, field)
         remedy = f"goes beyond pose.ranges.{field} ({most:g}), where PoseNet knows no pose: widen that one, too"
@@ -170,7 +207,7 @@ def _covered(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
     yield pairs.depth_min_mm >= least, "paired.ranges.depth_min_mm", remedy
 
 
-def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+def _list_camera_rules(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     for group in ("camera", "preprocess"):
         of_pairs, of_taps = getattr(paired, group), getattr(pose, group)
         for field in fields(of_pairs):
@@ -182,6 +219,6 @@ def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
             )
 
 
-def training_poses(data: PairedData | PoseData) -> int:
+def count_training_poses(data: PairedData | PoseData) -> int:
     """Of all stimuli."""
-    return sum(train_poses(data.seed, name, data.poses) for name in data.names)
+    return sum(count_train_poses(data.seed, name, data.poses) for name in data.names)

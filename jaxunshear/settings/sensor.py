@@ -98,7 +98,7 @@ SENSORS = {
 }
 
 
-def sensor_named(name: str) -> Sensor:
+def get_sensor(name: str) -> Sensor:
     if name not in SENSORS:
         raise UserError(f"sensor '{name}' is unknown: use one of {', '.join(SENSORS)}")
     return SENSORS[name]

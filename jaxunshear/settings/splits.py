@@ -12,31 +12,31 @@ SPLITS = ("train", "validation", "test")
 BLOCK = 5  # consecutive poses of a stimulus: one is for validation, one for test, three are for training
 
 
-def split_of(seed: int, stimulus: str, pose: int) -> int:
+def assign_split(seed: int, stimulus: str, pose: int) -> int:
     """Index into SPLITS."""
-    held = _held(seed, stimulus, pose // BLOCK)
+    held = _draw_held_out(seed, stimulus, pose // BLOCK)
     return {held[0]: 1, held[1]: 2}.get(pose % BLOCK, 0)
 
 
-def splits_of(seed: int, stimulus: str, poses: int) -> np.ndarray:
+def assign_splits(seed: int, stimulus: str, poses: int) -> np.ndarray:
     """(poses,) index into SPLITS. 60:20:20 for full blocks; a last, broken one gives what its poses are."""
-    return np.array([split_of(seed, stimulus, pose) for pose in range(poses)], int)
+    return np.array([assign_split(seed, stimulus, pose) for pose in range(poses)], int)
 
 
-def train_poses(seed: int, stimulus: str, poses: int) -> int:
+def count_train_poses(seed: int, stimulus: str, poses: int) -> int:
     """How many of them are for training; takes no time for any number."""
     full, rest = divmod(poses, BLOCK)
-    last = (split_of(seed, stimulus, full * BLOCK + place) for place in range(rest))
+    last = (assign_split(seed, stimulus, full * BLOCK + place) for place in range(rest))
     return full * (BLOCK - 2) + sum(split == 0 for split in last)
 
 
-def hashed(key: str) -> int:
+def hash_text(key: str) -> int:
     """64 bits that depend on the text alone."""
     return int.from_bytes(hashlib.blake2b(key.encode(), digest_size=8).digest(), "big")
 
 
 @lru_cache
-def _held(seed: int, stimulus: str, block: int) -> tuple[int, int]:
+def _draw_held_out(seed: int, stimulus: str, block: int) -> tuple[int, int]:
     """Places in a block of its poses for validation and for test, drawn by a hash."""
-    test, step = divmod(hashed(f"{seed} {stimulus} {block}") % (BLOCK * (BLOCK - 1)), BLOCK - 1)
+    test, step = divmod(hash_text(f"{seed} {stimulus} {block}") % (BLOCK * (BLOCK - 1)), BLOCK - 1)
     return (test + 1 + step) % BLOCK, test

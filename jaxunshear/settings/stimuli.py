@@ -19,7 +19,7 @@ StimulusName = Literal[
     "disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"
 ]
 # Of a pose, what shapes show that are alike in many places; all others show all of it.
-SHOWN = {
+STIMULUS_TEXTS = {
     "edge": ("x_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg", "tilt_x_deg", "tilt_y_deg"),
     "surface": ("depth_mm", "tilt_x_deg", "tilt_y_deg"),
 }
@@ -28,10 +28,10 @@ SHOWN = {
 # trained on taps hardly minds the slide, where the paper's is no better than chance (its Table 2), but recordings of another
 # sensor, whose pins stay behind by no more than 0.8-1 mm, suggest 0.2 to 0.4.
 ABS_FRICTION = 0.7
-SMALLEST_MM2 = 9.0  # a shape of 3 mm; the contact's edges are rounded by 1 mm
-FARTHEST_MM = 120.0  # from the target: the contact sees shapes to 125 mm
-MOST_CORNERS = 400
-ABOUT_MM = 0.5  # along an outline to either side of its target: a mean over that has no steps where curves are polygons
+MIN_AREA_MM2 = 9.0  # a shape of 3 mm; the contact's edges are rounded by 1 mm
+MAX_DISTANCE_MM = 120.0  # from the target: the contact sees shapes to 125 mm
+MAX_CORNERS = 400
+NORMAL_WINDOW_MM = 0.5  # along an outline to either side of its target: a mean over that has no steps where curves are polygons
 
 Points = tuple[tuple[float, float], ...]
 Target = tuple[float, float, float]
@@ -97,30 +97,30 @@ class Outline:
         return found
 
     def _complaint(self) -> str:
-        corners = _apart(np.array(self.points).reshape(-1, 2))
+        corners = _drop_repeated(np.array(self.points).reshape(-1, 2))
         if len(corners) < 3:
             return "is a point or a line: give at least 3 points around an area"
-        if len(corners) > MOST_CORNERS:
-            return f"has {len(corners)} corners: use at most {MOST_CORNERS}"
+        if len(corners) > MAX_CORNERS:
+            return f"has {len(corners)} corners: use at most {MAX_CORNERS}"
         if _crosses(corners):
             return "crosses itself: give points in their order around the area"
-        if abs(_area(corners)) < SMALLEST_MM2:
-            return f"encloses less than {SMALLEST_MM2:g} mm²: make it larger; points are in mm"
+        if abs(_area(corners)) < MIN_AREA_MM2:
+            return f"encloses less than {MIN_AREA_MM2:g} mm²: make it larger; points are in mm"
         farthest = float(np.linalg.norm(corners - self.place[:2], axis=-1).max())
-        if farthest > FARTHEST_MM:
-            return f"goes {farthest:.0f} mm from its target: make it smaller, at most {FARTHEST_MM:g} mm; points are in mm"
+        if farthest > MAX_DISTANCE_MM:
+            return f"goes {farthest:.0f} mm from its target: make it smaller, at most {MAX_DISTANCE_MM:g} mm; points are in mm"
         return ""
 
 
-Touched = StimulusName | Outline  # what a field takes
+StimulusSetting = StimulusName | Outline  # what a field takes
 
 
-def stimulus_names(stimuli: Iterable[object]) -> tuple[str, ...]:
+def list_stimulus_names(stimuli: Iterable[object]) -> tuple[str, ...]:
     """Of settings, or of settings as they are stored."""
     return tuple(str(one["name"] if isinstance(one, dict) else one) for one in stimuli)
 
 
-def _apart(points: np.ndarray) -> np.ndarray:
+def _drop_repeated(points: np.ndarray) -> np.ndarray:
     """Without those that repeat the one before; the first may be given again as the last."""
     return points[np.any(points != np.roll(points, 1, axis=0), axis=-1)]
 
@@ -133,7 +133,7 @@ def _area(corners: np.ndarray) -> float:
 
 def _rightmost(points: np.ndarray) -> Target:
     """Where the line along x through the area's centre leaves a polygon for good, and the outward normal of its outline about there."""
-    corners = _apart(points)
+    corners = _drop_repeated(points)
     corners = corners if _area(corners) > 0 else corners[::-1]
     after = np.roll(corners, -1, axis=0)
     (x, y), (x_after, y_after) = corners.T, after.T
@@ -143,7 +143,7 @@ def _rightmost(points: np.ndarray) -> Target:
     at = np.where(met, x + share * (x_after - x), -np.inf)
     last, length = int(np.argmax(at)), np.linalg.norm(after - corners, axis=-1)
     arc = np.append(0, np.cumsum(length))
-    ends = arc[last] + share[last] * length[last] + np.array([-ABOUT_MM, ABOUT_MM])
+    ends = arc[last] + share[last] * length[last] + np.array([-NORMAL_WINDOW_MM, NORMAL_WINDOW_MM])
     before, behind = np.stack(
         [np.interp(ends, arc[:-1], of, period=arc[-1]) for of in (x, y)], axis=-1
     )

@@ -1,7 +1,7 @@
 """What a sweep file holds: a base experiment, what is varied in it, and over which seeds.
 
 >>> sweep = load_sweep("experiments/ablations/lambda_split.py")
->>> check(with_overrides(sweep, ["--train.epochs", "1"]), "experiments/ablations/lambda_split.py")
+>>> check_sweep(override_base(sweep, ["--train.epochs", "1"]), "experiments/ablations/lambda_split.py")
 """
 
 import dataclasses
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import MOST_SEED
+from jaxunshear.settings.data import MAX_SEED
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import override, parse_overrides, replaced
+from jaxunshear.settings.fields import override_fields, parse_overrides, replace_field
 from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.registry import Network
 from jaxunshear.settings.rules import validate
@@ -59,12 +59,12 @@ def load_sweep(path: str | Path) -> Sweep:
     return Sweep(name=found.name, claim=found.claim, base=found, seeds=(found.seed,))
 
 
-def with_overrides(sweep: Sweep, argv: Sequence[str]) -> Sweep:
+def override_base(sweep: Sweep, argv: Sequence[str]) -> Sweep:
     """`sweep` with fields of its base replaced by `--name value`; `--name` itself names the sweep.
 
     Raises `UserError` for a field that an axis varies; one that some rows change is theirs in those rows.
     """
-    varied = [field for fields, _ in sweep.grid for field in names_of(fields)]
+    varied = [field for fields, _ in sweep.grid for field in list_fields(fields)]
     for name, value in parse_overrides(argv):
         taken = next(
             (
@@ -82,7 +82,7 @@ def with_overrides(sweep: Sweep, argv: Sequence[str]) -> Sweep:
             raise UserError("--seed: a sweep has several; use --seeds 0,1,2")
         if name in ("name", "claim", "networks"):
             sweep = dataclasses.replace(sweep, **{name: value})
-    return dataclasses.replace(sweep, base=override(sweep.base, argv))
+    return dataclasses.replace(sweep, base=override_fields(sweep.base, argv))
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -93,7 +93,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         raise UserError(f"--seeds takes integers separated by commas, not '{text}'") from None
 
 
-def base_of(sweep: Sweep) -> Experiment:
+def get_base(sweep: Sweep) -> Experiment:
     """The base with the networks of the sweep."""
     return (
         sweep.base
@@ -102,21 +102,21 @@ def base_of(sweep: Sweep) -> Experiment:
     )
 
 
-def names_of(fields: Fields) -> tuple[str, ...]:
+def list_fields(fields: Fields) -> tuple[str, ...]:
     """The fields that an axis or a change sets."""
     return (fields,) if isinstance(fields, str) else fields
 
 
-def check(sweep: Sweep, source: str) -> None:
+def check_sweep(sweep: Sweep, source: str) -> None:
     """Refuses, naming the file `source` and the field, a sweep that cannot be laid out. Its rows are checked one by one."""
     _check_form(sweep, source)
-    validate(dataclasses.replace(base_of(sweep), name=sweep.name))
+    validate(dataclasses.replace(get_base(sweep), name=sweep.name))
     for fields in (
         *(fields for fields, _ in sweep.grid),
         *(fields for row in sweep.rows for fields, _ in row),
     ):
-        for field in names_of(fields):
-            replaced(sweep.base, field, None)  # refuses unknown names
+        for field in list_fields(fields):
+            replace_field(sweep.base, field, None)  # refuses unknown names
 
 
 def _check_form(sweep: Sweep, source: str) -> None:
@@ -169,10 +169,10 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
     yield len(set(sweep.labels)) == len(sweep.labels), "labels", "lists one twice"
     for fields, value in (change for row in sweep.rows for change in row):
         yield _suits(fields, value), "rows", f"needs a tuple of a value each for {fields}"
-    varied = [field for fields, _ in sweep.grid for field in names_of(fields)]
+    varied = [field for fields, _ in sweep.grid for field in list_fields(fields)]
     twice = next((field for field in varied if varied.count(field) > 1), None)
     yield twice is None, "grid", f"varies {twice} on two axes"
-    changed = [field for row in sweep.rows for fields, _ in row for field in names_of(fields)]
+    changed = [field for row in sweep.rows for fields, _ in row for field in list_fields(fields)]
     for place, field in (
         *(("grid", field) for field in varied),
         *(("rows", field) for field in changed),
@@ -184,11 +184,11 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
         isinstance(seeds, tuple)
         and len(seeds) > 0
         and all(
-            isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= MOST_SEED
+            isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= MAX_SEED
             for seed in seeds
         ),
         "seeds",
-        f"(or --seeds) is no tuple of integers from 0 to {MOST_SEED}",
+        f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
     )
     yield len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice"
     yield isinstance(sweep.ablation, bool), "ablation", "is neither True nor False"

@@ -1,8 +1,8 @@
 """What is predicted of a contact: one definition for PoseNet, tables, CSV and recoveries.
 
->>> targets = of_ranges((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
->>> targets = of_labels(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each
->>> true_values(targets, batch)["y_mm"]                    # (B,)
+>>> targets = make_range_targets((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
+>>> targets = make_label_targets(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each
+>>> read_true_values(targets, batch)["y_mm"]                    # (B,)
 
 A target is written `name`, `name:range`, `name:circle` or with a loss weight behind, `name:range:4`. A range is scaled to [0, 1]
 about its middle; an angle over the full circle is two outputs, its cosine and sine, and its errors go the short way round.
@@ -19,7 +19,7 @@ from jaxunshear.settings.data import Ranges
 from jaxunshear.storage import Json
 
 RANGE, CIRCLE = "range", "circle"
-SIMULATED = {  # name: the field of a simulated set and its column
+SIMULATED_FIELDS = {  # name: the field of a simulated set and its column
     "x_mm": ("pose", 0),
     "y_mm": ("pose", 1),
     "yaw_deg": ("pose", 2),
@@ -29,17 +29,19 @@ SIMULATED = {  # name: the field of a simulated set and its column
     "tilt_x_deg": ("pose", 4),
     "tilt_y_deg": ("pose", 5),
 }
-RECORDED = {
+RECORDED_FIELDS = {
     name: ("pose", i)
     for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))
 }
 # of recorded slides, in the labels' own frame; of simulated ones, in the sensor's
-SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()}
-FELT = {name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))}
+LABELLED_SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED_FIELDS.items()}
+SENSOR_SLIDES = {
+    name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))
+}
 # The paper's x and yaw, and two that an edge does not leave open; edge distance has the widest scale and would drown in the
 # ambiguous yaw.
-PAPER = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
-STILL = 1e-6  # mm or deg: labels that vary by less do not vary
+PAPER_TARGETS = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
+MIN_VARIATION = 1e-6  # mm or deg: labels that vary by less do not vary
 FULL_CIRCLE_DEG = 300.0  # labels that spread over more are taken for a full circle
 
 
@@ -50,20 +52,20 @@ class Target:
     name: str  # ends in its unit, _mm or _deg
     field: str
     column: int
-    middle: float = 0.0  # of the range, mm or deg
-    reach: float = 1.0  # half of the range
-    circle: bool = False
+    centre: float = 0.0  # of the range, mm or deg
+    half_range: float = 1.0  # half of the range
+    is_circular: bool = False
     weight: float = 1.0  # in the loss
 
     @property
     def outputs(self) -> int:
-        return 2 if self.circle else 1
+        return 2 if self.is_circular else 1
 
 
 Targets = tuple[Target, ...]
 
 
-def parsed(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
+def parse_target(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
     """Name, kind (None: to be chosen) and weight of `name[:kind[:weight]]`. Raises UserError."""
     name, *more = text.split(":")
     if name not in known:
@@ -84,7 +86,7 @@ def parsed(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
     return name, kind, weight
 
 
-def of_ranges(wanted: Sequence[str], ranges: Ranges) -> Targets:
+def make_range_targets(names: Sequence[str], ranges: Ranges) -> Targets:
     """Of a simulated set; without names those of PAPER that its ranges vary. Raises UserError for what does not vary."""
     lateral, depth = ranges.lateral_mm, (ranges.depth_min_mm, ranges.depth_max_mm)
     spans = {
@@ -100,10 +102,12 @@ def of_ranges(wanted: Sequence[str], ranges: Ranges) -> Targets:
         "tilt_x_deg": (-ranges.tilt_deg, ranges.tilt_deg),
         "tilt_y_deg": (-ranges.tilt_deg, ranges.tilt_deg),
     }
-    return _targets(wanted, PAPER, SIMULATED, spans)
+    return _targets(names, PAPER_TARGETS, SIMULATED_FIELDS, spans)
 
 
-def of_labels(wanted: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None) -> Targets:
+def make_label_targets(
+    names: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None
+) -> Targets:
     """Of poses and moves (N, 6) mm and deg of recorded training contacts, NaN where unknown; without names all columns of the pose that
     vary. Raises UserError."""
     known = np.isfinite(poses).all(axis=1)
@@ -113,28 +117,38 @@ def of_labels(wanted: Sequence[str], poses: np.ndarray, moves: np.ndarray | None
         known
     ]
     low, high = labels.min(axis=0), labels.max(axis=0)
-    spans = {name: (float(low[i]), float(high[i])) for i, name in enumerate(RECORDED | SLIDES)}
-    return _targets(wanted, tuple(RECORDED), RECORDED | SLIDES, spans)
+    spans = {
+        name: (float(low[i]), float(high[i]))
+        for i, name in enumerate(RECORDED_FIELDS | LABELLED_SLIDES)
+    }
+    return _targets(names, tuple(RECORDED_FIELDS), RECORDED_FIELDS | LABELLED_SLIDES, spans)
 
 
-def felt_of(ranges: Ranges) -> Targets:
+def make_slide_targets(ranges: Ranges) -> Targets:
     """What a simulated set varies of its slides."""
     move, twist = (-ranges.move_mm, ranges.move_mm), (-ranges.twist_deg, ranges.twist_deg)
-    return _targets((), tuple(FELT), FELT, dict(zip(FELT, (move, move, twist), strict=True)))
+    return _targets(
+        (),
+        tuple(SENSOR_SLIDES),
+        SENSOR_SLIDES,
+        dict(zip(SENSOR_SLIDES, (move, move, twist), strict=True)),
+    )
 
 
-def moves_of(moves: np.ndarray) -> Targets:
+def make_move_targets(moves: np.ndarray) -> Targets:
     """What the labels (N, 6) mm and deg of recorded training slides vary, NaN where unknown."""
     known = moves[np.isfinite(moves).all(axis=1)]
     if not len(known):
         return ()
     ends = zip(known.min(axis=0).tolist(), known.max(axis=0).tolist(), strict=True)
-    return _targets((), tuple(SLIDES), SLIDES, dict(zip(SLIDES, ends, strict=True)))
+    return _targets(
+        (), tuple(LABELLED_SLIDES), LABELLED_SLIDES, dict(zip(LABELLED_SLIDES, ends, strict=True))
+    )
 
 
-def slides_of(wanted: Sequence[str]) -> list[str]:
-    """The names among `wanted` that are of a slide."""
-    return [name for name in (text.partition(":")[0] for text in wanted) if name in SLIDES]
+def list_slide_names(names: Sequence[str]) -> list[str]:
+    """The names among `names` that are of a slide."""
+    return [name for name in (text.partition(":")[0] for text in names) if name in LABELLED_SLIDES]
 
 
 def _targets(
@@ -145,9 +159,9 @@ def _targets(
 ) -> Targets:
     targets = []
     for text in wanted or usual:
-        name, kind, weight = parsed(text, known)
+        name, kind, weight = parse_target(text, known)
         low, high = spans[name]
-        if high - low <= STILL:
+        if high - low <= MIN_VARIATION:
             if wanted:
                 raise UserError(f"target '{name}' does not vary in this data set: leave it out")
             continue
@@ -160,17 +174,17 @@ def _targets(
     return tuple(targets)
 
 
-def fields_of(targets: Targets) -> tuple[str, ...]:
+def list_label_fields(targets: Targets) -> tuple[str, ...]:
     """The fields of a batch that hold the labels."""
     return tuple(dict.fromkeys(target.field for target in targets))
 
 
-def names_of(targets: Targets) -> tuple[str, ...]:
+def list_target_names(targets: Targets) -> tuple[str, ...]:
     return tuple(target.name for target in targets)
 
 
-def true_values(targets: Targets, batch: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The labels (B,) by name, of a batch with the fields of `fields_of`."""
+def read_true_values(targets: Targets, batch: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The labels (B,) by name, of a batch with the fields of `list_label_fields`."""
     return {target.name: batch[target.field][:, target.column] for target in targets}
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from jaxunshear.settings.types import Rule
 
-WEIGHTS = (  # of losses and of penalties
+WEIGHT_FIELDS = (  # of losses and of penalties
     *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight", "slide_weight"),
     *("tap_weight", "alike_weight", "pose_weight", "l1", "l2"),
 )
@@ -79,7 +79,7 @@ class Training:
         yield epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs"
         for field in ("beta1", "beta2", "averaging"):
             yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1"
-        for field in WEIGHTS:
+        for field in WEIGHT_FIELDS:
             yield getattr(self, field) >= 0, field, "must not be below zero"
         yield 0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1"
         yield 0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25"
@@ -91,11 +91,11 @@ class Training:
         yield self.crop_px >= 1, "crop_px", "must be at least 1"
 
 
-def exchanged(training: Training) -> bool:
+def uses_code_exchange(training: Training) -> bool:
     """Whether a network that unshears learns from exchanged codes."""
     return training.swap_weight > 0 or training.agreement_weight > 0
 
 
-def labelled(training: Training) -> bool:
+def uses_pose_labels(training: Training) -> bool:
     """Whether a network that unshears is given true poses."""
     return training.pose_weight > 0 and training.pose_target == "label"

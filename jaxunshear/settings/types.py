@@ -25,12 +25,12 @@ def check_types(settings: object) -> None:
     _check(settings, type(settings), "")
 
 
-def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
+def list_own_rules(settings: object, group: str = "") -> Iterator[Rule]:
     """The rules of `settings` and of the groups in it, each beside its definition; fields by dotted name."""
     kind: type = type(settings)
-    for field, hint in hints(kind).items():
+    for field, hint in list_hints(kind).items():
         value = getattr(settings, field)
-        if known := choices(hint):
+        if known := list_choices(hint):
             named = (
                 one
                 for one in (value if isinstance(value, tuple) else (value,))
@@ -41,94 +41,96 @@ def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
             yield not odd, f"{group}{field}", f"{which} unknown: use one of {', '.join(known)}"
     for holds, field, remedy in settings.rules() if hasattr(settings, "rules") else ():
         yield holds, f"{group}{field}", remedy
-    for field in hints(kind):
+    for field in list_hints(kind):
         if dataclasses.is_dataclass(value := getattr(settings, field)):
-            yield from own_rules(value, f"{group}{field}.")
+            yield from list_own_rules(value, f"{group}{field}.")
 
 
 def check_rules(settings: object, what: str) -> None:
     """Raises `UserError` that names `what` these settings are of, and the first field that cannot be."""
-    for holds, field, remedy in own_rules(settings):
+    for holds, field, remedy in list_own_rules(settings):
         if not holds:
-            raise UserError(f"{what}: {field} = {value_of(settings, field)}: {remedy}")
+            raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")
 
 
-def value_of(settings: object, name: str) -> Value:
+def get_value(settings: object, name: str) -> Value:
     """Of the field of this dotted name."""
     return functools.reduce(getattr, name.split("."), settings)
 
 
 @functools.cache
-def hints(kind: type) -> dict[str, Hint]:
+def list_hints(kind: type) -> dict[str, Hint]:
     """Fields of a group of settings and their types."""
     return typing.get_type_hints(kind)
 
 
-def origin(kind: Hint) -> object:
+def get_origin(kind: Hint) -> object:
     """`tuple` of `tuple[int, ...]`; None of a plain type."""
     return typing.get_origin(kind)
 
 
-def groups(kind: Hint) -> list[type]:
+def list_groups(kind: Hint) -> list[type]:
     """The dataclasses that a field may hold: none, one, or those of a union."""
-    kinds = typing.get_args(kind) if origin(kind) in (types.UnionType, typing.Union) else (kind,)
+    kinds = (
+        typing.get_args(kind) if get_origin(kind) in (types.UnionType, typing.Union) else (kind,)
+    )
     return [typing.cast(type, each) for each in kinds if dataclasses.is_dataclass(each)]
 
 
-def optional(kind: Hint) -> Hint:
+def get_optional(kind: Hint) -> Hint:
     """The X of `X | None`, else None."""
-    if origin(kind) in (types.UnionType, typing.Union) and not groups(kind):
+    if get_origin(kind) in (types.UnionType, typing.Union) and not list_groups(kind):
         (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
         return inner
     return None
 
 
-def choices(kind: Hint) -> tuple[str, ...]:
+def list_choices(kind: Hint) -> tuple[str, ...]:
     """The names that a field takes, or a tuple of them; none where it takes none."""
-    if origin(kind) is tuple:
-        return choices(typing.get_args(kind)[0])
-    if origin(kind) in (types.UnionType, typing.Union):
-        return tuple(name for part in typing.get_args(kind) for name in choices(part))
-    return typing.get_args(kind) if origin(kind) is typing.Literal else ()
+    if get_origin(kind) is tuple:
+        return list_choices(typing.get_args(kind)[0])
+    if get_origin(kind) in (types.UnionType, typing.Union):
+        return tuple(name for part in typing.get_args(kind) for name in list_choices(part))
+    return typing.get_args(kind) if get_origin(kind) is typing.Literal else ()
 
 
-def describe(kind: Hint) -> str:
+def describe_hint(kind: Hint) -> str:
     """What a field takes, in words."""
-    if optional(kind) is not None:
-        return f"{describe(optional(kind))}, or none"
-    if origin(kind) is tuple:
+    if get_optional(kind) is not None:
+        return f"{describe_hint(get_optional(kind))}, or none"
+    if get_origin(kind) is tuple:
         inner, *more = typing.get_args(kind)
         if more[-1:] != [...]:
             return "numbers joined by ':'"
-        if groups(inner):
+        if list_groups(inner):
             return "names, or files of outlines, separated by commas"
         plural = (
             "names"
-            if choices(inner)
+            if list_choices(inner)
             else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
         )
         return f"{plural} separated by commas"
-    if known := choices(kind):
+    if known := list_choices(kind):
         return f"one of {', '.join(known)}"
     if dataclasses.is_dataclass(kind):
         return f"a {typing.cast(type, kind).__name__.lower()}'s name"
     return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[kind]
 
 
-def fits(value: Any, kind: Hint) -> bool:
-    """Whether a value is of a field's type; whether a name is a known one is for `own_rules`."""
-    if (inner := optional(kind)) is not None:
-        return value is None or fits(value, inner)
-    if origin(kind) is tuple:
+def is_of_type(value: Any, kind: Hint) -> bool:
+    """Whether a value is of a field's type; whether a name is a known one is for `list_own_rules`."""
+    if (inner := get_optional(kind)) is not None:
+        return value is None or is_of_type(value, inner)
+    if get_origin(kind) is tuple:
         first, *more = typing.get_args(kind)
         if not isinstance(value, tuple):
             return False
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
         return len(value) == len(kinds) and all(
-            fits(v, k) for v, k in zip(value, kinds, strict=True)
+            is_of_type(v, k) for v, k in zip(value, kinds, strict=True)
         )
-    if choices(kind):
-        return isinstance(value, (str, *groups(kind)))
+    if list_choices(kind):
+        return isinstance(value, (str, *list_groups(kind)))
     if kind is float:
         return (
             isinstance(value, int | float)
@@ -139,16 +141,16 @@ def fits(value: Any, kind: Hint) -> bool:
 
 
 def _check(value: object, kind: Hint, name: str) -> None:
-    if kinds := groups(kind):
+    if kinds := list_groups(kind):
         own = next((group for group in kinds if isinstance(value, group)), None)
         if own is None:
             wanted = " or ".join(group.__name__ for group in kinds)
             raise UserError(
                 f"{name or 'experiment'} is of type {type(value).__name__}, not {wanted}"
             )
-        for field, hint in hints(own).items():
+        for field, hint in list_hints(own).items():
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")
-    elif not fits(value, kind):
-        raise UserError(f"--{name} takes {describe(kind)}, not {value!r}")
+    elif not is_of_type(value, kind):
+        raise UserError(f"--{name} takes {describe_hint(kind)}, not {value!r}")

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import write_record
-from jaxunshear.settings.experiment import Experiment, needed, trained
+from jaxunshear.settings.experiment import Experiment, list_required_networks, list_trained_networks
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.storage import read_object
 from jaxunshear.sweep.rows import Row, training_part
 from jaxunshear.sweep.tasks import TASK, Order, Task, outcome_file, read_outcome
@@ -80,7 +80,7 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
     parts = {
         (row.digest, network): training_part(row.experiment, network)
         for row in rows
-        for network in trained(row.experiment)
+        for network in list_trained_networks(row.experiment)
         if not (folder / "rows" / row.experiment.name / network / FINISHED).exists()
     }
     users = Counter(part.name for part in parts.values())
@@ -89,11 +89,11 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
     for row in rows:
         sources: dict[str, str] = {}
         awaited: dict[str, Path] = {}
-        for network in trained(row.experiment):
+        for network in list_trained_networks(row.experiment):
             part = parts.get((row.digest, network))
             if part is None:
                 continue
-            first = needed(part, network)[:-1]  # its teacher, if it has one
+            first = list_required_networks(part, network)[:-1]  # its teacher, if it has one
             own = Task(
                 folder / "shared" / part.name,
                 "training",
@@ -122,7 +122,12 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                             replace(asked, kind=own.kind, experiment=to_json(part)),
                         )
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
-        asked = replace(order, networks=trained(row.experiment), sources=sources, ablation=ablation)
+        asked = replace(
+            order,
+            networks=list_trained_networks(row.experiment),
+            sources=sources,
+            ablation=ablation,
+        )
         asked = replace(asked, label=row.label, seed=row.experiment.seed)
         write_record(
             task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment))

@@ -14,34 +14,34 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import VERSION, floats
-from jaxunshear.settings.data import Pairing, PoseData, Recorded
+from jaxunshear.settings.configs import VERSION, convert_to_floats
+from jaxunshear.settings.data import PairingMethod, PoseData, Recorded
 from jaxunshear.settings.experiment import (
     Experiment,
-    needed,
-    over_pins,
-    recorded_of,
-    without_pair_losses,
+    drop_pair_losses,
+    get_recorded,
+    list_required_networks,
+    uses_pins,
 )
-from jaxunshear.settings.fields import replaced, show
+from jaxunshear.settings.fields import format_value, replace_field
 from jaxunshear.settings.networks import (
-    without_codes,
-    without_direct,
-    without_pin_codes,
-    without_turns,
+    drop_codes,
+    drop_direct,
+    drop_pin_codes,
+    drop_rotation,
 )
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
     DISENTANGLED,
-    OF_TAPS,
     POSENET_SHEARED,
     POSENETS,
     REGISTRY,
     RENDERER,
+    TAP_NETWORKS,
 )
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, base_of, names_of
+from jaxunshear.settings.serialization import to_json
+from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
 from jaxunshear.storage import Json
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -119,17 +119,17 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     plain = Experiment(name="", claim="")
     unused: tuple[str, ...] = ("name", "claim", *TESTS)
     # recordings: one set for taps and slides; pins: one training for all networks
-    if not recorded_of(experiment) and not over_pins(experiment):
-        taught = len(needed(experiment, network)) > 1
+    if not get_recorded(experiment) and not uses_pins(experiment):
+        taught = len(list_required_networks(experiment, network)) > 1
         unused += UNUSED_BY_TAUGHT if taught else REGISTRY[network].unused
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
-    if over_pins(experiment) and network in (*POSENETS, RENDERER):
+    if uses_pins(experiment) and network in (*POSENETS, RENDERER):
         part = dataclasses.replace(
-            part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
+            part, train_pins=drop_pair_losses(part.train_pins), pins=drop_pin_codes(part.pins)
         )
-    if isinstance(part.pose, PoseData) and network in OF_TAPS:  # these learn from taps alone
+    if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # these learn from taps alone
         part = dataclasses.replace(part, paired=plain.paired)
-    if isinstance(part.paired, Recorded) and network in OF_TAPS:
+    if isinstance(part.paired, Recorded) and network in TAP_NETWORKS:
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
     if isinstance(part.paired, Recorded) and network in (
         *POSENETS,
@@ -138,22 +138,22 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         dragged = (
             network == POSENET_SHEARED and part.paired.pairing == "simulated"
         )  # it learns from simulated slides
-        way: Pairing = "simulated" if dragged else "rendered"
+        way: PairingMethod = "simulated" if dragged else "rendered"
         alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
-    if network in OF_TAPS:
-        part = dataclasses.replace(part, pins=without_turns(part.pins))
-    if POSENET_SHEARED not in needed(experiment, network):
+    if network in TAP_NETWORKS:
+        part = dataclasses.replace(part, pins=drop_rotation(part.pins))
+    if POSENET_SHEARED not in list_required_networks(experiment, network):
         part = _without_direct(part)
     if REGISTRY[network].does == "unshears" and not REGISTRY[network].codes:
-        part = dataclasses.replace(part, unshear=without_codes(part.unshear))
+        part = dataclasses.replace(part, unshear=drop_codes(part.unshear))
     own = _digest({"experiment": to_json(part), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
 
 
 def _without_direct(part: Experiment) -> Experiment:
     """Return `part` with what only posenet_sheared reads at its default."""
-    part = dataclasses.replace(part, pins=without_direct(part.pins))
+    part = dataclasses.replace(part, pins=drop_direct(part.pins))
     if isinstance(part.paired, Recorded):
         part = dataclasses.replace(
             part, paired=dataclasses.replace(part.paired, direct_taps="none")
@@ -169,7 +169,7 @@ def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:
                 f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: {_some(cells)}"
             )
         return sweep.reference
-    own = row_digest(base_of(sweep), sweep.ablation)
+    own = row_digest(get_base(sweep), sweep.ablation)
     equal = (cell.label for cell in cells if row_digest(cell.experiment, sweep.ablation) == own)
     return next(equal, None) if len(cells) > 1 else None
 
@@ -182,21 +182,21 @@ def axis_values(axis: Axis) -> tuple[str, ...]:
 
 def name_of(fields: Fields, sweep: Sweep) -> str:
     """`patch_weight`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
-    varied = {name for fields, _ in sweep.grid for name in names_of(fields)}
-    varied |= {name for row in sweep.rows for fields, _ in row for name in names_of(fields)}
+    varied = {name for fields, _ in sweep.grid for name in list_fields(fields)}
+    varied |= {name for row in sweep.rows for fields, _ in row for name in list_fields(fields)}
     shorts = [name.rpartition(".")[2] for name in varied]
-    parts = ((name, name.rpartition(".")[2]) for name in names_of(fields))
+    parts = ((name, name.rpartition(".")[2]) for name in list_fields(fields))
     return ":".join(short if shorts.count(short) == 1 else name for name, short in parts)
 
 
 def value_label(fields: Fields, value: Value) -> str:
     """`8:120` for fields that vary together."""
-    return ":".join(show(part) for _, part in parts_of(fields, value))
+    return ":".join(format_value(part) for _, part in parts_of(fields, value))
 
 
 def parts_of(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
     """Each field that a change sets, with its own value."""
-    return zip(names_of(fields), (value,) if isinstance(fields, str) else value, strict=True)
+    return zip(list_fields(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
 
 def _changes(
@@ -213,10 +213,10 @@ def _changes(
 
 
 def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
-    experiment = base_of(sweep)
+    experiment = get_base(sweep)
     for fields, value in changes:
         for name, part in parts_of(fields, value):
-            experiment = replaced(experiment, name, part)
+            experiment = replace_field(experiment, name, part)
     try:
         validate(experiment)
     except UserError as error:
@@ -229,7 +229,7 @@ def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experimen
 
 
 def _digest(thing: Json) -> str:
-    text = json.dumps(floats(thing) | {"data": VERSION}, sort_keys=True)
+    text = json.dumps(convert_to_floats(thing) | {"data": VERSION}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

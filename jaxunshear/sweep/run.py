@@ -16,7 +16,7 @@ from jaxunshear.report.frontier_figure import plot_frontier
 from jaxunshear.report.sweep_figure import plot_sweep
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.experiment import trained
+from jaxunshear.settings.experiment import list_trained_networks
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import write_bytes
 from jaxunshear.sweep import plan
@@ -88,7 +88,7 @@ def _run_rows(
     if not left:
         return
     for row in left:
-        for network in trained(row.experiment):
+        for network in list_trained_networks(row.experiment):
             start_folder(row.experiment, network)
     task = plan.data_task(folder, left, data)
     carry_out(task.folder, task.kind, worker, quiet=False)

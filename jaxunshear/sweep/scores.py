@@ -11,7 +11,7 @@ from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.unambiguous_edges import SMOOTH
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
-from jaxunshear.settings.stimuli import stimulus_names
+from jaxunshear.settings.stimuli import list_stimulus_names
 from jaxunshear.storage import BROKEN_NPZ, os_error, read_npz
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
@@ -83,7 +83,7 @@ def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     stimuli = results.settings["paired"].get("stimuli", ())  # of recordings none is known
     if test:
         stimuli = results.tests[test].stimuli if test in results.tests else ()
-    names, stimulus = stimulus_names(stimuli), _labels(rows, test)["stimulus"]
+    names, stimulus = list_stimulus_names(stimuli), _labels(rows, test)["stimulus"]
     return {
         name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)
     }

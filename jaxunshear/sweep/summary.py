@@ -9,10 +9,10 @@ import numpy as np
 from jaxunshear.evaluation import bootstrap
 from jaxunshear.report.frontier_figure import list_efficient
 from jaxunshear.results.sweep import CellResult, Costs, Failure, Figure, GridAxis, SweepResult
-from jaxunshear.settings.experiment import recorded_of
-from jaxunshear.settings.fields import show
-from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.sweep import Sweep, base_of, names_of
+from jaxunshear.settings.experiment import get_recorded
+from jaxunshear.settings.fields import format_value
+from jaxunshear.settings.serialization import to_json
+from jaxunshear.settings.sweep import Sweep, get_base, list_fields
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of, parts_of
 from jaxunshear.sweep.scores import (
@@ -53,9 +53,9 @@ def summarise(
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
-        simulated=recorded_of(sweep.base) is None,
+        simulated=get_recorded(sweep.base) is None,
         axes=[
-            GridAxis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis))
+            GridAxis(name_of(axis[0], sweep), list_fields(axis[0]), axis_values(axis))
             for axis in sweep.grid
         ],
         seeds=sweep.seeds,
@@ -65,7 +65,7 @@ def summarise(
         spread=spread_of(len(sweep.seeds)),
         reference=reference,
         cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
-        base=to_json(base_of(sweep)),
+        base=to_json(get_base(sweep)),
     )
     return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
@@ -92,7 +92,7 @@ def _cell(
         label=cell.label,
         point=cell.point,
         settings={
-            name: show(part)
+            name: format_value(part)
             for fields, value in cell.changes
             for name, part in parts_of(fields, value)
         },

@@ -23,8 +23,8 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
-from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.settings.stored import from_json
+from jaxunshear.settings.experiment import Experiment, uses_pins
+from jaxunshear.settings.serialization import from_json
 from jaxunshear.source import read_source
 from jaxunshear.storage import disk_is_full
 from jaxunshear.sweep.tasks import (
@@ -143,7 +143,7 @@ def _spoilt(
     from jaxunshear.evaluation.leakage import measure_leakage
     from jaxunshear.evaluation.leakage_table import build_sweep_rows
 
-    over = over_pins(experiment)
+    over = uses_pins(experiment)
     rows = [] if over else ablate(experiment, folder, data, command)["rows"]
     if experiment.pins.shear_code if over else experiment.unshear.shear_channels:
         rows += build_sweep_rows(measure_leakage(experiment, folder, data, command, controls=False))

@@ -34,7 +34,7 @@ from jaxunshear.settings.networks import (
     UNet,
     UnshearNet,
 )
-from jaxunshear.settings.stored import OTHERS, with_version, without_version
+from jaxunshear.settings.serialization import OTHERS, with_version, without_version
 from jaxunshear.settings.targets import Targets, from_json
 from jaxunshear.storage import Json
 

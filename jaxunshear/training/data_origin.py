@@ -3,18 +3,18 @@
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import describe, differences
+from jaxunshear.settings.configs import describe_set, list_differences
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, learnt_from
-from jaxunshear.settings.registry import OF_TAPS, POSENETS
+from jaxunshear.settings.experiment import Experiment, get_training_data
+from jaxunshear.settings.registry import POSENETS, TAP_NETWORKS
 from jaxunshear.storage import Json, read_object
 
 
 def describe_origin(experiment: Experiment, network: str) -> Json:
     """The description of the data set that `network` is to learn from, and of what is made of it."""
-    settings = learnt_from(experiment, network)
-    described = describe(settings, experiment.sensor)
-    if isinstance(settings, Recorded) and network not in OF_TAPS:
+    settings = get_training_data(experiment, network)
+    described = describe_set(settings, experiment.sensor)
+    if isinstance(settings, Recorded) and network not in TAP_NETWORKS:
         described |= {"labelled": settings.labelled}
         if network not in POSENETS or settings.pairing == "simulated":
             described |= {"pairing": settings.pairing}
@@ -32,7 +32,7 @@ def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
     data, or where its model.json cannot be read."""
     folder = Path(run_dir) / network
     stored = read_object(folder / "model.json").get("origin") or {}
-    changed = differences(stored, describe_origin(experiment, network))
+    changed = list_differences(stored, describe_origin(experiment, network))
     if changed:
         raise UserError(
             f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"

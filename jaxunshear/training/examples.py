@@ -25,11 +25,16 @@ from jaxunshear.dataset.recorded_set import (
 from jaxunshear.errors import UserError
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.data import RENDERED, PairedData, PoseData
-from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
-from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
+from jaxunshear.settings.data import RENDERED_PAIRINGS, PairedData, PoseData
+from jaxunshear.settings.experiment import Experiment, get_recorded, get_training_data, uses_pins
+from jaxunshear.settings.registry import POSENET_SHEARED, RENDERER, TAP_NETWORKS
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import RECORDED, Targets, felt_of, of_ranges
+from jaxunshear.settings.targets import (
+    RECORDED_FIELDS,
+    Targets,
+    make_range_targets,
+    make_slide_targets,
+)
 from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
@@ -57,16 +62,16 @@ class Examples(NamedTuple):
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
     """Raises UserError where the data set, or the renderer that its pairs take, is missing or damaged."""
-    if recorded_of(experiment) is None:
+    if get_recorded(experiment) is None:
         return _open_simulated_examples(experiment, network, data_dir)
     stored = open_recorded_set(experiment, data_dir)
     targets = stored.targets(experiment.targets)
     epoch = stored.count("slides", "train")
-    if network in OF_TAPS:
+    if network in TAP_NETWORKS:
         reader, epoch = stored.taps(), stored.count("taps", "train")
     elif network == POSENET_SHEARED:
         reader = stored.slides(
-            _make_slide_simulator(experiment, stored, data_dir), not over_pins(experiment)
+            _make_slide_simulator(experiment, stored, data_dir), not uses_pins(experiment)
         )
         if stored.settings.direct_taps == "recorded":
             epoch += stored.count("taps", "train")
@@ -82,7 +87,7 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
 
 def open_recorded_set(experiment: Experiment, data_dir: Path) -> RecordedSet:
     """The recorded set of an experiment. Raises UserError."""
-    recorded = recorded_of(experiment)
+    recorded = get_recorded(experiment)
     if recorded is None:
         raise UserError(f"'{experiment.name}' is about simulated touches, not recordings")
     return open_recorded(recorded, experiment.sensor, data_dir, experiment.seed)
@@ -94,14 +99,14 @@ def open_pairs(
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
     its posenet_sheared where the settings ask for that."""
     settings = stored.settings
-    render = _render(run_dir / RENDERER) if settings.pairing in RENDERED else None
+    render = _render(run_dir / RENDERER) if settings.pairing in RENDERED_PAIRINGS else None
     drag = _make_slide_simulator(experiment, stored, data_dir)
     read = (
-        _read(run_dir / POSENET_SHEARED, over_pins(experiment))
+        _read(run_dir / POSENET_SHEARED, uses_pins(experiment))
         if settings.unlabelled == "read"
         else None
     )
-    return stored.pairs(targets, render, not over_pins(experiment), read, drag)
+    return stored.pairs(targets, render, not uses_pins(experiment), read, drag)
 
 
 def _make_slide_simulator(
@@ -137,16 +142,16 @@ def _mean_place(reader: Reader, field: str) -> np.ndarray:
 
 
 def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Path) -> Examples:
-    settings = learnt_from(experiment, network)
+    settings = get_training_data(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
     reader = open_simulated(settings, experiment.sensor, data_dir)
     size, camera = settings.preprocess.size, settings.camera
     rest = np.zeros((0, 2), np.float32)
-    if over_pins(experiment):
+    if uses_pins(experiment):
         rest = _mean_place(reader, "canonical_pins" if isinstance(settings, PairedData) else "pins")
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
-    targets = of_ranges(experiment.targets, settings.ranges)
-    slides = felt_of(settings.ranges) if isinstance(settings, PairedData) else ()
+    targets = make_range_targets(experiment.targets, settings.ranges)
+    slides = make_slide_targets(settings.ranges) if isinstance(settings, PairedData) else ()
     return Examples(
         reader, targets, PinLayout(rest, radius, size), reader.length("train"), slides=slides
     )
@@ -182,7 +187,9 @@ def _read(folder: Path, pins: bool) -> PoseEstimator:
         def poses(part: np.ndarray) -> np.ndarray:
             found = run(part if pins else part[..., None].astype(np.float32) / 255)
             zero = np.zeros(len(part), np.float32)
-            return np.stack([np.asarray(found.get(name, zero)) for name in RECORDED], axis=-1)
+            return np.stack(
+                [np.asarray(found.get(name, zero)) for name in RECORDED_FIELDS], axis=-1
+            )
 
         return _in_parts(poses, places if images is None else images, READ_AT_ONCE)
 

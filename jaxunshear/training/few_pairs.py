@@ -16,7 +16,7 @@ from jaxunshear.dataset.pose_groups import group_by_pose
 from jaxunshear.dataset.reader import Batch, Reader, SetReader
 from jaxunshear.settings.data import PoseData
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.splits import hashed
+from jaxunshear.settings.splits import hash_text
 from jaxunshear.training.examples import Examples, open_simulated
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
@@ -43,7 +43,7 @@ def select_few_pairs(examples: Examples, share: float, seed: int) -> Examples:
 def choose_poses(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: int) -> np.ndarray:
     """(N,) whether the pose of each row is drawn. Smaller shares lie within larger ones of the same seed."""
     poses, row = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)
-    hashes = [hashed(f"pair {seed} {s} {p}") for s, p in poses.tolist()]
+    hashes = [hash_text(f"pair {seed} {s} {p}") for s, p in poses.tolist()]
     drawn = np.zeros(len(poses), bool)
     drawn[
         sorted(range(len(poses)), key=hashes.__getitem__)[: max(1, round(share * len(poses)))]

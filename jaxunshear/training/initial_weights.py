@@ -7,17 +7,17 @@ from typing import NamedTuple
 from jaxunshear.dataset.digests import parse_folder_digests
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
-from jaxunshear.settings.configs import fingerprint
+from jaxunshear.settings.configs import compute_fingerprint
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import (
     Experiment,
-    further_tests,
-    learnt_from,
-    needed,
-    simulated_of,
-    training_of,
+    get_training,
+    get_training_data,
+    list_further_tests,
+    list_required_networks,
+    require_simulated,
 )
-from jaxunshear.settings.stored import OTHERS
+from jaxunshear.settings.serialization import OTHERS
 from jaxunshear.storage import Json, read_object
 
 
@@ -28,14 +28,17 @@ class InitialWeights(NamedTuple):
 
 def start_folder(experiment: Experiment, network: str) -> Path | None:
     """Find the weights of `network` to begin from, if any. Raises UserError if they are missing or learnt the tests."""
-    if not (model := training_of(experiment, network).start):
+    if not (model := get_training(experiment, network).start):
         return None
     folder = model_folder(Path(model)) / network
     if not (folder / "model.json").is_file():
         raise UserError(
             f"start: {folder.parent} holds no {network}: name a run or released weights that have it"
         )
-    tests = {fingerprint(test, experiment.sensor) for test in further_tests(experiment).values()}
+    tests = {
+        compute_fingerprint(test, experiment.sensor)
+        for test in list_further_tests(experiment).values()
+    }
     check_unseen(
         folder,
         parse_folder_digests(paired.digest)
@@ -50,10 +53,13 @@ def data_of(experiment: Experiment, network: str, start: Path | None) -> list[st
     if isinstance(experiment.paired, Recorded):
         own = parse_folder_digests(experiment.paired.digest)
     else:
-        sets = [learnt_from(experiment, each) for each in needed(experiment, network)]
-        if training_of(experiment, network).tap_weight:
-            sets.append(simulated_of(experiment, "tap_weight")[1])
-        own = {fingerprint(each, experiment.sensor) for each in sets}
+        sets = [
+            get_training_data(experiment, each)
+            for each in list_required_networks(experiment, network)
+        ]
+        if get_training(experiment, network).tap_weight:
+            sets.append(require_simulated(experiment, "tap_weight")[1])
+        own = {compute_fingerprint(each, experiment.sensor) for each in sets}
     return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
 
 

@@ -24,7 +24,7 @@ from jaxunshear.dataset.reader import Batch
 from jaxunshear.dataset.recorded_set import RecordedSet, SlideSimulator
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.settings.configs import config_name
+from jaxunshear.settings.configs import compute_config_name
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import write_npz
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
@@ -55,7 +55,7 @@ def make_slide_simulator(
     place = (
         Path(data_dir).absolute()
         / "simulated_slides"
-        / f"{config_name(stored.settings, sensor)}-{_digest()}"
+        / f"{compute_config_name(stored.settings, sensor)}-{_digest()}"
     )
     view = functools.cache(
         lambda: fit_label_view(

@@ -15,31 +15,37 @@ from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.unshearnet import match_entangled_size
 from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of, trained, training_of
+from jaxunshear.settings.experiment import (
+    Experiment,
+    get_recorded,
+    get_training,
+    list_trained_networks,
+    uses_pins,
+)
 from jaxunshear.settings.networks import (
     PinPoseNet,
     PinRenderer,
     PinUnshear,
     UNet,
     UnshearNet,
-    without_codes,
-    without_direct,
-    without_pin_codes,
-    without_turns,
+    drop_codes,
+    drop_direct,
+    drop_pin_codes,
+    drop_rotation,
 )
 from jaxunshear.settings.registry import (
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,
-    OF_TAPS,
     POSENETS,
     REGISTRY,
     RENDERER,
+    TAP_NETWORKS,
     TEACHER,
     UNET,
 )
-from jaxunshear.settings.targets import Targets, fields_of
-from jaxunshear.settings.training import Training, labelled
+from jaxunshear.settings.targets import Targets, list_label_fields
+from jaxunshear.settings.training import Training, uses_pose_labels
 from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
@@ -55,19 +61,19 @@ def make_task(
 ) -> tuple[Task, tuple[str, ...]]:
     """What `network` learns, and the fields of a batch that this takes."""
     training, targets, labels = (
-        training_of(experiment, network),
+        get_training(experiment, network),
         examples.targets,
-        fields_of(examples.targets),
+        list_label_fields(examples.targets),
     )
     weighed = (
-        ("weight",) if recorded_of(experiment) and REGISTRY[network].does == "unshears" else ()
+        ("weight",) if get_recorded(experiment) and REGISTRY[network].does == "unshears" else ()
     )
-    if network == RENDERER or over_pins(experiment):
+    if network == RENDERER or uses_pins(experiment):
         task, fields = _make_pin_task(experiment, network, examples, folder, weighed)
-        share = 0.0 if recorded_of(experiment) else experiment.pins.turned
+        share = 0.0 if get_recorded(experiment) else experiment.pins.turned
         return _augment_task(task, examples, share) if share else task, fields
     if network in POSENETS:
-        seen = "image" if network in OF_TAPS else "sheared"
+        seen = "image" if network in TAP_NETWORKS else "sheared"
         return tasks.make_posenet_task(experiment.posenet, training, targets), (seen, *labels)
     teacher = (
         partial(posenet.predict, *_load_tap_network(experiment, TEACHER, folder))
@@ -84,8 +90,8 @@ def make_task(
         "sheared",
         *partners,
         *weighed,
-        *(labels if labelled(training) else ()),
-        *fields_of(slides),
+        *(labels if uses_pose_labels(training) else ()),
+        *list_label_fields(slides),
     )
     return task, tuple(dict.fromkeys(named))
 
@@ -94,18 +100,18 @@ def _make_pin_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
 ) -> tuple[Task, tuple[str, ...]]:
     training, targets, labels = (
-        training_of(experiment, network),
+        get_training(experiment, network),
         examples.targets,
-        fields_of(examples.targets),
+        list_label_fields(examples.targets),
     )
-    field = "pins" if network in OF_TAPS else "sheared_pins"
+    field = "pins" if network in TAP_NETWORKS else "sheared_pins"
     known = (
         targets,
         examples.pins.rest,
         measure_pin_spread(examples.reader, field, examples.pins.rest),
     )
-    pins, recorded = without_direct(without_turns(experiment.pins)), recorded_of(experiment)
-    net, plain = asdict(pins), asdict(without_pin_codes(pins))
+    pins, recorded = drop_direct(drop_rotation(experiment.pins)), get_recorded(experiment)
+    net, plain = asdict(pins), asdict(drop_pin_codes(pins))
     sure = ("sure",) if recorded else ()  # simulated pins are all known
     if network == RENDERER:
         return pin_tasks.make_renderer_task(PinRenderer(**plain), training, *known), (
@@ -114,12 +120,12 @@ def _make_pin_task(
             *labels,
         )
     if network in POSENETS:
-        turned = experiment.pins.turned if network not in OF_TAPS and recorded else 0.0
+        turned = experiment.pins.turned if network not in TAP_NETWORKS and recorded else 0.0
         turns = _make_rotations(examples) if turned else None
-        convolved = () if network in OF_TAPS else experiment.pins.direct_convolved
+        convolved = () if network in TAP_NETWORKS else experiment.pins.direct_convolved
         reader = PinPoseNet(**plain | {"turned": turned, "convolved": convolved})
-        rendered = RENDERER in trained(experiment)
-        if network not in OF_TAPS:
+        rendered = RENDERER in list_trained_networks(experiment)
+        if network not in TAP_NETWORKS:
             rendered = recorded is not None and recorded.direct_taps == "rendered"
         render = (
             partial(pin_networks.render_pins, *_load_tap_network(experiment, RENDERER, folder))
@@ -144,11 +150,11 @@ def _make_pin_task(
         *partners,
         *sure,
         *weighed,
-        *(labels if labelled(training) else ()),
+        *(labels if uses_pose_labels(training) else ()),
     )
     taught = training.slide_weight and network == DISENTANGLED
     slides = _slides(examples, codes.shear_code) if taught else ()
-    named = tuple(dict.fromkeys((*named, *fields_of(slides))))
+    named = tuple(dict.fromkeys((*named, *list_label_fields(slides))))
     return pin_tasks.make_pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
@@ -193,7 +199,7 @@ def make_unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
 
 _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
     DISENTANGLED: lambda net: net,
-    ENTANGLED: lambda net: dataclasses.replace(without_codes(net), disentangled=False),
+    ENTANGLED: lambda net: dataclasses.replace(drop_codes(net), disentangled=False),
     ENTANGLED_LARGE: match_entangled_size,
     UNET: lambda net: UNet(net.size, net.widths),
 }

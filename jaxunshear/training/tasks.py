@@ -16,7 +16,7 @@ from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.reconstruction import Reconstruction
 from jaxunshear.model.weights import Net, Tree
 from jaxunshear.settings import networks
-from jaxunshear.settings.targets import Targets, true_values
+from jaxunshear.settings.targets import Targets, read_true_values
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import losses
@@ -244,7 +244,7 @@ def make_pose_supervision(
 
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
-    got, true = posenet.unscale_outputs(outputs, targets), true_values(targets, batch)
+    got, true = posenet.unscale_outputs(outputs, targets), read_true_values(targets, batch)
     apart = {name: true[name] - got[name] for name in got}
     return {
         name: jnp.abs(wrap_degrees(off) if name.endswith("_deg") else off)

@@ -3,13 +3,13 @@
 import pytest
 
 from benchmarks.bench_pin_networks import BATCHES, COLUMNS, NETS, bench_pin_networks
-from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.experiment import PIN_TRAINING
 
 
 @pytest.mark.long
 def test_every_network_and_use_has_a_row():
     rows = bench_pin_networks(rounds=2, turn_s=0.0)
-    uses = [("training step", PINS.batch), *(("a frame", batch) for batch in BATCHES)]
+    uses = [("training step", PIN_TRAINING.batch), *(("a frame", batch) for batch in BATCHES)]
     assert [(row["name"], row["what"], row["batch"]) for row in rows] == [
         (name, *use) for name in NETS for use in uses
     ]

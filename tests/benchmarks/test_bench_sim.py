@@ -11,7 +11,7 @@ from benchmarks.bench_sim import bench_sim as bench
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import ring_spacing, spaced
+from jaxunshear.settings.reach import compute_ring_spacing, set_ring_spacing
 from verification.cases import HALF_SIZE
 from verification.clock import laps
 from verification.paper import NAMES, paper_scenes
@@ -184,13 +184,13 @@ def test_px_are_those_of_the_image():
 
 
 def test_another_spacing_is_another_sensor():
-    coarse = spaced(HALF_SIZE, 1.5)
-    assert coarse.name != HALF_SIZE.name and ring_spacing(coarse) == pytest.approx(
+    coarse = set_ring_spacing(HALF_SIZE, 1.5)
+    assert coarse.name != HALF_SIZE.name and compute_ring_spacing(coarse) == pytest.approx(
         10 * np.pi / 3 / 8
     )  # not beyond 8 rings
-    assert ring_spacing(spaced(HALF_SIZE, 0.8)) == 0.8
-    assert spaced(HALF_SIZE, 1.0) is HALF_SIZE
-    assert ring_spacing(HALF_SIZE) == 1.0
+    assert compute_ring_spacing(set_ring_spacing(HALF_SIZE, 0.8)) == 0.8
+    assert set_ring_spacing(HALF_SIZE, 1.0) is HALF_SIZE
+    assert compute_ring_spacing(HALF_SIZE) == 1.0
 
 
 def test_laps_stop_when_the_budget_is_spent():

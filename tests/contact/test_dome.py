@@ -18,7 +18,12 @@ from jaxunshear.contact.dome import VERSION, compute_dome, load_dome, load_sensi
 from jaxunshear.contact.harmonics import make_sixfold_permutations
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
-from jaxunshear.settings.reach import contact_angle, deepest_mm, reach_mm, ring_arcs
+from jaxunshear.settings.reach import (
+    compute_contact_angle,
+    compute_max_depth_mm,
+    compute_reach_mm,
+    compute_ring_arcs,
+)
 from jaxunshear.settings.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 
 SMALL = Sensor(
@@ -45,24 +50,29 @@ def cache(tmp_path, monkeypatch):
 
 def test_the_rings_of_the_sensors_cover_sixty_degrees():
     for sensor in SENSORS.values():
-        np.testing.assert_array_equal(ring_arcs(sensor), np.arange(22.0))
-        assert 60 <= contact_angle(sensor) < 60.5
+        np.testing.assert_array_equal(compute_ring_arcs(sensor), np.arange(22.0))
+        assert 60 <= compute_contact_angle(sensor) < 60.5
     for radius in (1.0, 5.0, 12.0, 19.9, 20.5, 35.0, 200.0):
         sensor = replace(TACTIP_331, dome_radius_mm=radius)
-        assert 9 <= len(ring_arcs(sensor)) <= 22 and abs(contact_angle(sensor) - 60) < 3.5
-    assert ring_arcs(replace(TACTIP_331, dome_radius_mm=12.0))[1] == 1.0
+        assert (
+            9 <= len(compute_ring_arcs(sensor)) <= 22
+            and abs(compute_contact_angle(sensor) - 60) < 3.5
+        )
+    assert compute_ring_arcs(replace(TACTIP_331, dome_radius_mm=12.0))[1] == 1.0
 
 
 def test_the_deepest_contact_reaches_the_last_ring():
-    last = ring_arcs(TACTIP_331)[-1] / TACTIP_331.dome_radius_mm
-    level = deepest_mm(TACTIP_331)
-    assert reach_mm(TACTIP_331, level) == pytest.approx(TACTIP_331.dome_radius_mm * np.sin(last))
+    last = compute_ring_arcs(TACTIP_331)[-1] / TACTIP_331.dome_radius_mm
+    level = compute_max_depth_mm(TACTIP_331)
+    assert compute_reach_mm(TACTIP_331, level) == pytest.approx(
+        TACTIP_331.dome_radius_mm * np.sin(last)
+    )
     assert level > 10
-    tilted = deepest_mm(TACTIP_331, 25.0)
-    assert tilted == deepest_mm(TACTIP_331, -25.0)
+    tilted = compute_max_depth_mm(TACTIP_331, 25.0)
+    assert tilted == compute_max_depth_mm(TACTIP_331, -25.0)
     half_angle = np.degrees(np.arccos(1 - tilted / TACTIP_331.dome_radius_mm))
-    assert half_angle + 25 == pytest.approx(contact_angle(TACTIP_331))
-    assert deepest_mm(TACTIP_331, 90.0) == 0
+    assert half_angle + 25 == pytest.approx(compute_contact_angle(TACTIP_331))
+    assert compute_max_depth_mm(TACTIP_331, 90.0) == 0
 
 
 def test_nodes_and_pins_stand_on_the_dome(small):

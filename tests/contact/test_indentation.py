@@ -8,7 +8,7 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.sensor import TACTIP_331, sensor_named
+from jaxunshear.settings.sensor import TACTIP_331, get_sensor
 
 DEPTH = 3.0
 
@@ -25,7 +25,7 @@ def pressed(sensor, x):
     "name", ["tactip331", "tactip331-fitted"]
 )  # the fitted one has pins beyond the contact nodes
 def test_on_a_face_it_is_how_far_the_dome_would_reach_into_it(name):
-    sensor = sensor_named(name)
+    sensor = get_sensor(name)
     found = pressed(sensor, -20.0)
     outward = compute_pin_tips(sensor) - [0, 0, sensor.dome_radius_mm]
     angle = np.arccos(-outward[:, 2] / np.linalg.norm(outward, axis=-1))

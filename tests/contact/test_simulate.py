@@ -13,7 +13,7 @@ from jaxunshear.scene.paths import Paths, make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes, make_scenes, sample_poses, sample_slides
 from jaxunshear.scene.stimuli import TRAINING
-from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
 from tests.golden import make_runs
 from verification.paper import NAMES, paper_scenes
@@ -300,7 +300,7 @@ def test_scenes_are_paths(contacts):
 
 
 def test_the_deepest_pose_of_the_paper_is_covered():
-    assert deepest_mm(TACTIP_331) > 6.0
+    assert compute_max_depth_mm(TACTIP_331) > 6.0
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.generation import make_set, make_sets
 from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import CONFIGS, VERSION, set_folder, unfinished_folder
+from jaxunshear.settings.configs import CONFIGS, VERSION, get_set_folder, get_unfinished_folder
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.stimuli import Outline
@@ -95,7 +95,7 @@ def test_metadata_gives_settings_and_counts(paired, sensor, engine, tmp_path):
     assert metadata["counts"]["written"] == {"train": 36, "validation": 12, "test": 12}
     assert metadata["counts"]["dropped_scenes"] == []
     assert metadata == json.loads(
-        (set_folder(paired, sensor, tmp_path) / "metadata.json").read_text()
+        (get_set_folder(paired, sensor, tmp_path) / "metadata.json").read_text()
     )
 
 
@@ -107,7 +107,7 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
     assert (
         make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
     )  # found again
-    rows = tfds.builder_from_directory(set_folder(own, sensor, tmp_path)).as_data_source("test")
+    rows = tfds.builder_from_directory(get_set_folder(own, sensor, tmp_path)).as_data_source("test")
     assert rows.dataset_info.features["stimulus"].names == ["disk", "kite"]
     assert {int(row["stimulus"]) for row in rows} == {0, 1}
     edge = np.array([row["edge"][0] for row in rows if row["stimulus"] == 1])
@@ -127,7 +127,7 @@ def test_a_set_is_made_once_and_the_same_again_elsewhere(pose, sensor, engine, t
         pose, sensor, tmp_path / "a", engine._replace(simulate=None)
     )  # would fail if it simulated
     make_set(pose, sensor, tmp_path / "b", engine)
-    first, second = (checksums(set_folder(pose, sensor, tmp_path / name)) for name in "ab")
+    first, second = (checksums(get_set_folder(pose, sensor, tmp_path / name)) for name in "ab")
     assert first == second
     assert sum("array_record" in name for name in first) == 3
 
@@ -135,9 +135,9 @@ def test_a_set_is_made_once_and_the_same_again_elsewhere(pose, sensor, engine, t
 def test_other_settings_in_the_same_place_are_refused_by_field(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path, engine)
     other = dataclasses.replace(pose, seed=9, ranges=dataclasses.replace(pose.ranges, yaw_deg=5.0))
-    folder = set_folder(other, sensor, tmp_path)
+    folder = get_set_folder(other, sensor, tmp_path)
     folder.parent.mkdir()
-    os.rename(set_folder(pose, sensor, tmp_path), folder)
+    os.rename(get_set_folder(pose, sensor, tmp_path), folder)
     with pytest.raises(
         UserError, match=r"another settings\.ranges\.yaw_deg, settings\.seed: delete"
     ):
@@ -169,8 +169,8 @@ def test_a_full_disk_is_reported_and_loses_nothing(
             patch.setattr(tfds.core.file_adapters.ArrayRecordFileAdapter, "write_examples", full)
         with pytest.raises(UserError, match="disk is full"):
             make_set(pose, sensor, tmp_path, engine)
-    assert not set_folder(pose, sensor, tmp_path).exists()
-    left = len(list(unfinished_folder(pose, sensor, tmp_path).glob("*.npz")))
+    assert not get_set_folder(pose, sensor, tmp_path).exists()
+    left = len(list(get_unfinished_folder(pose, sensor, tmp_path).glob("*.npz")))
     assert left == {"chunks": 1, "shards": 2}[stage]
     make_set(pose, sensor, tmp_path, engine)
 
@@ -217,7 +217,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
     paired, sensor, engine, tmp_path
 ):
     make_set(paired, sensor, tmp_path / "full", engine)
-    chunks = unfinished_folder(paired, sensor, tmp_path / "killed")
+    chunks = get_unfinished_folder(paired, sensor, tmp_path / "killed")
     process = start(tmp_path / "killed", 0.5)
     try:
         deadline = time.monotonic() + 60
@@ -235,7 +235,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
         process.communicate()
     kept = {path.name: path.stat().st_mtime_ns for path in chunks.glob("*.npz")}
     assert 3 <= len(kept) < len(engine.plan(sensor, paired.stimuli, sample_contacts(paired).scenes))
-    assert not set_folder(paired, sensor, tmp_path / "killed").exists()
+    assert not get_set_folder(paired, sensor, tmp_path / "killed").exists()
     half = chunks.with_name("seen")
     half.mkdir()
     for name in kept:
@@ -243,14 +243,14 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
     make_set(paired, sensor, tmp_path / "killed", engine)
     assert {path.name: path.stat().st_mtime_ns for path in half.iterdir()} == kept
     assert all(load_chunk(path)["usable"].all() for path in half.iterdir())
-    assert checksums(set_folder(paired, sensor, tmp_path / "killed")) == checksums(
-        set_folder(paired, sensor, tmp_path / "full")
+    assert checksums(get_set_folder(paired, sensor, tmp_path / "killed")) == checksums(
+        get_set_folder(paired, sensor, tmp_path / "full")
     )
     assert not chunks.exists()
 
 
 def test_what_a_run_killed_while_writing_shards_left_is_cleared(pose, sensor, engine, tmp_path):
-    left = set_folder(pose, sensor, tmp_path).parent / f"incomplete.ABC123_{VERSION}"
+    left = get_set_folder(pose, sensor, tmp_path).parent / f"incomplete.ABC123_{VERSION}"
     left.mkdir(parents=True)
     (left / "tactip_pose-train.array_record-00000-of-00001").write_bytes(b"half")
     make_set(pose, sensor, tmp_path, engine)
@@ -259,7 +259,7 @@ def test_what_a_run_killed_while_writing_shards_left_is_cleared(pose, sensor, en
 
 def test_chunks_left_by_a_run_killed_at_its_very_end_are_cleared(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path, engine)
-    chunks = unfinished_folder(pose, sensor, tmp_path)
+    chunks = get_unfinished_folder(pose, sensor, tmp_path)
     chunks.mkdir()
     make_set(pose, sensor, tmp_path, engine)
     assert not chunks.exists()
@@ -267,7 +267,7 @@ def test_chunks_left_by_a_run_killed_at_its_very_end_are_cleared(pose, sensor, e
 
 def test_a_set_of_other_settings_is_readable_without_its_code(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path, engine)
-    builder = tfds.builder_from_directory(set_folder(pose, sensor, tmp_path))
+    builder = tfds.builder_from_directory(get_set_folder(pose, sensor, tmp_path))
     assert re.fullmatch("custom-[0-9a-f]{8}", builder.builder_config.name)
     assert builder.info.features["stimulus"].names == ["disk", "spiral_1"]
     assert len(builder.as_data_source("train")) == 12

@@ -14,7 +14,7 @@ from jaxunshear.cluster import Call, here
 from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import set_folder, unfinished_folder
+from jaxunshear.settings.configs import get_set_folder, get_unfinished_folder
 from jaxunshear.settings.splits import SPLITS
 
 STAND_IN = Path(__file__).with_name("conftest.py")
@@ -98,7 +98,7 @@ def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
 ):
     """The same examples to the bit as on one machine, and no chunk made twice that a stopped command had kept."""
     make_set(paired, sensor, tmp_path / "serial", engine)
-    chunks = unfinished_folder(paired, sensor, tmp_path / "ray")
+    chunks = get_unfinished_folder(paired, sensor, tmp_path / "ray")
     words = [sys.executable, "-c", SCRIPT, str(STAND_IN), str(tmp_path / "ray"), nodes.address]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     wait_for(lambda: len(workers()) == 2 and len(made_in(chunks)) >= 1, process)
@@ -106,7 +106,7 @@ def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
     process.send_signal(signal.SIGINT)
     assert "KeyboardInterrupt" in process.communicate(timeout=60)[1]
     kept = made_in(chunks)
-    assert kept and not set_folder(paired, sensor, tmp_path / "ray").exists()
+    assert kept and not get_set_folder(paired, sensor, tmp_path / "ray").exists()
 
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     wait_for(lambda: len(workers()) == 2 and len(made_in(chunks)) > len(kept), process)

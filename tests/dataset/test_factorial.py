@@ -120,7 +120,7 @@ def test_partners_are_what_they_are_called(dropped):
 def reader(sensor, engine, paired, tmp_path):
     settings = dataclasses.replace(paired, poses=20, taps=1, poses_a_slide=2)
     metadata = make_set(settings, sensor, tmp_path, engine)
-    return FactorialReader(settings, configs.set_folder(settings, sensor, tmp_path), metadata)
+    return FactorialReader(settings, configs.get_set_folder(settings, sensor, tmp_path), metadata)
 
 
 def test_batches_hold_partners_and_go_on_from_any_step(reader):

@@ -9,7 +9,7 @@ from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.scene.pin_layout import compute_pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127
-from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.targets import make_label_targets
 
 SIZE = 128
 FLAT = compute_pin_lattice(TACTIP_127)
@@ -65,7 +65,7 @@ def test_gaps_go_the_short_way_round():
 def test_the_nearest_goes_by_all_targets_and_round_the_circle():
     poses = np.zeros((40, 6))
     poses[:, 1], poses[:, 5] = np.linspace(-5, 5, 40), np.linspace(-179, 179, 40)
-    targets = of_labels((), poses)
+    targets = make_label_targets((), poses)
     asked = poses[[0, 20]].copy()
     asked[0, 5] = 179.5
     rows, distance = pairing.find_nearest(targets, asked, poses)

@@ -12,7 +12,7 @@ from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import Reader, open_set, shift_examples
 from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import VERSION, set_folder
+from jaxunshear.settings.configs import VERSION, get_set_folder
 from jaxunshear.settings.splits import SPLITS
 
 
@@ -240,7 +240,7 @@ def test_a_missing_set_and_a_missing_split_are_reported(made, paired, sensor, tm
         open_set(other, tmp_path, sensor)
     with pytest.raises(UserError, match="split 'all' is unknown"):
         made.length("all")
-    assert set_folder(paired, sensor, tmp_path) == made.folder
+    assert get_set_folder(paired, sensor, tmp_path) == made.folder
 
 
 def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made, monkeypatch):

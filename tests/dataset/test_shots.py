@@ -5,11 +5,17 @@ import pytest
 
 from jaxunshear.dataset.sampling import MIN_DEPTH_MM, sample_paired, sample_taps
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import PAIRED, POSE, config_name, fingerprint, sensor_of
+from jaxunshear.settings.configs import (
+    PAIRED,
+    POSE,
+    compute_config_name,
+    compute_fingerprint,
+    get_config_sensor,
+)
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.image import FITTED_CAMERA
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
-from jaxunshear.settings.splits import SPLITS, split_of
+from jaxunshear.settings.splits import SPLITS, assign_split
 
 
 def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
@@ -55,7 +61,7 @@ def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
         for stimulus, pose, split in zip(
             shots.scenes.stimulus, shots.pose_id, shots.split, strict=True
         ):
-            assert split == split_of(settings.seed, settings.stimuli[stimulus], int(pose))
+            assert split == assign_split(settings.seed, settings.stimuli[stimulus], int(pose))
 
 
 def test_ranges_are_those_of_the_paper_and_filled():
@@ -80,7 +86,10 @@ def test_slides_are_along_x_along_y_or_along_both_a_third_each():
 def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
     for known in (PAIRED, POSE):
         for name, settings in known.items():
-            fitted = (sensor_of(name), settings.friction) == (TACTIP_331_FITTED, FITTED_FRICTION)
+            fitted = (get_config_sensor(name), settings.friction) == (
+                TACTIP_331_FITTED,
+                FITTED_FRICTION,
+            )
             camera = (
                 dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px)
                 == FITTED_CAMERA
@@ -174,9 +183,10 @@ def test_impossible_settings_are_refused_by_name(change, line):
 
 def test_changed_settings_have_a_name_of_their_own():
     for known in (PAIRED, POSE):
-        assert [config_name(settings, sensor_of(name)) for name, settings in known.items()] == list(
-            known
-        )
+        assert [
+            compute_config_name(settings, get_config_sensor(name))
+            for name, settings in known.items()
+        ] == list(known)
     names = [
         "tiny",
         "demo",
@@ -192,9 +202,9 @@ def test_changed_settings_have_a_name_of_their_own():
     assert set(PAIRED) - set(POSE) == {"twisted"}  # a tap does not twist
     changed = dataclasses.replace(PairedData(), poses=7)
     names = {
-        config_name(changed),
-        config_name(changed, TACTIP_127),
-        config_name(PairedData(), TACTIP_127),
+        compute_config_name(changed),
+        compute_config_name(changed, TACTIP_127),
+        compute_config_name(PairedData(), TACTIP_127),
     }
     assert len(names) == 3
     assert all(name.startswith("custom-") and len(name) == 15 for name in names)
@@ -205,7 +215,7 @@ def test_a_full_number_and_its_float_are_one_setting():
     full, real = (
         dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0)
     )
-    assert config_name(full) == config_name(real)
+    assert compute_config_name(full) == compute_config_name(real)
 
 
 def test_the_paper_configuration_has_the_papers_counts():
@@ -260,5 +270,5 @@ def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
 
 def test_a_set_keeps_its_name():
     """The name decides whether a stored set is found again."""
-    assert fingerprint(PAIRED["demo"], sensor_of("demo")) == "32a474d9"
-    assert fingerprint(POSE["standard"], sensor_of("standard")) == "089b591a"
+    assert compute_fingerprint(PAIRED["demo"], get_config_sensor("demo")) == "32a474d9"
+    assert compute_fingerprint(POSE["standard"], get_config_sensor("standard")) == "089b591a"

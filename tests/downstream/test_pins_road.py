@@ -26,8 +26,8 @@ from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.serialization import to_json
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.targets import to_json as targets_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
@@ -35,7 +35,7 @@ from jaxunshear.training import checkpoint
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))
 PAIRED = EXPERIMENT.paired
 LATTICE = compute_rest_lattice(EXPERIMENT.sensor, PAIRED.camera, PAIRED.preprocess)
-TARGETS = of_ranges((), PAIRED.ranges)
+TARGETS = make_range_targets((), PAIRED.ranges)
 NETS = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
 AWAY = 2.0  # px that all pins are moved by
 

@@ -20,7 +20,7 @@ from jaxunshear.downstream.servo_scores import compute_perceived_edge, score_tra
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.outlines import traced
+from jaxunshear.settings.outlines import trace_outline
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 SETTINGS = PairedData()
@@ -98,7 +98,7 @@ def test_a_walk_that_is_misled_is_lost_and_reported(tmp_path):
 
 def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
     course = ServoTask(
-        traced("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0
+        trace_outline("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0
     )
     walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
     assert load_trajectories(tmp_path / "coin.npz")[0] == course

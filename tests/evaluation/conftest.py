@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.settings.targets import of_ranges, to_json
+from jaxunshear.settings.targets import make_range_targets, to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
@@ -40,7 +40,9 @@ def trained(tmp_path_factory):
         variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {
             "batch_stats": variables["batch_stats"]
         }
-        targets = of_ranges((), Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges())
+        targets = make_range_targets(
+            (), Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges()
+        )
         checkpoint.write_settings(
             folder / name, {"kind": kind, "net": asdict(settings), "targets": to_json(targets)}
         )

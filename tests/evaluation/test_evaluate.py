@@ -13,10 +13,10 @@ from jaxunshear.evaluation.score_collection import BATCH, FIELDS, collect_scores
 from jaxunshear.evaluation.unambiguous_edges import mark_smooth
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.targets import of_ranges, true_values
+from jaxunshear.settings.targets import make_range_targets, read_true_values
 
 SIZE, PITCH = 128, 8
-TARGETS = of_ranges((), Ranges())
+TARGETS = make_range_targets((), Ranges())
 KINDS = ("tap", "sheared", "entangled", "disentangled")  # of a run with the paper's networks
 
 
@@ -72,7 +72,7 @@ def oracle(full, sizes=None, step=4):
         drawn = {"DC(z_p)": tap, "DC(z_s)": sheared, "DS(z_p,z_s)": sheared, "DS(z_p,z_p)": tap}
         index = np.arange(place[0], place[0] + len(tap)) % len(full["pose"])
         place[0] += step
-        true = true_values(TARGETS, {name: full[name][index] for name in ("pose", "edge")})
+        true = read_true_values(TARGETS, {name: full[name][index] for name in ("pose", "edge")})
         poses = {
             kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS
         }
@@ -250,7 +250,7 @@ def test_chance_is_the_error_of_one_answer():
     pose, edge = np.zeros((4, 4)), np.zeros((4, 2))
     pose[:, 0] = [-2, -1, 1, 2]
     edge[:, 1] = [170, 180, -170, -180]
-    found = compute_chance_errors(true_values(TARGETS, {"pose": pose, "edge": edge}), TARGETS)
+    found = compute_chance_errors(read_true_values(TARGETS, {"pose": pose, "edge": edge}), TARGETS)
     assert found["x_mm"] == pytest.approx(1.5)
     assert found["edge_deg"] == pytest.approx(5)  # not 175: angles meet behind 180
     assert found["yaw_deg"] == 0

@@ -24,7 +24,7 @@ from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.training.examples import PinLayout
 from tests.report.conftest import made_up_gathered
 
@@ -32,7 +32,7 @@ SETTINGS = PairedData()
 SIZE = SETTINGS.preprocess.size
 LATTICE = compute_rest_lattice(TACTIP_331, SETTINGS.camera, SETTINGS.preprocess)
 MOVES = np.array([[0.0, 0.0], [2.0, -1.0], [0.5, 3.0]])  # px, of the pins of a slide
-TARGETS = of_ranges((), SETTINGS.ranges)
+TARGETS = make_range_targets((), SETTINGS.ranges)
 
 
 def drawn(pins):

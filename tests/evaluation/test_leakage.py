@@ -27,7 +27,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import felt_of
+from jaxunshear.settings.targets import make_slide_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training.checkpoint import read_slides
 
@@ -274,12 +274,14 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
     run_stages(longer, ("disentangled",), tmp_path, folder / "data", "none")
     rows = leakage.measure_leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
     said = {row["name"]: row["families"]["linear"] for row in rows}
-    assert read_slides(tmp_path / "toy" / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
+    assert read_slides(tmp_path / "toy" / "disentangled") == make_slide_targets(
+        EXPERIMENT.paired.ranges
+    )
     assert said["slide_x_mm from z_s"] > 0.7 and said["slide_y_mm from z_s"] > 0.7
     assert said["x_mm from z_s"] < 0.1 and said["y_mm from z_s"] < 0.1
     short = dataclasses.replace(EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, shear_code=1))
     run_stages(short, ("disentangled",), tmp_path / "short", folder / "data", "none")
-    (first, _) = felt_of(EXPERIMENT.paired.ranges)
+    (first, _) = make_slide_targets(EXPERIMENT.paired.ranges)
     assert read_slides(tmp_path / "short" / "toy" / "disentangled") == (first,)
 
 
@@ -325,7 +327,7 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
         json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()
     ]
     assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
-    assert read_slides(run / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
+    assert read_slides(run / "disentangled") == make_slide_targets(EXPERIMENT.paired.ranges)
     found = leakage.measure_leakage(images, run, folder / "data", "none", controls=False)
     assert found["sizes"] == {"z_p": 4, "z_s": 2}
     drawn = found["exchanged"]["drawn"]

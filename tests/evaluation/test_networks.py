@@ -14,12 +14,12 @@ from jaxunshear.model import unshearnet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS, NETWORKS
-from jaxunshear.settings.targets import names_of, of_ranges
+from jaxunshear.settings.targets import list_target_names, make_range_targets
 from jaxunshear.training.trainer import get_compile_options
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
-TARGETS = of_ranges((), Ranges())
-QUANTITIES = names_of(TARGETS)
+TARGETS = make_range_targets((), Ranges())
+QUANTITIES = list_target_names(TARGETS)
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
 swapped = jax.jit(decode_cells, static_argnums=0)

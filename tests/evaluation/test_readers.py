@@ -19,10 +19,10 @@ from jaxunshear.evaluation.score import Outputs
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.results.run import Tables
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 
 SIZE = 128
-TARGETS = of_ranges(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())
+TARGETS = make_range_targets(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())
 X, Y = np.meshgrid(np.arange(24, 108, 8.0), np.arange(24, 108, 8.0))
 REST = np.stack([X, Y], axis=-1).reshape(-1, 2)
 

@@ -21,11 +21,11 @@ from jaxunshear.report.history import read_history
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.settings.configs import set_folder, set_name
+from jaxunshear.settings.configs import get_set_folder, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData, Recorded
 from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.serialization import from_json
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.stored import from_json
 from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim
@@ -59,10 +59,10 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
     data = shutil.copytree(places.data, scratch / "datasets")
     tiny, pins = load_experiment(TINY), from_json(read_json(places.pins / "experiment.json"))
     for settings, experiment in ((tiny.paired, tiny), (pins.paired, pins)):
-        folder = set_folder(settings, experiment.sensor, data)
+        folder = get_set_folder(settings, experiment.sensor, data)
         act = _set(settings, experiment, data)
         yield _flip(
-            f"stored set {set_name(settings)}",
+            f"stored set {get_set_name(settings)}",
             "run",
             [f for f in folder.iterdir() if f.is_file()],
             act,
@@ -221,10 +221,10 @@ def _images(folder: Path) -> Act:
 def _cache(folder: Path, size: Size) -> Row:
     """The response of a coarse dome: made again where its file is damaged, so the same."""
     from jaxunshear.contact.dome import load_dome
-    from jaxunshear.settings.reach import spaced
+    from jaxunshear.settings.reach import set_ring_spacing
     from jaxunshear.settings.sensor import TACTIP_127
 
-    coarse = spaced(TACTIP_127, 3.0)
+    coarse = set_ring_spacing(TACTIP_127, 3.0)
     with shim.environment("JAXUNSHEAR_CACHE", str(folder)):
         load_dome(coarse)
         files = sorted(folder.glob("dome-*.bin"))

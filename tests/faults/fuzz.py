@@ -17,9 +17,9 @@ from jaxunshear.dataset.labels import read_pair_table, read_table, read_targets
 from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import field_types, override
+from jaxunshear.settings.fields import list_field_types, override_fields
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.settings.types import check_types
 from jaxunshear.storage import read_json
 from tests.faults.outcome import Row, Size
@@ -104,7 +104,7 @@ def _of(kind: str, drawn: st.SearchStrategy[Any], act: Callable[[Any], object], 
 
 
 def _settings() -> st.SearchStrategy[Any]:
-    names = st.sampled_from([name for name, _ in field_types()])
+    names = st.sampled_from([name for name, _ in list_field_types()])
     pair = st.tuples(
         st.one_of(names, names.map(lambda name: name[:-1]), st.text(max_size=6)), CELLS
     )
@@ -113,7 +113,7 @@ def _settings() -> st.SearchStrategy[Any]:
 
 def _parsed(pairs: list[tuple[str, str]]) -> bool:
     """What is taken is kept as it is in experiment.json."""
-    experiment = override(
+    experiment = override_fields(
         Experiment(name="fuzz", claim="none"), [f"--{name}={text}" for name, text in pairs]
     )
     check_types(experiment)

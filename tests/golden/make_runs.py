@@ -153,7 +153,7 @@ def _describe_processor() -> str:
 
 def collect_run(folder: Path, data: Path) -> dict[str, Any]:
     """Return the first batch, losses and parameters of a run's networks, and the test scores."""
-    from jaxunshear.settings.stored import from_json
+    from jaxunshear.settings.serialization import from_json
     from jaxunshear.storage import read_object
 
     folder = Path(folder)
@@ -169,11 +169,11 @@ def collect_run(folder: Path, data: Path) -> dict[str, Any]:
 
 
 def _collect_batch(experiment: Any, network: str, data: Path, folder: Path) -> dict[str, Any]:
-    from jaxunshear.settings.experiment import training_of
+    from jaxunshear.settings.experiment import get_training
     from jaxunshear.training.examples import open_examples
     from jaxunshear.training.task_factory import make_task
 
-    training = training_of(experiment, network)
+    training = get_training(experiment, network)
     examples = open_examples(experiment, network, data, folder)
     _, fields = make_task(experiment, network, examples, folder)
     read = examples.reader.train_batches

@@ -22,7 +22,7 @@ from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
@@ -31,7 +31,7 @@ SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
-TARGETS = targets.of_ranges((), Ranges())
+TARGETS = targets.make_range_targets((), Ranges())
 EXPERIMENT = Experiment(
     "small",
     "none",

@@ -22,14 +22,14 @@ from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import UNSHEARING
-from jaxunshear.settings.targets import of_ranges, to_json
+from jaxunshear.settings.targets import make_range_targets, to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 
 NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
 POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
-TARGETS = of_ranges((), Ranges(lateral_mm=6))
+TARGETS = make_range_targets((), Ranges(lateral_mm=6))
 
 
 def kept(folder, kind, net, variables, targets):
@@ -117,7 +117,7 @@ def test_ways_are_those_whose_networks_are_there(model, tmp_path):
 
 def test_an_edge_that_is_none_is_refused(model, tmp_path):
     variables = checkpoint.load_best(model / "posenet")
-    targets = of_ranges(("x_mm", "yaw_deg"), Ranges())
+    targets = make_range_targets(("x_mm", "yaw_deg"), Ranges())
     kept(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
     with pytest.raises(
         UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"

@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import of_ranges, true_values
+from jaxunshear.settings.targets import make_range_targets, read_true_values
 
 
 def quantities(x, yaw, edge, angle):
@@ -30,7 +30,7 @@ def test_angles_go_the_short_way_round(a, b, error):
 
 def test_true_values_take_the_right_columns():
     batch = {"pose": np.array([[1.0, 2, 3, 4]]), "edge": np.array([[5.0, 6]])}
-    true = true_values(of_ranges((), Ranges()), batch)
+    true = read_true_values(make_range_targets((), Ranges()), batch)
     assert {name: value[0] for name, value in true.items()} == {
         "x_mm": 1,
         "yaw_deg": 3,

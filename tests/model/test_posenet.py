@@ -9,11 +9,11 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import posenet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.training.trainer import get_compile_options
 
 NET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
-TARGETS = of_ranges((), Ranges())
+TARGETS = make_range_targets((), Ranges())
 
 
 def test_targets_and_units_are_inverse():
@@ -47,7 +47,7 @@ def test_the_papers_two_outputs_come_first():
 
 @pytest.mark.parametrize(("lateral_mm", "yaw_deg", "outputs"), [(0, 45, 3), (5, 0, 4)])
 def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, yaw_deg, outputs):
-    varied = of_ranges((), Ranges(lateral_mm=lateral_mm, yaw_deg=yaw_deg))
+    varied = make_range_targets((), Ranges(lateral_mm=lateral_mm, yaw_deg=yaw_deg))
     targets = posenet.scale_poses({"pose": jnp.zeros((1, 4)), "edge": jnp.zeros((1, 2))}, varied)
     assert targets.shape == (1, outputs)
     assert np.all(np.isfinite(targets))

@@ -19,7 +19,7 @@ from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.targets import make_label_targets
 
 SEEN = Preprocess(size=made.SIZE)
 
@@ -262,7 +262,7 @@ def test_slides_without_a_label_get_the_pose_that_is_read(opened):
 def test_labels_of_an_axis_that_stands_still_are_no_target():
     poses = np.zeros((30, 6))
     poses[:, 2], poses[:, 3] = np.linspace(1, 5, 30), np.linspace(-25, 25, 30)
-    assert [target.name for target in of_labels((), poses)] == ["z_mm", "Rx_deg"]
+    assert [target.name for target in make_label_targets((), poses)] == ["z_mm", "Rx_deg"]
 
 
 def test_metadata_hold_what_a_reader_must_know(recording, stored):

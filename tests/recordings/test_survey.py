@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.dataset.digests import compute_digest, parse_folder_digests
 from jaxunshear.dataset.recorded_contacts import read_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import config_name
+from jaxunshear.settings.configs import compute_config_name
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.splits import SPLITS
 
@@ -111,7 +111,7 @@ def test_a_random_split_keeps_its_bits_and_its_name(tmp_path):
     made.edge(tmp_path / "edge", 60, 60)
     assert "".join(map(str, read_contacts(both(tmp_path / "edge")).split.tolist())) == BEFORE_SPLIT
     names = {
-        split: config_name(Recorded(digest="aa", split=split))
+        split: compute_config_name(Recorded(digest="aa", split=split))
         for split in ("random", "block", "folder")
     }
     assert names["random"] == "recorded-a39cc770" and len(set(names.values())) == 3

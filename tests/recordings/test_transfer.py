@@ -33,7 +33,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.settings.sensor import TACTIP_127
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
@@ -167,7 +167,7 @@ def test_too_few_taps_are_refused_by_name(tmp_path):
         score_transfer(Experiment("small", "none"), tmp_path, folder, "a command")
 
 
-TARGETS = targets.of_ranges(("edge_mm", "edge_deg:circle", "depth_mm"), Ranges())
+TARGETS = targets.make_range_targets(("edge_mm", "edge_deg:circle", "depth_mm"), Ranges())
 
 
 @pytest.fixture(scope="module")

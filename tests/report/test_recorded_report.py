@@ -19,7 +19,7 @@ from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.targets import make_label_targets
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}
@@ -119,7 +119,7 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     reader = SimpleNamespace(
         length=lambda split: COUNT, take=lambda split, rows, names: {"gap": gap}
     )
-    targets = of_labels((), poses(np.random.default_rng(2), 200))
+    targets = make_label_targets((), poses(np.random.default_rng(2), 200))
     readers = (reader if slides else None, reader if taps else None)
     test = recorded_evaluation.RecordedTest(*readers, bool(slides and pairing), "same session")
     results = round_values(

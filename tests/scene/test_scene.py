@@ -14,7 +14,7 @@ from jaxunshear.scene.scene import (
     sample_poses,
     sample_slides,
 )
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, sensor_named
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, get_sensor
 
 
 def test_draws_stay_in_range_and_repeat():
@@ -96,7 +96,7 @@ def test_pins_of_both_layouts():
 
 def test_bad_sensors_are_refused():
     with pytest.raises(UserError, match="tactip9"):
-        sensor_named("tactip9")
+        get_sensor("tactip9")
     with pytest.raises(UserError, match="layout"):
         compute_pin_tips(Sensor(layout="square"))
     with pytest.raises(UserError, match="rim"):

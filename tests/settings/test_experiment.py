@@ -11,11 +11,11 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import field_types, override, replaced
+from jaxunshear.settings.fields import list_field_types, override_fields, replace_field
 from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.rules import rules, validate
+from jaxunshear.settings.rules import list_rules, validate
+from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.settings.stimuli import StimulusName
-from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import check_types
 
@@ -24,7 +24,7 @@ MISSING = object()
 
 
 def changed(*argv: str) -> Experiment:
-    return override(PLAIN, argv)
+    return override_fields(PLAIN, argv)
 
 
 def test_each_kind_of_value_is_overridden_by_name():
@@ -66,11 +66,11 @@ def test_the_last_of_two_wins_and_negative_numbers_are_values():
 
 
 def test_every_field_can_be_overridden_by_what_it_is_shown_as():
-    from jaxunshear.settings.fields import show
+    from jaxunshear.settings.fields import format_value
 
     recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
     shown = set()
-    for name, _ in field_types():
+    for name, _ in list_field_types():
         for experiment in (
             PLAIN,
             recorded,
@@ -80,12 +80,12 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
                 value = getattr(value, part, MISSING)
             if value is not MISSING:
                 shown.add(name)
-                text = show(value).strip("'")
-                assert override(experiment, [f"--{name}={text}"]) == experiment, name
+                text = format_value(value).strip("'")
+                assert override_fields(experiment, [f"--{name}={text}"]) == experiment, name
             else:
                 with pytest.raises(UserError, match="has other fields"):
-                    replaced(experiment, name, None)
-    assert shown == {name for name, _ in field_types()}
+                    replace_field(experiment, name, None)
+    assert shown == {name for name, _ in list_field_types()}
 
 
 @pytest.mark.parametrize(
@@ -149,27 +149,27 @@ def test_the_names_of_the_stimuli_are_those_of_the_scene():
 
 
 def test_depths_beyond_the_contact_model_are_refused():
-    from jaxunshear.settings.reach import deepest_mm
+    from jaxunshear.settings.reach import compute_max_depth_mm
 
     for excess, refused in ((-0.01, False), (0.01, True)):
         ranges = dataclasses.replace(
-            PLAIN.pose.ranges, depth_max_mm=deepest_mm(PLAIN.sensor) + excess
+            PLAIN.pose.ranges, depth_max_mm=compute_max_depth_mm(PLAIN.sensor) + excess
         )
         deep = dataclasses.replace(
             PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges)
         )
-        wrong = [name for holds, name, _ in rules(deep) if not holds]
+        wrong = [name for holds, name, _ in list_rules(deep) if not holds]
         assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
 
 def test_train_share_of_the_rules_is_that_of_the_split():
     from jaxunshear.dataset.sampling import sample_taps
     from jaxunshear.settings.data import PoseData
-    from jaxunshear.settings.rules_simulated import training_poses
+    from jaxunshear.settings.rules_simulated import count_training_poses
 
     every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
     for settings in (*every, PoseData(poses=13)):
-        assert (sample_taps(settings).split == 0).sum() == training_poses(settings)
+        assert (sample_taps(settings).split == 0).sum() == count_training_poses(settings)
 
 
 @pytest.mark.parametrize(
@@ -255,6 +255,6 @@ def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
 
 @pytest.mark.parametrize("epochs", [float("inf"), 10**400])
 def test_infinity_within_a_tuple_is_refused(epochs):
-    endless = replaced(Experiment(name="x", claim="y"), "train.drops", ((epochs, 0.5),))
+    endless = replace_field(Experiment(name="x", claim="y"), "train.drops", ((epochs, 0.5),))
     with pytest.raises(UserError, match=r"--train\.drops takes"):
         check_types(endless)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import config_name
+from jaxunshear.settings.configs import compute_config_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import override
+from jaxunshear.settings.fields import override_fields
 from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.outlines import read_outline, touched, traced
+from jaxunshear.settings.outlines import parse_stimulus, read_outline, trace_outline
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.stimuli import MOST_CORNERS, Outline
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.serialization import from_json, to_json
+from jaxunshear.settings.stimuli import MAX_CORNERS, Outline
 
 SQUARE = ((0, 0), (20, 0), (20, 20), (0, 20))
 PLUS = (
@@ -63,7 +63,7 @@ def test_what_is_no_outline_is_refused(points, reason):
     assert (
         "outline 'mine'" in str(refusal.value)
         and "\n" not in str(refusal.value)
-        and MOST_CORNERS < 500
+        and MAX_CORNERS < 500
     )
 
 
@@ -126,7 +126,7 @@ def test_points_are_read_from_tables_and_lists(tmp_path):
         == Outline("a", SQUARE)
     )
     assert read_outline(tmp_path / "b.json") == Outline("a", SQUARE, friction=0.3)
-    assert touched("disk") == "disk" and touched(str(tmp_path / "a.csv")).name == "a"
+    assert parse_stimulus("disk") == "disk" and parse_stimulus(str(tmp_path / "a.csv")).name == "a"
 
 
 @pytest.mark.parametrize(
@@ -158,13 +158,13 @@ def test_files_that_hold_no_outline_are_refused_in_a_line(
         assert answer.code == 2 and reason in answer.err and name in answer.err, answer.err
         assert len(answer.err.strip().splitlines()) == 1
     with pytest.raises(UserError, match=r"nowhere\.svg is no file"):
-        touched("nowhere.svg")
+        parse_stimulus("nowhere.svg")
 
 
 def test_a_function_is_traced_to_the_contacts_precision():
-    points = np.array(traced("ring", ring, within_mm=20).points)
+    points = np.array(trace_outline("ring", ring, within_mm=20).points)
     assert np.abs(ring(points)).max() < 0.01 and len(points) < 200
-    assert traced("ring", ring, 20) == traced("ring", ring, 20)
+    assert trace_outline("ring", ring, 20) == trace_outline("ring", ring, 20)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_a_function_is_traced_to_the_contacts_precision():
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_functions_that_give_no_outline_are_refused(distance, reason):
     with pytest.raises(UserError, match=reason):
-        traced("mine", distance, within_mm=20)
+        trace_outline("mine", distance, within_mm=20)
 
 
 def test_settings_with_outlines_are_stored_and_read_again():
@@ -201,7 +201,7 @@ def test_settings_with_outlines_are_stored_and_read_again():
 def test_other_points_are_another_set():
     larger = Outline("square", tuple((2 * x, 2 * y) for x, y in SQUARE))
     names = {
-        config_name(PairedData(stimuli=(one,)), TACTIP_331)
+        compute_config_name(PairedData(stimuli=(one,)), TACTIP_331)
         for one in ("disk", Outline("square", SQUARE), larger)
     }
     assert len(names) == 3
@@ -217,13 +217,13 @@ def test_files_are_named_on_the_command_line(tmp_path):
         "--unseen",
         "leaf",
     ]
-    changed = override(Experiment("own", "none"), argv)
+    changed = override_fields(Experiment("own", "none"), argv)
     assert changed.paired == PLAIN.paired and changed.paired.names == ("disk", "square")
     with pytest.raises(
         UserError, match=r"--paired\.stimuli disk,square,square: name each stimulus once"
     ):
         validate(
-            override(
+            override_fields(
                 changed, ["--paired.stimuli", f"disk,{tmp_path}/square.csv,{tmp_path}/square.csv"]
             )
         )
@@ -253,11 +253,11 @@ from dataclasses import replace
 import numpy as np
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.outlines import traced
+from jaxunshear.settings.outlines import trace_outline
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.stimuli import Outline
 
-blob = traced("blob", lambda xy: np.hypot(*xy.T) - 12 - 2 * np.cos(3 * np.arctan2(*xy.T)), within_mm=20)
+blob = trace_outline("blob", lambda xy: np.hypot(*xy.T) - 12 - 2 * np.cos(3 * np.arctan2(*xy.T)), within_mm=20)
 kite = Outline("kite", ((0, -15), (12, 0), (0, 25), {corner}))
 small = replace(TACTIP_331, name="small", rings=6, dome_radius_mm=15.0)
 experiment = Experiment("mine", "none", sensor=small, paired=PairedData(stimuli=("disk", blob, kite)))

@@ -9,7 +9,7 @@ import pytest
 from jaxunshear import cli
 from jaxunshear.errors import UserError
 from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.preset import read_preset, with_preset
+from jaxunshear.settings.preset import apply_preset, read_preset
 from jaxunshear.settings.rules import validate
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
     before = replace(
         before, paired=replace(before.paired, camera=replace(before.paired.camera, frame_px=200))
     )
-    after, reported = with_preset(before, SHIPPED), json.loads(SHIPPED.read_text())["preset"]
+    after, reported = apply_preset(before, SHIPPED), json.loads(SHIPPED.read_text())["preset"]
     assert (
         after.sensor.pin_spacing_mm
         == reported["sensor"]["pin_spacing_mm"]
@@ -38,7 +38,7 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
         assert data.camera.frame_px == frame
     back = {"sensor": before.sensor, "paired": before.paired, "pose": before.pose}
     assert replace(after, **back) == before
-    validate(with_preset(load_experiment(DEMO), SHIPPED))
+    validate(apply_preset(load_experiment(DEMO), SHIPPED))
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import jaxunshear
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
-    OF_TAPS,
     PIN_NETWORKS,
     POSENETS,
     REGISTRY,
     RENDERER,
+    TAP_NETWORKS,
     TEACHER,
     TRAINABLE,
     UNSHEARING,
@@ -29,7 +29,7 @@ def test_every_network_is_in_the_table():
     assert set(get_args(Network)) == set(ALL_NETWORKS) == set(COLOURS)
     assert set(TRAINABLE) == {RENDERER, TEACHER, *ALL_NETWORKS}
     assert {*UNSHEARING, *POSENETS, RENDERER} == set(TRAINABLE)
-    assert set(OF_TAPS) == {"posenet", TEACHER, RENDERER}
+    assert set(TAP_NETWORKS) == {"posenet", TEACHER, RENDERER}
     assert set(PIN_NETWORKS) == {"entangled", "disentangled", "posenet", "posenet_sheared"}
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import override
+from jaxunshear.settings.fields import override_fields
 from jaxunshear.settings.rules import validate
 
 PLAIN = Experiment(name="plain", claim="none")
@@ -12,7 +12,7 @@ PLAIN = Experiment(name="plain", claim="none")
 
 def refusal(words: str) -> str:
     with pytest.raises(UserError) as refused:
-        validate(override(PLAIN, words.split()))
+        validate(override_fields(PLAIN, words.split()))
     assert "\n" not in str(refused.value)
     return str(refused.value)
 
@@ -34,12 +34,12 @@ def test_posenets_training_has_no_losses_of_pairs(field, value, default):
         f"unshear: leave it at {default}"
     )
     if field != "paired_share":
-        validate(override(PLAIN, [f"--train.{field}", value]))
+        validate(override_fields(PLAIN, [f"--train.{field}", value]))
 
 
 def test_a_teachers_training_is_judged_where_there_is_one():
     words = ["--train_teacher.batch", "100000"]
-    validate(override(PLAIN, words))
+    validate(override_fields(PLAIN, words))
     assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith(
         "--train_teacher.batch 100000: "
     )
@@ -49,7 +49,7 @@ def test_a_teachers_training_is_judged_where_there_is_one():
 def test_a_poses_target_is_known_and_on_the_teachers_scale():
     assert refusal("--train.pose_target pins").startswith("--train.pose_target pins: ")
     words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
-    validate(override(PLAIN, words))
+    validate(override_fields(PLAIN, words))
     assert "make paired.ranges and pose.ranges equal" in refusal(
         " ".join([*words, "--pose.ranges.yaw_deg 60"])
     )
@@ -58,7 +58,7 @@ def test_a_poses_target_is_known_and_on_the_teachers_scale():
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
     groups = ("paired.preprocess", "pose.preprocess", "unshear", "posenet")
     words = [f"--{group}.size=16" for group in groups]
-    validate(override(PLAIN, [*words, "--unshear.widths", "8,8", "--train.crop_px", "8"]))
+    validate(override_fields(PLAIN, [*words, "--unshear.widths", "8,8", "--train.crop_px", "8"]))
 
 
 @pytest.mark.parametrize("group", ["paired", "pose"])
@@ -74,12 +74,12 @@ def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
 def test_posenet_reads_pairs_that_see_like_its_taps(group, field, value):
     line = refusal(f"--{group}.{field} {value}")
     assert line.startswith(f"--pose.{field} ") and f"differs from paired.{field} (" in line
-    validate(override(PLAIN, [f"--paired.{field}", value, f"--pose.{field}", value]))
+    validate(override_fields(PLAIN, [f"--paired.{field}", value, f"--pose.{field}", value]))
 
 
 def test_without_a_posenet_of_taps_pairs_may_see_otherwise():
     words = ["--paired.camera.mm_across", "60", "--networks"]
-    validate(override(PLAIN, [*words, "disentangled,posenet_sheared"]))
+    validate(override_fields(PLAIN, [*words, "disentangled,posenet_sheared"]))
     assert "differs" in refusal(
         "--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1"
     )
@@ -89,8 +89,10 @@ def test_a_tests_poses_are_none_that_posenet_learnt():
     assert "poses that it is tested at" in refusal("--pose.seed 0")
     assert "poses that it is tested at" in refusal("--paired.seed 1")
     assert "poses that it is tested at" in refusal("--other_jitters_mm 1 --pose.seed 1000")
-    validate(override(PLAIN, ["--pose.seed", "1000"]))
-    validate(override(PLAIN, ["--pose.seed", "0", "--networks", "entangled,posenet_sheared"]))
+    validate(override_fields(PLAIN, ["--pose.seed", "1000"]))
+    validate(
+        override_fields(PLAIN, ["--pose.seed", "0", "--networks", "entangled,posenet_sheared"])
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,7 @@ def test_a_tests_poses_are_none_that_posenet_learnt():
 def test_posenet_knows_the_poses_of_pairs(field, value):
     assert f"pose.ranges.{field}" in refusal(f"--paired.ranges.{field} {value}")
     validate(
-        override(
+        override_fields(
             PLAIN, [f"--paired.ranges.{field}", str(value), f"--pose.ranges.{field}", str(value)]
         )
     )
@@ -149,18 +151,20 @@ def test_targets_are_those_that_the_data_vary(words, line):
     ],
 )
 def test_targets_that_all_sets_vary_are_taken(words):
-    validate(override(PLAIN, words.split()))
+    validate(override_fields(PLAIN, words.split()))
 
 
 def test_what_a_stimulus_does_not_show_is_no_target():
     words = "--paired.stimuli surface --pose.stimuli surface"
     assert refusal(words).startswith("--targets ")
-    validate(override(PLAIN, [*words.split(), "--targets", "depth_mm"]))
+    validate(override_fields(PLAIN, [*words.split(), "--targets", "depth_mm"]))
     assert "'surface' does not show x_mm" in refusal(f"{words} --targets depth_mm,x_mm")
     leaning = f"{words} --paired.ranges.tilt_deg 10 --pose.ranges.tilt_deg 10"
-    validate(override(PLAIN, [*leaning.split(), "--targets", "depth_mm,tilt_x_deg,tilt_y_deg"]))
+    validate(
+        override_fields(PLAIN, [*leaning.split(), "--targets", "depth_mm,tilt_x_deg,tilt_y_deg"])
+    )
     edges = "--paired.stimuli edge --pose.stimuli edge"
-    validate(override(PLAIN, edges.split()))
+    validate(override_fields(PLAIN, edges.split()))
     assert "'edge' does not show y_mm" in refusal(f"{edges} --targets y_mm,yaw_deg")
 
 
@@ -168,13 +172,13 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
     words = ["--unshear.input", "pins", "--pins.turned", "1"]
     assert "edge_deg, edge_mm" in refusal(" ".join(words))
     assert "edge_deg, edge_mm" in refusal(" ".join([*words, "--targets", "edge_mm,yaw_deg"]))
-    validate(override(PLAIN, [*words, "--targets", "edge_mm,edge_deg:circle,depth_mm"]))
+    validate(override_fields(PLAIN, [*words, "--targets", "edge_mm,edge_deg:circle,depth_mm"]))
     assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
 
 
 def test_a_direct_posenet_that_convolves_reads_pins():
     pins = "--unshear.input pins --pins.direct_convolved"
-    validate(override(PLAIN, f"{pins} 4,6 --networks posenet_sheared".split()))
+    validate(override_fields(PLAIN, f"{pins} 4,6 --networks posenet_sheared".split()))
     assert "does not train" in refusal(f"{pins} 4,6 --networks posenet")
     assert "does not train" in refusal("--pins.direct_convolved 4 --networks posenet_sheared")
     assert "list positive numbers" in refusal(f"{pins} 4,0 --networks posenet_sheared")
@@ -185,7 +189,7 @@ def test_a_direct_posenet_that_convolves_reads_pins():
 def test_what_codes_that_do_not_leak_take(field):
     pins = "--unshear.input pins --networks disentangled,posenet"
     shared = f"{pins} --paired.poses_a_slide 2"
-    validate(override(PLAIN, f"{shared} --train_pins.{field} 1".split()))
+    validate(override_fields(PLAIN, f"{shared} --train_pins.{field} 1".split()))
     assert "raise pins.shear_code" in refusal(
         f"{shared} --pins.shear_code 0 --train_pins.{field} 1"
     )
@@ -198,16 +202,18 @@ def test_what_codes_of_images_that_are_apart_take():
     assert "raise train.slide_weight" in refusal(apart)
     assert "use pins.apart" in refusal(f"{apart} --unshear.input pins")
     taught = f"{apart} --train.slide_weight 1"
-    validate(override(PLAIN, taught.split()))
+    validate(override_fields(PLAIN, taught.split()))
     assert "raise train.slide_weight and unshear.shear" in refusal(
         f"{taught} --unshear.shear_channels 0"
     )
     assert refusal(f"{taught} --train.swap_weight 1").startswith(
         "--train.swap_weight 1.0: takes simulated slides"
     )
-    validate(override(PLAIN, f"{taught} --train.agreement_weight 1".split()))
+    validate(override_fields(PLAIN, f"{taught} --train.agreement_weight 1".split()))
     for field in ("swap_weight", "agreement_weight"):
-        validate(override(PLAIN, f"{taught} --paired.poses_a_slide 2 --train.{field} 1".split()))
+        validate(
+            override_fields(PLAIN, f"{taught} --paired.poses_a_slide 2 --train.{field} 1".split())
+        )
 
 
 @pytest.mark.parametrize(
@@ -237,12 +243,12 @@ def test_fewer_pairs_within_their_limits(words, line):
     networks = "--networks disentangled,posenet"
     assert line in refusal(f"{networks} {words}")
     few = f"{networks} --unshear.input pins --train_pins.tap_weight 1 --train_pins.paired_share 0.1"
-    validate(override(PLAIN, few.split()))
+    validate(override_fields(PLAIN, few.split()))
 
 
 def test_taps_of_a_tested_pose_teach_no_network():
     words = "--networks disentangled --unshear.input pins --train_pins.pose_weight 0 --pose.seed 0"
-    validate(override(PLAIN, words.split()))
+    validate(override_fields(PLAIN, words.split()))
     assert refusal(f"{words} --train_pins.tap_weight 1").startswith("--pose.seed 0")
 
 
@@ -252,7 +258,7 @@ def test_exchanged_codes_take_slides_that_poses_share():
         assert refusal(f"{words} --train_pins.swap_weight 1").startswith(
             "--train_pins.swap_weight 1.0: takes simulated"
         )
-    validate(override(PLAIN, f"{pins} --train_pins.agreement_weight 1".split()))
+    validate(override_fields(PLAIN, f"{pins} --train_pins.agreement_weight 1".split()))
 
 
 @pytest.mark.parametrize(
@@ -293,9 +299,11 @@ def test_twists_and_tilts_within_their_limits(words, line):
 
 def test_twists_and_tilts_that_can_be():
     wide = "--paired.ranges.depth_max_mm 5 --pose.ranges.depth_max_mm 5 --pose.ranges.tilt_deg 25"
-    validate(override(PLAIN, f"{wide} --other_tilts_deg 0,25 --other_twists_deg 0,20".split()))
     validate(
-        override(
+        override_fields(PLAIN, f"{wide} --other_tilts_deg 0,25 --other_twists_deg 0,20".split())
+    )
+    validate(
+        override_fields(
             PLAIN,
             [
                 "--paired.ranges.twist_deg",

@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.settings.data import PairedData, PoseData
-from jaxunshear.settings.splits import BLOCK, SPLITS, split_of, splits_of, train_poses
+from jaxunshear.settings.splits import BLOCK, SPLITS, assign_split, assign_splits, count_train_poses
 
 GOLDEN = [2, 0, 0, 0, 1, 0, 1, 0, 2, 0, 0, 2, 1, 0, 0, 1, 0, 0, 0, 2]
 DRAWN = (7, 60)
@@ -41,27 +41,27 @@ def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("stimulus", ["disk", "clover", "spiral_2"])
 def test_a_larger_set_begins_with_the_smaller_and_every_split_is_there(seed, stimulus):
-    largest = splits_of(seed, stimulus, max(SIZES))
+    largest = assign_splits(seed, stimulus, max(SIZES))
     for size in SIZES:
-        splits = splits_of(seed, stimulus, size)
+        splits = assign_splits(seed, stimulus, size)
         np.testing.assert_array_equal(splits, largest[:size])
         assert set(splits) == {0, 1, 2}
-        assert train_poses(seed, stimulus, size) == (splits == 0).sum()
+        assert count_train_poses(seed, stimulus, size) == (splits == 0).sum()
         if size % BLOCK == 0:
             assert np.bincount(splits).tolist() == [size * 3 // 5, size // 5, size // 5]
 
 
 def test_every_place_of_a_block_is_held_out_as_often():
     """And another seed or stimulus draws anew: they share a fifth of their test poses, by chance."""
-    splits = splits_of(0, "disk", 20_000)
+    splits = assign_splits(0, "disk", 20_000)
     for split in (1, 2):
         shares = np.bincount(np.flatnonzero(splits == split) % BLOCK) / 4000
         np.testing.assert_allclose(shares, 0.2, atol=0.03)
-    for other in (splits_of(1, "disk", 20_000), splits_of(0, "clover", 20_000)):
+    for other in (assign_splits(1, "disk", 20_000), assign_splits(0, "clover", 20_000)):
         assert 0.17 < (other[splits == 2] == 2).mean() < 0.23
 
 
 def test_splits_are_those_of_all_later_versions():
     """They are written down: another hash would carry tests into trainings without a word."""
-    assert splits_of(0, "disk", 20).tolist() == GOLDEN
-    assert [split_of(0, "disk", pose) for pose in range(20)] == GOLDEN
+    assert assign_splits(0, "disk", 20).tolist() == GOLDEN
+    assert [assign_split(0, "disk", pose) for pose in range(20)] == GOLDEN

@@ -10,7 +10,7 @@ from jaxunshear.run import run_stages
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
-from jaxunshear.settings.stored import from_json, to_json, with_version
+from jaxunshear.settings.serialization import from_json, to_json, with_version
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.checkpoint import read_net, write_settings
 

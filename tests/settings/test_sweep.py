@@ -8,7 +8,14 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.sweep import Sweep, base_of, check, load_sweep, parse_seeds, with_overrides
+from jaxunshear.settings.sweep import (
+    Sweep,
+    check_sweep,
+    get_base,
+    load_sweep,
+    override_base,
+    parse_seeds,
+)
 from jaxunshear.sweep.rows import cells_of, reference_of
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
@@ -51,7 +58,7 @@ BAD = [
 @pytest.mark.parametrize(("changes", "line"), BAD, ids=[line for _, line in BAD])
 def test_a_bad_sweep_is_refused_in_one_line(changes, line):
     with pytest.raises(UserError) as refusal:
-        check(replace(PLAIN, **changes), "bad.py")
+        check_sweep(replace(PLAIN, **changes), "bad.py")
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
@@ -69,7 +76,7 @@ def test_a_field_within_a_varied_group_cannot_be_overridden():
     sensors = replace(PLAIN, grid=(("sensor", (TACTIP_331,)),))
     for words in (["--sensor.skin_mm", "2"], ["--sensor", "tactip127"]):
         with pytest.raises(UserError, match="varies sensor"):
-            with_overrides(sensors, words)
+            override_base(sensors, words)
 
 
 BAD_CELLS = [
@@ -87,17 +94,17 @@ BAD_CELLS = [
 @pytest.mark.parametrize(("changes", "line"), BAD_CELLS, ids=[line for _, line in BAD_CELLS])
 def test_a_bad_cell_is_refused_by_its_label(changes, line):
     sweep = replace(PLAIN, **changes)
-    check(sweep, "bad.py")
+    check_sweep(sweep, "bad.py")
     with pytest.raises(UserError) as refusal:
         reference_of(sweep, cells_of(sweep))
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
-    changed = with_overrides(
+    changed = override_base(
         LAMBDA, ["--train.epochs", "2", "--name", "other", "--networks", "disentangled"]
     )
-    assert (changed.base.train.epochs, changed.name, base_of(changed).networks) == (
+    assert (changed.base.train.epochs, changed.name, get_base(changed).networks) == (
         2.0,
         "other",
         ("disentangled",),
@@ -108,10 +115,10 @@ def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
         ("--train.epoch 3", "did you mean --train.epochs"),
     ):
         with pytest.raises(UserError, match=line):
-            with_overrides(LAMBDA, words.split())
+            override_base(LAMBDA, words.split())
     rings = replace(PLAIN, grid=(("sensor.rings", (8, 10)),))
     with pytest.raises(UserError, match=r"--sensor: .* varies sensor.rings"):
-        with_overrides(rings, ["--sensor", "tactip127"])
+        override_base(rings, ["--sensor", "tactip127"])
 
 
 def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():

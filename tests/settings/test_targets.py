@@ -14,23 +14,23 @@ from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.targets import (
     CIRCLE,
     RANGE,
-    RECORDED,
-    SIMULATED,
+    RECORDED_FIELDS,
+    SIMULATED_FIELDS,
     Target,
-    felt_of,
-    fields_of,
     from_json,
-    moves_of,
-    names_of,
-    of_labels,
-    of_ranges,
-    parsed,
+    list_label_fields,
+    list_target_names,
+    make_label_targets,
+    make_move_targets,
+    make_range_targets,
+    make_slide_targets,
+    parse_target,
+    read_true_values,
     to_json,
-    true_values,
 )
 from jaxunshear.training.tasks import compute_pose_error_terms
 
-USUAL = of_ranges((), Ranges())
+USUAL = make_range_targets((), Ranges())
 SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_mm")
 
 
@@ -66,7 +66,7 @@ def simulated(count=50):
     ],
 )
 def test_a_target_is_a_name_with_or_without_its_kind_and_weight(text, found):
-    assert parsed(text, SIMULATED) == found
+    assert parse_target(text, SIMULATED_FIELDS) == found
 
 
 @pytest.mark.parametrize(
@@ -89,13 +89,13 @@ def test_a_target_is_a_name_with_or_without_its_kind_and_weight(text, found):
 )
 def test_what_is_no_target_is_refused(text, line):
     with pytest.raises(UserError, match=line):
-        parsed(text, SIMULATED)
+        parse_target(text, SIMULATED_FIELDS)
     with pytest.raises(UserError, match=line):
-        of_ranges((text,), Ranges())
+        make_range_targets((text,), Ranges())
 
 
 def test_a_simulated_set_has_the_papers_two_and_the_edge():
-    assert names_of(USUAL) == ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
+    assert list_target_names(USUAL) == ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
     assert [target.weight for target in USUAL] == [1, 1, 4, 1]
     assert [target.circle for target in USUAL] == [False, False, False, True]
     assert [target.reach for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
@@ -106,7 +106,9 @@ def test_a_simulated_set_has_the_papers_two_and_the_edge():
         1,
         1,
     )
-    assert fields_of(USUAL) == ("pose", "edge") and fields_of(USUAL[:2]) == ("pose",)
+    assert list_label_fields(USUAL) == ("pose", "edge") and list_label_fields(USUAL[:2]) == (
+        "pose",
+    )
 
 
 @pytest.mark.parametrize(
@@ -118,7 +120,7 @@ def test_a_simulated_set_has_the_papers_two_and_the_edge():
     ],
 )
 def test_what_does_not_vary_is_no_target(ranges, names):
-    assert names_of(of_ranges((), ranges)) == names
+    assert list_target_names(make_range_targets((), ranges)) == names
 
 
 @pytest.mark.parametrize(
@@ -133,17 +135,17 @@ def test_what_does_not_vary_is_no_target(ranges, names):
 )
 def test_naming_what_does_not_vary_is_refused(text, ranges):
     with pytest.raises(UserError, match=f"target '{text.split(':')[0]}' does not vary"):
-        of_ranges((text,), ranges)
+        make_range_targets((text,), ranges)
 
 
 def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_range():
-    depth, y, yaw, angle, _ = of_ranges(
+    depth, y, yaw, angle, _ = make_range_targets(
         SEVERAL, Ranges(lateral_mm=3, yaw_deg=90, depth_min_mm=1, depth_max_mm=5)
     )
     assert depth == Target("depth_mm", "pose", 3, 3.0, 2.0)
     assert y == Target("y_mm", "pose", 1, 0.0, 3.0)
     assert yaw == Target("yaw_deg", "pose", 2, 0.0, 90.0, weight=2.0)
-    assert angle == Target("edge_deg", "edge", 1, circle=True, weight=0.5)
+    assert angle == Target("edge_deg", "edge", 1, is_circular=True, weight=0.5)
 
 
 @pytest.mark.parametrize(
@@ -156,39 +158,41 @@ def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_ra
     ],
 )
 def test_an_angle_is_a_circle_where_it_is_asked_for_or_goes_round(half, text, circle):
-    (target,) = of_ranges((text,), Ranges(yaw_deg=half))
+    (target,) = make_range_targets((text,), Ranges(yaw_deg=half))
     assert target.circle == circle
     assert target.outputs == (2 if circle else 1)
 
 
 def test_recorded_labels_that_vary_are_targets():
-    targets = of_labels((), recorded())
-    assert names_of(targets) == ("x_mm", "y_mm", "Rx_deg", "Rz_deg")
+    targets = make_label_targets((), recorded())
+    assert list_target_names(targets) == ("x_mm", "y_mm", "Rx_deg", "Rz_deg")
     assert [target.circle for target in targets] == [False, False, False, True]
-    assert [target.column for target in targets] == [0, 1, 3, 5] and fields_of(targets) == ("pose",)
+    assert [target.column for target in targets] == [0, 1, 3, 5] and list_label_fields(targets) == (
+        "pose",
+    )
 
 
 def test_recorded_labels_fill_the_outputs_from_end_to_end():
     poses = recorded()
     wanted = np.asarray(
-        posenet.scale_poses({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses))
+        posenet.scale_poses({"pose": poses}, make_label_targets(("x_mm", "y_mm", "Rx_deg"), poses))
     )
     np.testing.assert_allclose(wanted.min(axis=0), 0, atol=1e-6)
     np.testing.assert_allclose(wanted.max(axis=0), 1, atol=1e-6)
-    turned = of_labels(("Rz_deg:range",), poses)
+    turned = make_label_targets(("Rz_deg:range",), poses)
     wanted = np.asarray(posenet.scale_poses({"pose": poses}, turned))[:2, 0]
     np.testing.assert_allclose(wanted, [0, 1], atol=1e-2)
 
 
 def test_what_slides_vary_is_felt_by_the_sensor_or_labelled():
-    assert names_of(felt_of(Ranges())) == ("slide_x_mm", "slide_y_mm")
-    x, _, twist = felt_of(Ranges(move_mm=2, twist_deg=20))
+    assert list_target_names(make_slide_targets(Ranges())) == ("slide_x_mm", "slide_y_mm")
+    x, _, twist = make_slide_targets(Ranges(move_mm=2, twist_deg=20))
     assert (x.field, x.column, x.middle, x.reach, x.circle) == ("felt", 0, 0, 2, False)
     assert (twist.name, twist.column, twist.reach) == ("slide_twist_deg", 2, 20)
-    assert felt_of(Ranges(move_mm=0)) == ()
+    assert make_slide_targets(Ranges(move_mm=0)) == ()
     moves = np.zeros((4, 6))
     moves[:3, 0], moves[:3, 5], moves[3] = [-5, 0, 3], [0, 1, 2], np.nan
-    along, turn = moves_of(moves)
+    along, turn = make_move_targets(moves)
     assert (along.name, along.field, along.column, along.middle, along.reach) == (
         "slide_x_mm",
         "move",
@@ -197,7 +201,7 @@ def test_what_slides_vary_is_felt_by_the_sensor_or_labelled():
         4,
     )
     assert (turn.name, turn.column, turn.middle, turn.reach) == ("slide_Rz_deg", 5, 1, 1)
-    assert moves_of(moves[3:]) == moves_of(moves[:0]) == ()
+    assert make_move_targets(moves[3:]) == make_move_targets(moves[:0]) == ()
 
 
 def test_rows_with_an_unknown_label_give_nothing_of_ranges():
@@ -205,44 +209,44 @@ def test_rows_with_an_unknown_label_give_nothing_of_ranges():
     unknown = poses.copy()
     unknown[:, 0] = 1e3
     unknown[:, 4] = np.nan
-    assert of_labels((), np.concatenate([poses, unknown])) == of_labels((), poses)
-    assert of_labels((), unknown) == of_labels((), poses[:0]) == ()
+    assert make_label_targets((), np.concatenate([poses, unknown])) == make_label_targets((), poses)
+    assert make_label_targets((), unknown) == make_label_targets((), poses[:0]) == ()
 
 
 @pytest.mark.parametrize("text", ["z_mm", "Ry_deg:circle"])
 def test_naming_a_label_that_stays_where_it_is_is_refused(text):
     with pytest.raises(UserError, match="does not vary in this data set: leave it out"):
-        of_labels((text,), recorded())
+        make_label_targets((text,), recorded())
 
 
 def test_the_slide_of_a_recording_is_a_target_where_it_is_named():
     poses, moves = recorded(), np.zeros((len(recorded()), 6))
     moves[:, 0], moves[0, 5] = np.linspace(-3, 5, len(moves)), 4
-    targets = of_labels(("y_mm", "slide_x_mm", "slide_Rz_deg:range:2"), poses, moves)
+    targets = make_label_targets(("y_mm", "slide_x_mm", "slide_Rz_deg:range:2"), poses, moves)
     assert targets[1:] == (
         Target("slide_x_mm", "move", 0, 1.0, 4.0),
         Target("slide_Rz_deg", "move", 5, 2.0, 2.0, weight=2.0),
     )
-    assert fields_of(targets) == ("pose", "move")
+    assert list_label_fields(targets) == ("pose", "move")
     wanted = np.asarray(posenet.scale_poses({"pose": poses, "move": moves}, targets))
     np.testing.assert_allclose(wanted[:, 1], np.linspace(0, 1, len(moves)), atol=1e-6)
-    assert of_labels((), poses, moves) == of_labels((), poses)
+    assert make_label_targets((), poses, moves) == make_label_targets((), poses)
     with pytest.raises(UserError, match="slide_y_mm' does not vary"):
-        of_labels(("slide_y_mm",), poses, moves)
+        make_label_targets(("slide_y_mm",), poses, moves)
 
 
 def test_recorded_and_simulated_sets_have_names_of_their_own():
     with pytest.raises(
         UserError, match="target 'edge_mm' is unknown: use x_mm, y_mm, z_mm, Rx_deg, Ry_deg, Rz_deg"
     ):
-        of_labels(("edge_mm",), recorded())
-    assert set(RECORDED) & set(SIMULATED) == {"x_mm", "y_mm"}
+        make_label_targets(("edge_mm",), recorded())
+    assert set(RECORDED_FIELDS) & set(SIMULATED_FIELDS) == {"x_mm", "y_mm"}
 
 
 @pytest.mark.parametrize("jit", [True, False])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 def test_labels_come_back_from_their_outputs(count, jit):
-    targets, batch = of_ranges(SEVERAL[:count], Ranges()), simulated()
+    targets, batch = make_range_targets(SEVERAL[:count], Ranges()), simulated()
 
     def there_and_back(batch):
         outputs = posenet.scale_poses(batch, targets)
@@ -255,8 +259,8 @@ def test_labels_come_back_from_their_outputs(count, jit):
         == (50, len(posenet.list_output_weights(targets)))
     )
     assert 0 <= float(outputs.min()) < float(outputs.max()) <= 1
-    true = true_values(targets, batch)
-    assert tuple(true) == names_of(targets) and set(back) == set(true)
+    true = read_true_values(targets, batch)
+    assert tuple(true) == list_target_names(targets) and set(back) == set(true)
     for name, values in true.items():
         np.testing.assert_allclose(back[name], values, atol=1e-3 if name.endswith("_deg") else 1e-5)
 
@@ -293,7 +297,7 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     """In training and in evaluation, and whether the angle is one output or two."""
     labels, answers = np.zeros((2, 6), np.float32), np.zeros((2, 6), np.float32)
     labels[:, 5], answers[:, 5] = (label, 10), (answer, 10)
-    targets = of_labels(
+    targets = make_label_targets(
         (f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]])
     )
     outputs, batch = posenet.scale_poses({"pose": answers}, targets), {"pose": labels}
@@ -304,12 +308,12 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
         name: np.asarray(value) for name, value in posenet.unscale_outputs(outputs, targets).items()
     }
     np.testing.assert_allclose(
-        compute_pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
+        compute_pose_errors(read, read_true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3
     )
 
 
 def test_errors_of_lengths_do_not_wrap():
-    (target,) = targets = of_labels(
+    (target,) = targets = make_label_targets(
         ("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]])
     )
     assert (target.middle, target.reach) == (0, 200)
@@ -325,7 +329,8 @@ def test_errors_of_lengths_do_not_wrap():
 
 
 @pytest.mark.parametrize(
-    "targets", [USUAL, of_ranges(SEVERAL, Ranges()), of_labels((), recorded()), ()]
+    "targets",
+    [USUAL, make_range_targets(SEVERAL, Ranges()), make_label_targets((), recorded()), ()],
 )
 def test_targets_come_back_from_json(targets):
     assert from_json(json.loads(json.dumps(to_json(targets))), "model.json") == targets

@@ -22,10 +22,10 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import Outcome
-from jaxunshear.settings.configs import describe
-from jaxunshear.settings.experiment import Experiment, learnt_from
+from jaxunshear.settings.configs import describe_set
+from jaxunshear.settings.experiment import Experiment, get_training_data
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.source import read_source
 from jaxunshear.storage import os_error, read_json, write_json
@@ -68,7 +68,7 @@ def train(experiment, network, folder, data):
     place.mkdir(exist_ok=True)
     write_json(
         place / "model.json",
-        {"origin": describe(learnt_from(experiment, network), experiment.sensor)},
+        {"origin": describe_set(get_training_data(experiment, network), experiment.sensor)},
     )
     part = training_part(experiment, network).name
     checkpoint = place / "checkpoint.json"

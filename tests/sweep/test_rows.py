@@ -9,13 +9,13 @@ import pytest
 from jaxunshear import run
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE as RECORDED
-from jaxunshear.settings.experiment import Experiment, needed, trained
-from jaxunshear.settings.fields import field_types, replaced
+from jaxunshear.settings.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.settings.fields import list_field_types, replace_field
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.sweep import Sweep, check
+from jaxunshear.settings.sweep import Sweep, check_sweep
 from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
 from jaxunshear.training.data_origin import describe_origin
 
@@ -100,7 +100,7 @@ def test_rows_can_be_given_labels():
         (("a", 1), "texts"),
     ):
         with pytest.raises(UserError, match=line):
-            check(replace(sweep, labels=labels), "file.py")
+            check_sweep(replace(sweep, labels=labels), "file.py")
 
 
 def test_different_cells_of_one_label_are_refused():
@@ -123,7 +123,7 @@ def test_every_setting_decides_the_digest_but_names_and_order(base, other):
     )
     assert digest != row_digest(base, True)
     assert _value(base, other) is None
-    for name, kind in field_types():
+    for name, kind in list_field_types():
         value = _value(base, name)
         if name in ("name", "claim", "sensor") or value is None:  # None: of the other kind of data
             continue
@@ -134,7 +134,7 @@ def test_every_setting_decides_the_digest_but_names_and_order(base, other):
             str: lambda v: v + "x",
         }.get(kind)
         changed = changing(value) if changing else ("x",)
-        assert row_digest(replaced(base, name, changed), False) != digest, name
+        assert row_digest(replace_field(base, name, changed), False) != digest, name
 
 
 def test_the_reference_is_the_cell_of_the_bases_own_values():
@@ -225,8 +225,11 @@ def test_equal_parts_are_equal_trainings(asked, network):
 def test_a_teacher_is_trained_where_a_network_is_taught():
     plain = replace(BASE, networks=("unet", "posenet"))
     taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
-    assert (trained(plain), trained(taught)) == (("unet", "posenet"), (TEACHER, "unet", "posenet"))
-    assert trained(replace(taught, networks=("posenet",))) == ("posenet",)
+    assert (list_trained_networks(plain), list_trained_networks(taught)) == (
+        ("unet", "posenet"),
+        (TEACHER, "unet", "posenet"),
+    )
+    assert list_trained_networks(replace(taught, networks=("posenet",))) == ("posenet",)
 
 
 def test_a_taught_network_depends_on_its_teacher():
@@ -240,7 +243,7 @@ def test_a_taught_network_depends_on_its_teacher():
     assert len(set(names(plain, "disentangled"))) == 1
     assert len(set(names(taught, "disentangled"))) == 2
     assert names(plain, TEACHER) == names(taught, TEACHER)
-    assert needed(taught, "disentangled") == (TEACHER, "disentangled")
+    assert list_required_networks(taught, "disentangled") == (TEACHER, "disentangled")
 
 
 def test_a_teacher_has_a_training_of_its_own():
@@ -257,8 +260,8 @@ def test_a_teacher_has_a_training_of_its_own():
     assert those_that_change(taught, "train_teacher") == {"disentangled", TEACHER}
     assert those_that_change(taught, "train_posenet") == {"posenet"}
     assert those_that_change(plain, "train_posenet") == {"posenet"}
-    assert needed(plain, "disentangled") == ("disentangled",)
-    assert needed(taught, "posenet") == ("posenet",)
+    assert list_required_networks(plain, "disentangled") == ("disentangled",)
+    assert list_required_networks(taught, "posenet") == ("posenet",)
 
 
 @pytest.mark.parametrize("network", ["entangled", "unet"])

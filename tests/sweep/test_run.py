@@ -20,7 +20,7 @@ from jaxunshear.locks import locked
 from jaxunshear.plain import plain
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.stored import from_json
+from jaxunshear.settings.serialization import from_json
 from jaxunshear.source import read_source
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
 
 SIZE = 16
@@ -20,7 +20,7 @@ NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 TRAINING = Training(epochs=3, batch=4, crops=5, crop_px=5, validate_every=4, l1=1e-5, l2=1e-5)
 IMAGES = 16  # an epoch: 4 steps, 12 in all
-TARGETS = of_ranges((), Ranges())
+TARGETS = make_range_targets((), Ranges())
 
 
 def dots(key: int, images: int, size: int = SIZE) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import of_ranges, to_json
+from jaxunshear.settings.targets import make_range_targets, to_json
 from jaxunshear.training import checkpoint
 
 STATE = {
@@ -139,7 +139,7 @@ def test_settings_there_and_back(tmp_path, kind, net):
 
 
 def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
-    targets = of_ranges((), Ranges())
+    targets = make_range_targets((), Ranges())
     for name, more in (("known", {"targets": to_json(targets)}), ("older", {})):
         for kind in ("posenet", "unshear"):
             checkpoint.write_settings(tmp_path / name / kind, {"kind": kind, **more})

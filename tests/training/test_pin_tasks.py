@@ -10,7 +10,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model.pin_networks import compute_pin_distance, encode, predict, unshear
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.settings.targets import felt_of, of_labels
+from jaxunshear.settings.targets import make_label_targets, make_slide_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import (
@@ -24,7 +24,7 @@ RNG = np.random.default_rng(0)
 REST = RNG.uniform(10, 100, (19, 2)).astype(np.float32)
 POSES = np.zeros((6, 6), np.float32)
 POSES[:, 1], POSES[:, 5] = np.linspace(-3, 3, 6), np.linspace(-170, 170, 6)
-TARGETS = of_labels((), POSES)
+TARGETS = make_label_targets((), POSES)
 KEY = jax.random.key(0)
 
 
@@ -163,7 +163,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
     poses = np.zeros((64, 6), np.float32)
     poses[:, 1] = np.linspace(-3, 3, 64)
     given = {"pins": REST + poses[:, 1, None, None] / 3 * direction, "pose": poses}
-    targets = of_labels((), poses)
+    targets = make_label_targets((), poses)
     for kind, make in ((PinRenderer, make_renderer_task), (PinPoseNet, make_pin_posenet_task)):
         task = make(kind(**SMALL | {"hidden": 32}), Training(), targets, REST, 1.0)
         variables = task.init(KEY)
@@ -187,7 +187,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 
 
 def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
-    slides = felt_of(Ranges(move_mm=2.0, twist_deg=5.0))
+    slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=5.0))
     net = PinUnshear(**SMALL | {"shear_code": 4}, apart=True)
     task = make_pin_unshear_task(net, Training(slide_weight=3.0), TARGETS, REST, 1.0, slides=slides)
     variables, given = task.init(KEY), batch()

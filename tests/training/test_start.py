@@ -13,9 +13,9 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.folders import RELEASED, load_settings
 from jaxunshear.model import unshearnet
-from jaxunshear.settings.configs import fingerprint
+from jaxunshear.settings.configs import compute_fingerprint
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment, further_tests
+from jaxunshear.settings.experiment import Experiment, list_further_tests
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
@@ -81,7 +81,7 @@ def test_what_was_learnt_through_others_is_known(tmp_path):
     first = keep(tmp_path / "first", data=data_of(SIMULATED, NETWORK, None))
     second = keep(tmp_path / "second", data=data_of(RECORDED, NETWORK, first))
     pairs, taps = (
-        fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)
+        compute_fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)
     )
     assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", pairs])
     taught = replace(SIMULATED, train=replace(SIMULATED.train, pose_weight=0.5))
@@ -95,10 +95,10 @@ def test_what_was_learnt_through_others_is_known(tmp_path):
 
 def test_weights_are_refused_where_they_learnt_from_what_is_tested(tmp_path):
     """Sets of one seed share their splits, recordings may have been split otherwise."""
-    (test,) = further_tests(SIMULATED).values()
+    (test,) = list_further_tests(SIMULATED).values()
     for experiment, data, refused in (
         (SIMULATED, data_of(SIMULATED, NETWORK, None), False),
-        (SIMULATED, [fingerprint(test, SIMULATED.sensor)], True),
+        (SIMULATED, [compute_fingerprint(test, SIMULATED.sensor)], True),
         (RECORDED, data_of(SIMULATED, NETWORK, None), False),
         (RECORDED, ["bb"], True),
     ):

@@ -15,8 +15,8 @@ from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.dispatch import unshear
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UNet
-from jaxunshear.settings.targets import felt_of
-from jaxunshear.settings.training import labelled
+from jaxunshear.settings.targets import make_slide_targets
+from jaxunshear.settings.training import uses_pose_labels
 from jaxunshear.training import losses
 from jaxunshear.training.tasks import make_pose_supervision, make_unshear_task
 
@@ -170,12 +170,12 @@ def test_a_teacher_without_targets_is_refused(teacher, training):
     ],
 )
 def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
-    assert labelled(training) == reported
+    assert uses_pose_labels(training) == reported
 
 
 def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     net = replace(small.NET, apart=True)
-    slides = felt_of(Ranges(move_mm=2.0))
+    slides = make_slide_targets(Ranges(move_mm=2.0))
     training = replace(small.TRAINING, swap_weight=2.0, agreement_weight=0.5, slide_weight=3.0)
     task = make_unshear_task(net, training, slides=slides)
     variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)

@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model.posenet import scale_poses
-from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.targets import make_label_targets
 from jaxunshear.training.rotation import (
     ANGLES,
     find_rotation_sense,
@@ -91,7 +91,7 @@ def test_pins_that_are_not_seen_count_as_untouched():
 @pytest.mark.parametrize("sense", [1, -1])
 def test_the_twist_turns_and_nothing_else(sense):
     _, poses = contacts(40, 1)
-    targets, k = of_labels((), poses), 7
+    targets, k = make_label_targets((), poses), 7
     outputs = scale_poses({"pose": jnp.asarray(poses, jnp.float32)}, targets)
     after = poses.copy()
     after[:, 5] += sense * 360 * k / ANGLES
@@ -104,12 +104,12 @@ def test_the_twist_turns_and_nothing_else(sense):
 @pytest.mark.parametrize("sense", [1, -1])
 def test_the_sense_is_found_in_the_recordings(sense):
     pins, poses = contacts(600, sense)
-    assert find_rotation_sense(REST, pins, poses, of_labels((), poses)) == sense
+    assert find_rotation_sense(REST, pins, poses, make_label_targets((), poses)) == sense
 
 
 def test_touches_that_do_not_turn_with_their_label_are_refused():
     pins, poses = contacts(600, 1)
     with pytest.raises(UserError, match="turned touches do not resemble recorded ones"):
-        find_rotation_sense(REST, pins[RNG.permutation(600)], poses, of_labels((), poses))
+        find_rotation_sense(REST, pins[RNG.permutation(600)], poses, make_label_targets((), poses))
     with pytest.raises(UserError, match="asks for Rz_deg over the full circle"):
-        find_rotation_sense(REST, pins, poses, of_labels(("y_mm", "Rz_deg:range"), poses))
+        find_rotation_sense(REST, pins, poses, make_label_targets(("y_mm", "Rz_deg:range"), poses))

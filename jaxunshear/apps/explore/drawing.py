@@ -7,7 +7,7 @@ import numpy as np
 from jaxunshear.apps.explore.outline import trace_outlines
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
 from jaxunshear.image.png import encode_png
-from jaxunshear.settings.reach import reach_mm
+from jaxunshear.settings.reach import compute_reach_mm
 
 MAP_PX = 640
 HALF_MM = 32.0  # of the map, about the shape's target point
@@ -56,7 +56,7 @@ def render_map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) 
     (x, y), (from_x, from_y) = to_px(end), to_px(end - touch.move)
     radius, contact = (
         touch.sensor.dome_radius_mm * PX_PER_MM,
-        reach_mm(touch.sensor, touch.pose[3]) * PX_PER_MM,
+        compute_reach_mm(touch.sensor, touch.pose[3]) * PX_PER_MM,
     )
     yaw = np.radians(touch.pose[2])
     tip = to_px(end + touch.sensor.dome_radius_mm * np.array([np.cos(yaw), np.sin(yaw)]))

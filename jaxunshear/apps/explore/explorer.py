@@ -37,9 +37,9 @@ from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import make_edge_labeler
 from jaxunshear.scene.stimuli import STIMULI, Stimulus
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import SIMULATED
+from jaxunshear.settings.targets import SIMULATED_FIELDS
 
 SHEARED, TAP, TRUE = "sheared", "tap", "true"
 NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this
@@ -129,8 +129,8 @@ def make_explorer(
     folder: Path, experiment: Experiment, like: Path | None = None, own: tuple[Stimulus, ...] = ()
 ) -> Explorer:
     """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
-    paired, _ = simulated_of(experiment, "explore")
-    pins = over_pins(experiment)
+    paired, _ = require_simulated(experiment, "explore")
+    pins = uses_pins(experiment)
     perceive = load_perceiver(
         folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None
     )
@@ -168,7 +168,9 @@ def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
     edge = (float(distance), float(angle)) if abs(distance) < NO_EDGE_MM else (np.nan, np.nan)
     known = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
     return {
-        name: known[field][column] for name, (field, column) in SIMULATED.items() if name in names
+        name: known[field][column]
+        for name, (field, column) in SIMULATED_FIELDS.items()
+        if name in names
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from skimage.measure import find_contours
 
 from jaxunshear.scene.stimuli import Stimulus, compute_signed_distance, make_stimulus
-from jaxunshear.settings.outlines import simplified
+from jaxunshear.settings.outlines import simplify_curve
 from jaxunshear.settings.stimuli import Outline
 
 DRAWN_NAME = "drawn"
@@ -23,7 +23,7 @@ def make_drawn_stimulus(points: np.ndarray) -> Stimulus:
     """A closed curve through points (N, 2) mm of the target frame as a stimulus. Raises UserError where it is none."""
     points = np.asarray(points, float).reshape(-1, 2)
     corners = (
-        simplified(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
+        simplify_curve(points, TREMBLE_MM) if len(points) and np.isfinite(points).all() else points
     )
     return make_stimulus(Outline(DRAWN_NAME, tuple(map(tuple, corners)), target=(0.0, 0.0, 0.0)))
 

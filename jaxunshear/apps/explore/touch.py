@@ -21,7 +21,7 @@ from jaxunshear.scene.paths import make_paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import Stimulus, get_stimulus
-from jaxunshear.settings.reach import ring_spacing
+from jaxunshear.settings.reach import compute_ring_spacing
 from jaxunshear.settings.sensor import Sensor
 
 # `auto`, but friction is never left out: a tap and a slide then share a batch, and programs of one kind are enough.
@@ -103,7 +103,7 @@ def _above(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     apart, nearest = cKDTree(outward(load_shared_dome(sensor).nodes)).query(
         outward(compute_pin_tips(sensor))
     )
-    return nearest, apart * sensor.dome_radius_mm < ring_spacing(sensor)
+    return nearest, apart * sensor.dome_radius_mm < compute_ring_spacing(sensor)
 
 
 def list_warmup_touches(sensor: Sensor, friction: float) -> list[Touch]:

@@ -19,7 +19,7 @@ from jaxunshear.inference.suitability import learnt_note
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.storage import write_bytes
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def export_model(
     _check(out, batch, preprocess)
     folder = model_folder(model)
     experiment = load_settings(folder)
-    if preprocess is not None and over_pins(experiment):
+    if preprocess is not None and uses_pins(experiment):
         raise UserError(
             f"--preprocess: {model} reads pins, which are found outside of the file; leave it out"
         )
@@ -158,9 +158,9 @@ def _metadata(
     parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
 ) -> dict[str, str]:
     """What a program needs to know of a file of ONNX, and its reader of the networks."""
-    from jaxunshear.settings.targets import names_of
+    from jaxunshear.settings.targets import list_target_names
 
-    names = names_of(parts.targets)
+    names = list_target_names(parts.targets)
     known = {
         "jaxunshear": __version__,
         "size_px": str(parts.size),

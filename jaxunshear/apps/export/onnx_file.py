@@ -8,7 +8,7 @@ from jaxunshear.apps.export.frames import ExportCamera
 from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
 from jaxunshear.apps.export.parts import ExportedModel, Run
 from jaxunshear.inference.perceiver import UNSHEARED
-from jaxunshear.settings.targets import names_of
+from jaxunshear.settings.targets import list_target_names
 from jaxunshear.storage import Json
 
 
@@ -76,7 +76,9 @@ def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
     def run(batch: np.ndarray) -> Json:
         found: Json = dict(zip(names, session.run(None, {given: batch}), strict=True))
         if "pose" in found:
-            found["pose"] = dict(zip(names_of(parts.targets), found["pose"].T, strict=True))
+            found["pose"] = dict(
+                zip(list_target_names(parts.targets), found["pose"].T, strict=True)
+            )
         return found
 
     return run

@@ -14,7 +14,7 @@ from jaxunshear.inference.perception import confidence, load_networks, scale_to_
 from jaxunshear.model import posenet
 from jaxunshear.model.dispatch import predict, unshear
 from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
 from jaxunshear.storage import Json
@@ -71,7 +71,7 @@ def load_exported_model(model: Path, experiment: Experiment) -> ExportedModel:
     first = next(iter(parts.values()))
     rest = (
         np.asarray(first.variables["batch_stats"]["rest"], np.float32)
-        if over_pins(experiment)
+        if uses_pins(experiment)
         else None
     )
     size = experiment.paired.preprocess.size

@@ -20,7 +20,7 @@ from jaxunshear.image.preprocess import View
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.targets import RECORDED
+from jaxunshear.settings.targets import RECORDED_FIELDS
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"
@@ -68,7 +68,7 @@ def make_label_reader(
     return (
         None
         if poses is None
-        else lambda number: dict(zip(RECORDED, poses[number].tolist(), strict=True))
+        else lambda number: dict(zip(RECORDED_FIELDS, poses[number].tolist(), strict=True))
     )
 
 

@@ -38,10 +38,10 @@ from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.model.weights import Variables
 from jaxunshear.results.applications import StreamResult
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.settings.targets import names_of
+from jaxunshear.settings.targets import list_target_names
 from jaxunshear.storage import Json, write_bytes
 
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
@@ -85,7 +85,7 @@ def load_stream_model(
     `frame` as `load_perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
     """
     least = NO_MINIMUM if force else MIN_PLAUSIBILITY
-    if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
+    if not isinstance(experiment.paired, Recorded) and not uses_pins(experiment):
         step = make_image_step(model, experiment)
         return StreamModel(
             step,
@@ -117,7 +117,7 @@ def load_stream_model(
 def make_image_step(model: Path, experiment: Experiment) -> Step:
     """Return what a frame is perceived by, of networks over images; compiled already."""
     forward, variables, targets = load_forward(model, DISENTANGLED)
-    names = names_of(targets)
+    names = list_target_names(targets)
     run = jit_for_inference(make_perceive_function(forward, names), variables)
     size = experiment.paired.preprocess.size
 

@@ -38,7 +38,7 @@ HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets
 
 @dataclasses.dataclass(eq=False)
 class SetConfig(tfds.core.BuilderConfig):
-    settings: configs.Settings | None = None
+    settings: configs.DataSettings | None = None
     sensor: Sensor = TACTIP_331
 
 
@@ -47,7 +47,7 @@ def make_standard_configs(name: str) -> list[SetConfig]:
         SetConfig(
             name=config,
             settings=settings,
-            sensor=configs.sensor_of(config),
+            sensor=configs.get_config_sensor(config),
             description=f"{settings.poses} poses a stimulus, see README.md",
         )
         for config, settings in configs.CONFIGS[name].items()
@@ -71,7 +71,9 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
     @property
     def _unfinished(self) -> Path:
         config = self.builder_config
-        return configs.unfinished_folder(config.settings, config.sensor, Path(self._data_dir_root))
+        return configs.get_unfinished_folder(
+            config.settings, config.sensor, Path(self._data_dir_root)
+        )
 
     def download_and_prepare(self, **options: object) -> None:
         """Makes the set unless it is there. Raises `UserError` if another process is making it."""
@@ -102,7 +104,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
             name: importlib.metadata.version(name)
             for name in ("jax", "numpy", "tensorflow-datasets")
         }
-        described = configs.describe(self.builder_config.settings, self.builder_config.sensor)
+        described = configs.describe_set(self.builder_config.settings, self.builder_config.sensor)
         self.info.metadata.update(**described, counts=counts, versions=versions, **more)
 
 

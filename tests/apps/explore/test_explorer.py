@@ -30,7 +30,7 @@ from jaxunshear.apps.explore.touch import (
 from jaxunshear.errors import UserError
 from jaxunshear.folders import RELEASED, load_settings
 from jaxunshear.scene.stimuli import STIMULI, make_stimulus
-from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import SENSORS
 from jaxunshear.settings.stimuli import Outline
 
@@ -159,7 +159,9 @@ def test_places_go_there_and_back(touch, picture):
 def test_what_is_made_ready_reaches_as_deep_as_the_page():
     sensor = SENSORS["tactip331-fitted"]
     touches = list_warmup_touches(sensor, 0.4)
-    assert 10 < len(touches) < 20 and touches[-1].pose[3] == DEEPEST_MM < deepest_mm(sensor)
+    assert 10 < len(touches) < 20 and touches[-1].pose[3] == DEEPEST_MM < compute_max_depth_mm(
+        sensor
+    )
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.apps.explore.outline import make_drawn_stimulus, trace_outlines
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
-from jaxunshear.settings.stimuli import MOST_CORNERS
+from jaxunshear.settings.stimuli import MAX_CORNERS
 
 ANGLE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
 RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
@@ -45,4 +45,4 @@ def test_outlines_run_along_the_edge():
 def test_what_is_no_outline_is_refused(points, reason):
     with pytest.raises(UserError, match=reason):
         make_drawn_stimulus(points)
-    assert MOST_CORNERS < 600
+    assert MAX_CORNERS < 600

@@ -37,7 +37,7 @@ from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
-from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.serialization import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
@@ -47,7 +47,7 @@ NET = UnshearNet(size=SIZE, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 5, 6, 7, 8), hidden=9)
 PINS = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
 REST = np.random.default_rng(0).uniform(5, 25, (19, 2)).astype(np.float32)
-TARGETS = targets.of_ranges((), Ranges())
+TARGETS = targets.make_range_targets((), Ranges())
 EXPERIMENT = Experiment(
     "small",
     "A claim.",
@@ -137,7 +137,7 @@ def test_a_full_circle_has_no_seam():
 
     angle = np.deg2rad(np.arange(-180, 181, 15, dtype=np.float64))
     outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
-    graph, circle = OnnxGraph(), (targets.Target("edge_deg", "edge", 1, circle=True),)
+    graph, circle = OnnxGraph(), (targets.Target("edge_deg", "edge", 1, is_circular=True),)
     graph.give("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
     session = onnxruntime.InferenceSession(
         graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString()

@@ -6,7 +6,14 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.types import Hint, describe, fits, groups, hints, origin
+from jaxunshear.settings.types import (
+    Hint,
+    describe_hint,
+    get_origin,
+    is_of_type,
+    list_groups,
+    list_hints,
+)
 from jaxunshear.storage import Json
 from jaxunshear.version import __version__
 
@@ -24,7 +31,7 @@ def from_json(data: object, source: str = "experiment.json") -> Experiment:
 
     Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
     """
-    return build(
+    return build_value(
         without_version(data, source) if isinstance(data, dict) else data, Experiment, source, ""
     )
 
@@ -50,18 +57,19 @@ def _minor(version: object) -> list[str]:
     return str(version).split(".")[:2]
 
 
-def build(data: object, kind: Hint, source: str, name: str) -> Any:
+def build_value(data: object, kind: Hint, source: str, name: str) -> Any:
     """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
-    items = next(iter(typing.get_args(kind)), None) if origin(kind) is tuple else None
-    if groups(items) and isinstance(data, list):
+    items = next(iter(typing.get_args(kind)), None) if get_origin(kind) is tuple else None
+    if list_groups(items) and isinstance(data, list):
         return tuple(
-            item if isinstance(item, str) else build(item, items, source, name) for item in data
+            item if isinstance(item, str) else build_value(item, items, source, name)
+            for item in data
         )
-    if kinds := groups(kind):
+    if kinds := list_groups(kind):
         return _group(data, kinds, source, name)
-    value = _tupled(data)
-    if not fits(value, kind):
-        raise UserError(f"{source}: {name} takes {describe(kind)}, not {data!r}")
+    value = _convert_to_tuples(data)
+    if not is_of_type(value, kind):
+        raise UserError(f"{source}: {name} takes {describe_hint(kind)}, not {data!r}")
     return value
 
 
@@ -71,14 +79,14 @@ def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
         raise UserError(
             f"{source} does not fit version {__version__}: {name or 'its top level'} is no group; run it again"
         )
-    own = min(kinds, key=lambda each: len(_misfits(data, hints(each), name)))
-    fields = hints(own)
+    own = min(kinds, key=lambda each: len(_misfits(data, list_hints(each), name)))
+    fields = list_hints(own)
     if misfits := _misfits(data, fields, name):
         raise UserError(
             f"{source} does not fit version {__version__}: {', '.join(misfits)}; {OTHERS}: run it again"
         )
     parts = {
-        field: build(data[field], hint, source, f"{name}.{field}".lstrip("."))
+        field: build_value(data[field], hint, source, f"{name}.{field}".lstrip("."))
         for field, hint in fields.items()
     }
     return own(**parts)
@@ -97,5 +105,5 @@ def _misfits(given: Json, fields: dict[str, Hint], group: str) -> list[str]:
     ]
 
 
-def _tupled(data: object) -> object:
-    return tuple(_tupled(item) for item in data) if isinstance(data, list) else data
+def _convert_to_tuples(data: object) -> object:
+    return tuple(_convert_to_tuples(item) for item in data) if isinstance(data, list) else data
