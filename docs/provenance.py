@@ -51,7 +51,7 @@ COMPUTING = frozenset(
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
     "fit": ("run",),
-    "sweep": ("sweep.run", "sweep.work"),
+    "sweep": ("sweep.run", "sweep.worker"),
     "evaluate": ("run", "evaluation.other_recordings", "evaluation.sim_to_real"),
     "ablate": ("evaluation.code_swap_test", "evaluation.leakage"),
     "validate": ("calibration.validate",),

@@ -24,8 +24,8 @@ from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.sweep import Figure, Outcome
 from jaxunshear.settings.configs import list_differences as differing_fields
 from jaxunshear.storage import read_object_if_sound, write_text
-from jaxunshear.sweep.scores import Measured, read_tests, same_contacts
-from jaxunshear.sweep.summary import differences, metrics
+from jaxunshear.sweep.scores import RowScores, has_same_contacts, read_tests
+from jaxunshear.sweep.summary import compute_differences, compute_metrics
 from jaxunshear.table import plain_table
 
 NAMES = ("name", "claim", "paired.config", "pose.config")  # settings that change no score
@@ -42,7 +42,7 @@ CAVEAT = (
 class Run(NamedTuple):
     name: str
     folder: Path
-    measured: Measured  # results.json, and the scores of every test contact
+    measured: RowScores  # results.json, and the scores of every test contact
     seconds: dict[str, float]  # of training, by network
     data: str | None  # version of the data set that a network learnt from
 
@@ -111,7 +111,7 @@ def _read_run(name: str, folder: Path) -> Run:
         data = data or (model.get("origin") or {}).get("version")
         if (file := folder / network / "summary.json").exists():
             seconds[network] = read_record(file, TrainingSummary, RETRAIN_REMEDY).train_seconds
-    return Run(name, folder, Measured(outcome, read_tests(folder, EVALUATE_REMEDY)), seconds, data)
+    return Run(name, folder, RowScores(outcome, read_tests(folder, EVALUATE_REMEDY)), seconds, data)
 
 
 def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
@@ -138,7 +138,10 @@ def _show_setting(value: object, name: str) -> str:
 def compare_scores(runs: Sequence[Run]) -> list[Score]:
     """Give all scores that any run has, in the order of the first that has them."""
     rows = [{0: run.measured} for run in runs]  # as of a sweep with one seed
-    values, changes = [metrics(row) for row in rows], [differences(row, rows[0]) for row in rows]
+    values, changes = (
+        [compute_metrics(row) for row in rows],
+        [compute_differences(row, rows[0]) for row in rows],
+    )
     for run, change in zip(runs, changes, strict=True):
         for name in list(change):
             likeness = table_of(name) in LIKENESS and not _same_inputs(run, runs[0])
@@ -161,7 +164,7 @@ def _same_test(run: Run, other: Run) -> bool:
     if run.data != other.data or "" not in run.measured.tests.keys() & other.measured.tests.keys():
         return False
     same_kind = run.results.simulated == other.results.simulated
-    return same_kind and same_contacts({0: run.measured}, {0: other.measured}, "")
+    return same_kind and has_same_contacts({0: run.measured}, {0: other.measured}, "")
 
 
 def _same_inputs(run: Run, other: Run) -> bool:

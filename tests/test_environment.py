@@ -11,8 +11,8 @@ import pytest
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
 from jaxunshear.storage import cache_folder
-from jaxunshear.sweep.tasks import Order
-from jaxunshear.sweep.work import attempt
+from jaxunshear.sweep.tasks import TaskOrder
+from jaxunshear.sweep.worker import run_order
 
 ROOT = Path(__file__).resolve().parents[1]
 BITS = ("JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_THREEFRY_PARTITIONABLE")
@@ -47,7 +47,7 @@ def test_what_decides_results_is_refused(monkeypatch):
 def test_processes_of_a_sweep_refuse_it_too(monkeypatch, tmp_path):
     """Those on other machines of a cluster take theirs from there."""
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
-    outcome = attempt(Order(kind="row"), tmp_path)
+    outcome = run_order(TaskOrder(kind="row"), tmp_path)
     assert outcome.status == "failed" and "JAX_ENABLE_X64" in outcome.reason
 
 

@@ -15,7 +15,7 @@ from jaxunshear.settings.fields import override_fields
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sweep import check_sweep, load_sweep, override_base
-from jaxunshear.sweep.rows import cells_of, reference_of, rows_of, training_part
+from jaxunshear.sweep.grid import find_reference, list_cells, list_rows, select_training_part
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
@@ -62,8 +62,8 @@ def test_sweeps_are_valid_and_self_describing(path):
     if of_recordings(sweep.base):
         sweep = override_base(sweep, SOMEWHERE)
     check_sweep(sweep, path.name)
-    cells = cells_of(sweep)
-    assert sweep.name == path.stem and reference_of(sweep, cells) is not None
+    cells = list_cells(sweep)
+    assert sweep.name == path.stem and find_reference(sweep, cells) is not None
     for data in () if of_recordings(sweep.base) else (sweep.base.paired, sweep.base.pose):
         assert (
             compute_config_name(data, sweep.base.sensor) in CONFIGS[get_set_name(data)]
@@ -88,9 +88,9 @@ def test_run_times_are_those_of_the_results(path):
 
 def test_lambda_split_is_five_by_five_by_three():
     sweep = load_sweep(FOLDER / "ablations" / "lambda_split.py")
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     assert len(cells) == 25 and sweep.seeds == (0, 1, 2) and sweep.ablation
-    assert len({row.digest for row in rows_of(sweep, cells).values()}) == 75
+    assert len({row.digest for row in list_rows(sweep, cells).values()}) == 75
     assert all(
         cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128
         for cell in cells
@@ -99,9 +99,9 @@ def test_lambda_split_is_five_by_five_by_three():
 
 def test_rivals_are_of_one_make_and_read_by_one_posenet():
     sweep = override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE)
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     for name in ("posenet", "renderer"):
-        assert len({training_part(cell.experiment, name).name for cell in cells}) == 1
+        assert len({select_training_part(cell.experiment, name).name for cell in cells}) == 1
     for cell in cells:
         pins = cell.experiment.pins
         assert pins.convolved == pins.direct_convolved
@@ -119,7 +119,7 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     }
     recorded = load_experiment(FOLDER / "recorded.py")
     cells = {
-        c.label: c for c in cells_of(override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
+        c.label: c for c in list_cells(override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
     }
     given = {
         label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split(

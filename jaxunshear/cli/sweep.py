@@ -89,14 +89,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.results.record_files import write_record
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
-    from jaxunshear.sweep.table import table
+    from jaxunshear.sweep.summary_table import format_table
 
     check_apart(arguments.json, "--json", home=arguments.out / sweep.name)
-    engine: engines.Engine = engines.ray_engine(*asked) if asked else engines.serial
+    engine: engines.Engine = engines.make_ray_engine(*asked) if asked else engines.run_serially
     summary = run_sweep(
         sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
     )
-    print(table(summary))
+    print(format_table(summary))
     print(arguments.out / sweep.name / "sweep.json")
     if arguments.json is not None:
         write_record(arguments.json, summary)

@@ -4,17 +4,17 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 
 from jaxunshear.cluster import Call, Died, Spread, here, over_ray
-from jaxunshear.sweep.tasks import Task, carry_out, give_up
+from jaxunshear.sweep.tasks import Task, run_task, write_failure
 
 Engine = Callable[[Sequence[Task], Sequence[str]], Iterator[Task]]
 
 
-def serial(tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
+def run_serially(tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
     """One task at a time, in their order: a task comes after those that it needs."""
     return _spread(here, tasks, worker)
 
 
-def ray_engine(address: str | None, cores: int) -> Engine:
+def make_ray_engine(address: str | None, cores: int) -> Engine:
     """All tasks at once on a cluster (see `over_ray`) whose machines see the folders under the same paths.
 
     A task whose worker dies goes on from its checkpoint. Raises `UserError` where Ray or the cluster is missing.
@@ -25,11 +25,11 @@ def ray_engine(address: str | None, cores: int) -> Engine:
 def _spread(spread: Spread, tasks: Sequence[Task], worker: Sequence[str]) -> Iterator[Task]:
     which = {task.folder: task for task in tasks}
     calls = (
-        Call(task.folder, carry_out, (task.folder, task.kind, tuple(worker)), task.needs)
+        Call(task.folder, run_task, (task.folder, task.kind, tuple(worker)), task.needs)
         for task in tasks
     )
     for folder, made in spread(calls):
         task = which[folder]
         if isinstance(made, Died):
-            give_up(task.folder, task.kind, made.reason)
+            write_failure(task.folder, task.kind, made.reason)
         yield task

@@ -16,18 +16,18 @@ from jaxunshear.settings.experiment import Experiment, list_required_networks, l
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.storage import read_object
-from jaxunshear.sweep.rows import Row, training_part
-from jaxunshear.sweep.tasks import TASK, Order, Task, outcome_file, read_outcome
+from jaxunshear.sweep.grid import Row, select_training_part
+from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_outcome
 from jaxunshear.training.data_origin import check_origin
 
 FINISHED = "summary.json"  # of a training
-NOT_FOR_DATA = (
+NON_DATA_SETTINGS = (
     *("name", "claim", "seed", "targets", "unshear", "posenet", "pins"),
     *("train", "train_posenet", "train_teacher", "train_pins"),
 )
 
 
-def row_folder(folder: Path, row: Row) -> Path:
+def find_row_folder(folder: Path, row: Row) -> Path:
     """Where `row` is or will be; one that an earlier sweep gave another label stays where it is."""
     there = sorted((folder / "rows").glob(f"*-{row.digest}"))
     return there[0] if there else folder / "rows" / row.experiment.name
@@ -35,29 +35,31 @@ def row_folder(folder: Path, row: Row) -> Path:
 
 def forget_failures(folder: Path, rows: Iterable[Row]) -> None:
     """Takes failed rows, and the shared trainings that failed, for unfinished: they are tried again."""
-    tried = [(row_folder(folder, row), "row") for row in rows]
+    tried = [(find_row_folder(folder, row), "row") for row in rows]
     tried += [(path, "training") for path in (folder / "shared").glob("*/")]
     for path, kind in tried:
         outcome = read_outcome(path, kind)
         if outcome and outcome.status == "failed":
-            outcome_file(path, kind).unlink()
+            get_outcome_file(path, kind).unlink()
 
 
-def unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
+def list_unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
     """The rows without an outcome, each once, named as their folders are."""
     found = {}
     for row in rows:
-        path = row_folder(folder, row)
-        if not outcome_file(path, "row").exists():
+        path = find_row_folder(folder, row)
+        if not get_outcome_file(path, "row").exists():
             found[row.digest] = replace(row, experiment=replace(row.experiment, name=path.name))
     return list(found.values())
 
 
-def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
+def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     """Making, or finding made, each data set that `rows` need, once."""
     experiments = []
     for row in rows:
-        plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
+        plain = {
+            field: getattr(Experiment(name="", claim=""), field) for field in NON_DATA_SETTINGS
+        }
         taught = float(
             row.experiment.train.pose_weight > 0
         )  # a teacher needs its taps, whatever its weight
@@ -66,19 +68,23 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
         if experiment not in experiments:
             experiments.append(experiment)
     task = Task(folder / "data", "data")
-    outcome_file(task.folder, task.kind).unlink(
+    get_outcome_file(task.folder, task.kind).unlink(
         missing_ok=True
     )  # a set may have been deleted since
-    write_record(task.folder / TASK, Order(kind=task.kind, experiments=experiments, data=str(data)))
+    write_record(
+        task.folder / TASK, TaskOrder(kind=task.kind, experiments=experiments, data=str(data))
+    )
     return task
 
 
-def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: str) -> list[Task]:
+def plan_tasks(
+    folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
+) -> list[Task]:
     """The tasks of the unfinished `rows`, the trainings that they share before them; writes each one's task.json."""
-    order = Order(kind="", data=str(data), command=command)
+    order = TaskOrder(kind="", data=str(data), command=command)
     finished = _finished_trainings(folder)
     parts = {
-        (row.digest, network): training_part(row.experiment, network)
+        (row.digest, network): select_training_part(row.experiment, network)
         for row in rows
         for network in list_trained_networks(row.experiment)
         if not (folder / "rows" / row.experiment.name / network / FINISHED).exists()
@@ -107,12 +113,14 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                 if (
                     outcome is None or outcome.status == "done"
                 ):  # done, but its folder was deleted since
-                    outcome_file(own.folder, own.kind).unlink(missing_ok=True)
+                    get_outcome_file(own.folder, own.kind).unlink(missing_ok=True)
                     awaited[network] = own.folder
                     if part.name not in shared:
                         shared[part.name] = own
                         places = {
-                            n: finished.get(training_part(row.experiment, n).name, sources.get(n))
+                            n: finished.get(
+                                select_training_part(row.experiment, n).name, sources.get(n)
+                            )
                             for n in first
                         }
                         copied = {n: str(place) for n, place in places.items() if place}
@@ -152,5 +160,5 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
                 check_origin(experiment, network, path)
             except UserError:
                 continue  # damaged, or of an earlier version of the data: trained again where it is needed
-            found.setdefault(training_part(experiment, network).name, path / network)
+            found.setdefault(select_training_part(experiment, network).name, path / network)
     return found

@@ -20,11 +20,11 @@ from jaxunshear.settings.experiment import list_trained_networks
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import write_bytes
 from jaxunshear.sweep import plan
-from jaxunshear.sweep.engines import Engine, serial
-from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
-from jaxunshear.sweep.scores import Measured, read_tests
+from jaxunshear.sweep.engines import Engine, run_serially
+from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
+from jaxunshear.sweep.scores import RowScores, read_tests
 from jaxunshear.sweep.summary import summarise
-from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
+from jaxunshear.sweep.tasks import LOCK, WORKER, read_outcome, run_task
 from jaxunshear.training.initial_weights import start_folder
 
 Thing = TypeVar("Thing")
@@ -35,7 +35,7 @@ def run_sweep(
     out: Path,
     data: Path,
     command: str,
-    engine: Engine = serial,
+    engine: Engine = run_serially,
     retry_failed: bool = False,
     worker: Sequence[str] = WORKER,
 ) -> SweepResult:
@@ -43,8 +43,8 @@ def run_sweep(
 
     Raises `UserError` where a cell cannot work (before any work), the data sets cannot be made, or another sweep is at work there.
     """
-    cells = cells_of(sweep)
-    rows, reference = rows_of(sweep, cells), reference_of(sweep, cells)
+    cells = list_cells(sweep)
+    rows, reference = list_rows(sweep, cells), find_reference(sweep, cells)
     folder = Path(out).absolute() / sweep.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
@@ -56,11 +56,13 @@ def run_sweep(
         _run_rows(
             sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker
         )
-        measured = {key: _measured(plan.row_folder(folder, row)) for key, row in rows.items()}
+        measured = {
+            key: _read_measured(plan.find_row_folder(folder, row)) for key, row in rows.items()
+        }
         for cell in cells:
             _check_contacts(
                 {
-                    plan.row_folder(folder, rows[cell.label, s]): measured[cell.label, s]
+                    plan.find_row_folder(folder, rows[cell.label, s]): measured[cell.label, s]
                     for s in sweep.seeds
                 }
             )
@@ -84,33 +86,33 @@ def _run_rows(
     worker: Sequence[str],
 ) -> None:
     total = len({row.digest for row in rows})
-    left = plan.unfinished(folder, rows)
+    left = plan.list_unfinished(folder, rows)
     if not left:
         return
     for row in left:
         for network in list_trained_networks(row.experiment):
             start_folder(row.experiment, network)
-    task = plan.data_task(folder, left, data)
-    carry_out(task.folder, task.kind, worker, quiet=False)
+    task = plan.make_data_task(folder, left, data)
+    run_task(task.folder, task.kind, worker, quiet=False)
     made = read_outcome(task.folder, task.kind)
     if made and made.status == "failed":
         raise UserError(str(made.reason))
-    tasks = plan.lay_out(folder, left, sweep.ablation, data, command)
+    tasks = plan.plan_tasks(folder, left, sweep.ablation, data, command)
     with Progress(f"sweep {sweep.name}", total, unit="rows", done=total - len(left)) as progress:
         for task in engine(tasks, worker):
             progress.advance(task.kind == "row")
 
 
-def _measured(folder: Path) -> Measured:
+def _read_measured(folder: Path) -> RowScores:
     outcome = read_outcome(folder, "row")
     if outcome is None:
         raise UserError(f"{folder} was not finished: run the same command again")
     if outcome.status == "failed":
-        return Measured(outcome, {})
-    return Measured(outcome, read_tests(folder, f"delete {folder} and run the same command"))
+        return RowScores(outcome, {})
+    return RowScores(outcome, read_tests(folder, f"delete {folder} and run the same command"))
 
 
-def _check_contacts(rows: Mapping[Path, Measured]) -> None:
+def _check_contacts(rows: Mapping[Path, RowScores]) -> None:
     """Refuses seeds of a cell that were tested on different contacts: their scores cannot be put side by side."""
     done = [(folder, row) for folder, row in rows.items() if row.tests]
     for (first, one), (folder, other) in itertools.pairwise(done):
@@ -129,23 +131,23 @@ def _check_contacts(rows: Mapping[Path, Measured]) -> None:
 
 
 def _made_with(
-    summary: SweepResult, measured: Mapping[tuple[str, int], Measured], command: str
+    summary: SweepResult, measured: Mapping[tuple[str, int], RowScores], command: str
 ) -> SweepResult:
     """With command, machines, versions and sources: each different one of those that the rows were run on and with."""
     results = [row.outcome.evaluated for row in measured.values() if row.outcome.status == "done"]
     return replace(
         summary,
         command=command,
-        machines=_distinct(result.machine for result in results),
-        trained_on=_distinct(
+        machines=_list_distinct(result.machine for result in results),
+        trained_on=_list_distinct(
             machine for result in results for machine in result.trained_on.values()
         ),
-        versions=_distinct(result.versions for result in results),
-        sources=_distinct(found for result in results for found in result.sources)
+        versions=_list_distinct(result.versions for result in results),
+        sources=_list_distinct(found for result in results for found in result.sources)
         if all(result.sources for result in results)
         else (),
     )
 
 
-def _distinct(things: Iterable[Thing]) -> list[Thing]:
+def _list_distinct(things: Iterable[Thing]) -> list[Thing]:
     return [found for found, _ in itertools.groupby(sorted(things, key=str))]

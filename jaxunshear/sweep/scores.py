@@ -17,13 +17,13 @@ from jaxunshear.storage import BROKEN_NPZ, os_error, read_npz
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
 # of the paired data: names, how contacts appear, what is made of recorded ones
-NOT_CONTACTS = (
+NON_CONTACT_SETTINGS = (
     *("config", "camera", "nuisance", "preprocess"),
     *("pairing", "pairs", "labelled", "direct_taps", "tap_folder", "slide_folder"),
 )
 
 
-class Measured(NamedTuple):
+class RowScores(NamedTuple):
     """A row that has ended: its outcome, and the scores of every test contact where it did not fail.
 
     `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
@@ -50,7 +50,7 @@ def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
         raise UserError(f"{path} is damaged ({error}): {remedy}") from error
 
 
-def names_in(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
+def list_score_names(rows: Mapping[int, RowScores]) -> list[tuple[str, str]]:
     """Tests and names of their scores, those that every row has: one measured by an earlier version may lack some."""
     first, *others = [row.tests for row in rows.values()] or [{}]
     return [
@@ -61,23 +61,23 @@ def names_in(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
     ]
 
 
-def metric_of(rows: Mapping[int, Measured]) -> Notes:
+def get_metric_notes(rows: Mapping[int, RowScores]) -> Notes:
     """What exactly the evaluation calls MS-SSIM, and other such notes."""
     return next(iter(rows.values())).outcome.evaluated.metric if rows else {}
 
 
-def called(test: str, name: str, shape: str = "") -> str:
+def format_name(test: str, name: str, shape: str = "") -> str:
     """`<test>, <shape>: <name>`, without what is empty."""
     of = ", ".join(filter(None, (test, shape)))
     return f"{of}: {name}" if of else name
 
 
-def stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
+def stack_seeds(rows: Mapping[int, RowScores], test: str, name: str) -> np.ndarray:
     """(seeds, N)"""
     return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
 
 
-def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
+def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
     results = next(iter(rows.values())).outcome.evaluated
     stimuli = results.settings["paired"].get("stimuli", ())  # of recordings none is known
@@ -89,7 +89,7 @@ def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     }
 
 
-def smooth_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
+def select_smooth(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
     """Say which contacts (N,) of a test have a nearest edge of one direction, if there are such.
 
     Scores of an earlier version do not say so.
@@ -98,7 +98,9 @@ def smooth_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     return {SMOOTH: smooth.astype(bool)} if smooth is not None and smooth.any() else {}
 
 
-def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:
+def has_same_contacts(
+    rows: Mapping[int, RowScores], other: Mapping[int, RowScores], test: str
+) -> bool:
     """Whether both were drawn from the same settings, and none was lost that the other has."""
     if _drawn_from(rows, test) != _drawn_from(other, test):
         return False
@@ -106,24 +108,24 @@ def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], t
     return all(np.array_equal(one[name], two[name]) for name in ("stimulus", "pose_id"))
 
 
-def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, object]:
+def _drawn_from(rows: Mapping[int, RowScores], test: str) -> dict[str, object]:
     """The settings that decide the contacts of a test."""
     results = next(iter(rows.values())).outcome.evaluated
     settings, own = results.settings, results.tests.get(test)
     paired = {
         name: value if (drawn := getattr(own, name, None)) is None else drawn
         for name, value in settings["paired"].items()
-        if name not in NOT_CONTACTS
+        if name not in NON_CONTACT_SETTINGS
     }
     return paired | {"sensor": settings["sensor"]}
 
 
-def poses_of(rows: Mapping[int, Measured], test: str) -> np.ndarray:
+def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray:
     """(N,) which pose of which stimulus a contact belongs to."""
     labels = _labels(rows, test)
     return number_poses(labels["stimulus"], labels["pose_id"])
 
 
-def _labels(rows: Mapping[int, Measured], test: str) -> Mapping[str, np.ndarray]:
+def _labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:
     """Those of a test's contacts, which all seeds share."""
     return next(iter(rows.values())).tests[test]

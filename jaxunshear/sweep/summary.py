@@ -13,18 +13,18 @@ from jaxunshear.settings.experiment import get_recorded
 from jaxunshear.settings.fields import format_value
 from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Sweep, get_base, list_fields
-from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
-from jaxunshear.sweep.rows import Cell, axis_values, name_of, parts_of
+from jaxunshear.sweep.crossed_bootstrap import compute_interval, describe_intervals, resample_means
+from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
 from jaxunshear.sweep.scores import (
-    Measured,
-    called,
-    metric_of,
-    names_in,
-    poses_of,
-    same_contacts,
-    shapes_of,
-    smooth_of,
-    stacked,
+    RowScores,
+    format_name,
+    get_metric_notes,
+    has_same_contacts,
+    list_score_names,
+    number_contact_poses,
+    select_by_shape,
+    select_smooth,
+    stack_seeds,
 )
 
 TABLES = (
@@ -32,13 +32,13 @@ TABLES = (
     "half_width",
     "coverage",
 )  # of a run's results: figures that are no means over contacts
-TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
+TAP_TEST = "taps"  # the test of recorded taps, which are no pairs of the slides
 
 
 def summarise(
     sweep: Sweep,
     cells: Sequence[Cell],
-    measured: Mapping[tuple[str, int], Measured],
+    measured: Mapping[tuple[str, int], RowScores],
     reference: str | None,
 ) -> SweepResult:
     """sweep.json, but for command, machines, versions and sources. `measured` by (label of the cell, seed), for all of them."""
@@ -55,14 +55,16 @@ def summarise(
         claim=sweep.claim,
         simulated=get_recorded(sweep.base) is None,
         axes=[
-            GridAxis(name_of(axis[0], sweep), list_fields(axis[0]), axis_values(axis))
+            GridAxis(
+                format_field_name(axis[0], sweep), list_fields(axis[0]), list_axis_values(axis)
+            )
             for axis in sweep.grid
         ],
         seeds=sweep.seeds,
         networks=list(
             dict.fromkeys(network for cell in cells for network in cell.experiment.networks)
         ),
-        spread=spread_of(len(sweep.seeds)),
+        spread=describe_intervals(len(sweep.seeds)),
         reference=reference,
         cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
         base=to_json(get_base(sweep)),
@@ -70,7 +72,7 @@ def summarise(
     return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
 
-def reproducible(summary: SweepResult) -> SweepResult:
+def select_reproducible(summary: SweepResult) -> SweepResult:
     """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
     cells = [replace(cell, costs={}) for cell in summary.cells]
     return replace(
@@ -81,8 +83,8 @@ def reproducible(summary: SweepResult) -> SweepResult:
 def _cell(
     cell: Cell,
     sweep: Sweep,
-    measured: Mapping[tuple[str, int], Measured],
-    done: Mapping[str, Mapping[int, Measured]],
+    measured: Mapping[tuple[str, int], RowScores],
+    done: Mapping[str, Mapping[int, RowScores]],
     reference: str | None,
 ) -> CellResult:
     rows = done[cell.label]
@@ -94,13 +96,13 @@ def _cell(
         settings={
             name: format_value(part)
             for fields, value in cell.changes
-            for name, part in parts_of(fields, value)
+            for name, part in split_change(fields, value)
         },
         seeds=list(rows),
-        metric=metric_of(rows),
-        metrics=metrics(rows),
-        difference=differences(rows, other) if cell.label != reference else {},
-        ablation=ablation(rows),
+        metric=get_metric_notes(rows),
+        metrics=compute_metrics(rows),
+        difference=compute_differences(rows, other) if cell.label != reference else {},
+        ablation=summarise_code_swaps(rows),
         failures=[
             Failure(seed, outcome.reason)
             for seed, outcome in ended.items()
@@ -115,19 +117,19 @@ def _cell(
     )
 
 
-def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
-    """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
+def compute_metrics(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
+    """By metric: `mean` over seeds and contacts, its `compute_interval`, and the mean of every seed; figures of `TABLES` without one.
 
     Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`, edge angles where the
     nearest edge has one direction `smooth: pose/<kind>/edge_deg`.
     """
     found = {}
-    for test, name in names_in(rows):
-        values, poses = stacked(rows, test, name), poses_of(rows, test)
-        found[called(test, name)] = _figure(rows, values, poses)
-        for shape, inside in parts_in(rows, test, name).items():
-            found[called(test, name, shape)] = _figure(rows, values[:, inside], poses[inside])
-    found |= recoveries(rows)
+    for test, name in list_score_names(rows):
+        values, poses = stack_seeds(rows, test, name), number_contact_poses(rows, test)
+        found[format_name(test, name)] = _figure(rows, values, poses)
+        for shape, inside in select_parts(rows, test, name).items():
+            found[format_name(test, name, shape)] = _figure(rows, values[:, inside], poses[inside])
+    found |= compute_recoveries(rows)
     plain = {
         seed: {
             f"{name}/{kind}/{column}": value
@@ -141,44 +143,46 @@ def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     return found | _over_seeds(plain)
 
 
-def parts_in(rows: Mapping[int, Measured], test: str, name: str) -> dict[str, np.ndarray]:
+def select_parts(rows: Mapping[int, RowScores], test: str, name: str) -> dict[str, np.ndarray]:
     """Give the parts of a test (N,) that the metric `name` is also given of."""
     if name.startswith("ms_ssim/"):
-        return shapes_of(rows, test)
-    return smooth_of(rows, test) if name.startswith("pose/") and name.endswith("/edge_deg") else {}
+        return select_by_shape(rows, test)
+    return (
+        select_smooth(rows, test) if name.startswith("pose/") and name.endswith("/edge_deg") else {}
+    )
 
 
-def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray) -> Figure:
+def _figure(rows: Mapping[int, RowScores], values: np.ndarray, poses: np.ndarray) -> Figure:
     """Of values (seeds, N) at poses (N,)."""
     by_seed = {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)}
-    return Figure(float(values.mean()), interval(values, poses), by_seed)
+    return Figure(float(values.mean()), compute_interval(values, poses), by_seed)
 
 
-def recoveries(rows: Mapping[int, Measured]) -> dict[str, Figure]:
+def compute_recoveries(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
     """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval; on one shape
     `<shape>: ...`.
 
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
     found: dict[str, Figure] = {}
-    names = dict.fromkeys(names_in(rows))
+    names = dict.fromkeys(list_score_names(rows))
     for test, name in names:
-        errors = recovery_errors(rows, names, test, name)
+        errors = collect_recovery_errors(rows, names, test, name)
         if errors is None:
             continue
         own = name.replace("pose/", "pose_recovery/", 1)
         figure = _recovery(list(rows), [(values, poses) for _, values, poses in errors])
-        found |= {called(test, own): figure} if figure else {}
-        for shape, inside in shapes_of(rows, test).items() if errors[0][0] == test else ():
+        found |= {format_name(test, own): figure} if figure else {}
+        for shape, inside in select_by_shape(rows, test).items() if errors[0][0] == test else ():
             figure = _recovery(
                 list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors]
             )
-            found |= {called(test, own, shape): figure} if figure else {}
+            found |= {format_name(test, own, shape): figure} if figure else {}
     return found
 
 
-def recovery_errors(
-    rows: Mapping[int, Measured], names: Container[tuple[str, str]], test: str, name: str
+def collect_recovery_errors(
+    rows: Mapping[int, RowScores], names: Container[tuple[str, str]], test: str, name: str
 ) -> list[tuple[str, np.ndarray, np.ndarray]] | None:
     """Of tap, sheared and the kind that `pose/<kind>/<quantity>` names: the test, errors (seeds, N), and their poses (N,). None where one
     of them is not among `names`, or the name is of no kind that is unsheared."""
@@ -186,11 +190,11 @@ def recovery_errors(
     if table != "pose" or kind in ("tap", "sheared"):
         return None
     tap, sheared = (f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared"))
-    of_taps = next((where for where in (test, TAPS) if (where, tap) in names), None)
+    of_taps = next((where for where in (test, TAP_TEST) if (where, tap) in names), None)
     if of_taps is None or (test, sheared) not in names:
         return None
     return [
-        (where, stacked(rows, where, each), poses_of(rows, where))
+        (where, stack_seeds(rows, where, each), number_contact_poses(rows, where))
         for where, each in ((of_taps, tap), (test, sheared), (test, name))
     ]
 
@@ -202,7 +206,7 @@ def _recovery(
     tap, sheared, unsheared = (values.mean() for values, _ in errors)
     if sheared <= tap:
         return None
-    redrawn = redrawn_recovery(errors)
+    redrawn = resample_recovery(errors)
     by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
     return Figure(
         float((sheared - unsheared) / (sheared - tap)),
@@ -214,14 +218,16 @@ def _recovery(
     )
 
 
-def redrawn_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+def resample_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
     """The recovery in each of the resamples; None where the slide does no damage in some of them, as it then has no bounds."""
-    tap, sheared, unsheared = (resampled(values, poses) for values, poses in errors)
+    tap, sheared, unsheared = (resample_means(values, poses) for values, poses in errors)
     return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None
 
 
-def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, Figure]:
-    """By metric that both have: `mean` and `interval` of this less the other, over the seeds that both have.
+def compute_differences(
+    rows: Mapping[int, RowScores], other: Mapping[int, RowScores]
+) -> dict[str, Figure]:
+    """By metric that both have: `mean` and `compute_interval` of this less the other, over the seeds that both have.
 
     Empty where there is no such seed, or the test contacts are not the same. Likeness of images of different sizes is not compared.
     """
@@ -229,20 +235,21 @@ def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> 
     rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
     found = {}
     one_size = all(
-        metric_of(rows).get(name) == metric_of(other).get(name) for name in ("ms_ssim", "image_px")
+        get_metric_notes(rows).get(name) == get_metric_notes(other).get(name)
+        for name in ("ms_ssim", "image_px")
     )
-    for test, name in names_in(rows):
+    for test, name in list_score_names(rows):
         if ("ms_ssim" in name or name.startswith("swap/")) and not one_size:
             continue
-        if (test, name) in names_in(other) and same_contacts(rows, other, test):
-            values = stacked(rows, test, name) - stacked(other, test, name)
-            found[called(test, name)] = Figure(
-                float(values.mean()), interval(values, poses_of(rows, test))
+        if (test, name) in list_score_names(other) and has_same_contacts(rows, other, test):
+            values = stack_seeds(rows, test, name) - stack_seeds(other, test, name)
+            found[format_name(test, name)] = Figure(
+                float(values.mean()), compute_interval(values, number_contact_poses(rows, test))
             )
     return found
 
 
-def ablation(rows: Mapping[int, Measured]) -> dict[str, Figure]:
+def summarise_code_swaps(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
     """`<cell of the codes>/<metric>`: mean over seeds and each seed's; empty where it was not asked for."""
     plain = {
         seed: {

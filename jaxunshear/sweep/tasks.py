@@ -19,7 +19,7 @@ from jaxunshear.results.run import Settings
 from jaxunshear.results.sweep import Outcome
 
 TASK, LOG, LOCK = "task.json", "log.txt", "lock"
-WORKER = (sys.executable, "-m", "jaxunshear.sweep.work")
+WORKER = (sys.executable, "-m", "jaxunshear.sweep.worker")
 DISK_FULL = 75  # exit code of a task that has no outcome, since the disk is full
 
 
@@ -33,7 +33,7 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class TaskOrder:
     """task.json: what the process of a task is to do."""
 
     kind: str
@@ -50,32 +50,32 @@ class Order:
     seed: int | None = None
 
 
-def outcome_file(folder: Path, kind: str) -> Path:
+def get_outcome_file(folder: Path, kind: str) -> Path:
     """Where the outcome of a task is, once it has one."""
     return Path(folder) / f"{kind}.json"
 
 
 def read_outcome(folder: Path, kind: str) -> Outcome | None:
     """None while the task is not finished."""
-    path = outcome_file(folder, kind)
+    path = get_outcome_file(folder, kind)
     return (
         read_record(path, Outcome, "delete it and run the same command") if path.exists() else None
     )
 
 
-def read_order(folder: Path) -> Order:
-    return read_record(folder / TASK, Order, "delete that folder and run the same command")
+def read_order(folder: Path) -> TaskOrder:
+    return read_record(folder / TASK, TaskOrder, "delete that folder and run the same command")
 
 
-def failure(order: Order, reason: str, folder: Path) -> Outcome:
+def make_failure(order: TaskOrder, reason: str, folder: Path) -> Outcome:
     """The outcome of a task that failed in `folder`; the reason is one line, and names files from there."""
     line = " ".join(
         reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name).split()
     )
-    return repeated(order, Outcome(status="failed", reason=line))
+    return copy_order_fields(order, Outcome(status="failed", reason=line))
 
 
-def repeated(order: Order, outcome: Outcome) -> Outcome:
+def copy_order_fields(order: TaskOrder, outcome: Outcome) -> Outcome:
     """`outcome` with what stands in it whatever it is: for whom it was done, with which settings."""
     return replace(
         outcome,
@@ -86,7 +86,7 @@ def repeated(order: Order, outcome: Outcome) -> Outcome:
     )
 
 
-def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
+def run_task(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
     """Runs the task of `folder` in a process of its own, to its outcome; if it leaves none, writes the failure.
 
     Raises `UserError` where the disk is full: the next task would end there, too.
@@ -109,18 +109,18 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
             raise
     if code == DISK_FULL:
         raise UserError(f"{folder}: the disk is full; free some space, then run the same command")
-    if not outcome_file(folder, kind).exists():
+    if not get_outcome_file(folder, kind).exists():
         time.sleep(
             0.2
         )  # whoever kills all processes of a sweep kills this one next: that is no failure of the task
-        give_up(folder, kind, _ending(code, folder))
+        write_failure(folder, kind, _ending(code, folder))
 
 
-def give_up(folder: Path, kind: str, reason: str) -> None:
+def write_failure(folder: Path, kind: str, reason: str) -> None:
     """Writes the outcome of a task that cannot do so itself, unless it did."""
-    path = outcome_file(folder, kind)
+    path = get_outcome_file(folder, kind)
     if not path.exists():
-        write_record(path, failure(read_order(folder), reason, folder))
+        write_record(path, make_failure(read_order(folder), reason, folder))
 
 
 def _ending(code: int, folder: Path) -> str:

@@ -153,7 +153,7 @@ def _walks(work: Path) -> object:
 
 
 def _table(work: Path) -> object:
-    from jaxunshear.sweep.summary import reproducible as same
+    from jaxunshear.sweep.summary import select_reproducible as same
 
     return same(_swept(work))
 

@@ -16,7 +16,7 @@ from jaxunshear.settings.sweep import (
     override_base,
     parse_seeds,
 )
-from jaxunshear.sweep.rows import cells_of, reference_of
+from jaxunshear.sweep.grid import find_reference, list_cells
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 PLAIN = Sweep(name="plain", claim="none", base=Experiment(name="plain", claim="none"))
@@ -96,7 +96,7 @@ def test_a_bad_cell_is_refused_by_its_label(changes, line):
     sweep = replace(PLAIN, **changes)
     check_sweep(sweep, "bad.py")
     with pytest.raises(UserError) as refusal:
-        reference_of(sweep, cells_of(sweep))
+        find_reference(sweep, list_cells(sweep))
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
 
 
@@ -124,7 +124,7 @@ def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
 def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():
     sweep = load_sweep(EXPERIMENTS / "tiny.py")
     assert (sweep.name, sweep.grid, sweep.rows, sweep.seeds) == ("tiny", (), (), (0,))
-    assert [cell.label for cell in cells_of(sweep)] == ["base"]
+    assert [cell.label for cell in list_cells(sweep)] == ["base"]
     assert parse_seeds("0,1, 5") == (0, 1, 5)
     with pytest.raises(UserError, match="separated by commas, not '0;1'"):
         parse_seeds("0;1")

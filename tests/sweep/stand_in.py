@@ -1,4 +1,4 @@
-"""A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/work.py.
+"""A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/worker.py.
 
 And a sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
 `STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
@@ -29,8 +29,8 @@ from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.source import read_source
 from jaxunshear.storage import os_error, read_json, write_json
-from jaxunshear.sweep import work
-from jaxunshear.sweep.rows import training_part
+from jaxunshear.sweep import worker
+from jaxunshear.sweep.grid import select_training_part
 
 WORKER = (sys.executable, str(Path(__file__).resolve()))
 STEPS = 10
@@ -70,7 +70,7 @@ def train(experiment, network, folder, data):
         place / "model.json",
         {"origin": describe_set(get_training_data(experiment, network), experiment.sensor)},
     )
-    part = training_part(experiment, network).name
+    part = select_training_part(experiment, network).name
     checkpoint = place / "checkpoint.json"
     state = (
         read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}
@@ -165,7 +165,7 @@ def main():
         out = Path(sys.argv[2])
         (out / "data").mkdir(parents=True, exist_ok=True)
         failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
-        more = {"engine": engines.ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
+        more = {"engine": engines.make_ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
         retry = sys.argv[3:] == ["retry"]
         summary = run_sweep(
             failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more
@@ -180,11 +180,11 @@ def main():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
         for function in functions:
             setattr(module, function.__name__, function)
-    work.keep_freed_memory = lambda: None  # would import JAX
-    work.run_stages = run_stages
-    work._check_checkpoints = check_checkpoints
-    work._data = lambda order, folder: Outcome(status="done", reason=None)
-    return work.main(Path(sys.argv[1]), int(sys.argv[2]))
+    worker.keep_freed_memory = lambda: None  # would import JAX
+    worker.run_stages = run_stages
+    worker._check_checkpoints = check_checkpoints
+    worker._data = lambda order, folder: Outcome(status="done", reason=None)
+    return worker.main(Path(sys.argv[1]), int(sys.argv[2]))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,12 @@ import pytest
 from scipy.stats import norm, t
 
 from jaxunshear.evaluation.bootstrap import RESAMPLES, compute_intervals
-from jaxunshear.sweep.bootstrap import draws, interval, resampled, spread_of
+from jaxunshear.sweep.crossed_bootstrap import (
+    compute_interval,
+    describe_intervals,
+    draw_counts,
+    resample_means,
+)
 
 POSES = np.repeat(np.arange(60), 2)  # two slides each
 
@@ -28,7 +33,7 @@ def width_expected(values: np.ndarray) -> float:
 @pytest.mark.parametrize(("of_seed", "of_pose"), [(0.0, 1.0), (1.0, 0.0), (0.3, 0.5)])
 def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
     values = scores(12, of_seed, of_pose)
-    low, high = interval(values, POSES)
+    low, high = compute_interval(values, POSES)
     assert high - low == pytest.approx(
         width_expected(values), rel=0.08
     )  # of 1,000 resamples; quantiles err by 5 %
@@ -38,7 +43,7 @@ def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
 @pytest.mark.parametrize("seeds", [2, 3, 5])
 def test_where_seeds_alone_vary_it_is_students_t(seeds):
     values = scores(seeds, 1.0, 0.0)
-    low, high = interval(values, POSES)
+    low, high = compute_interval(values, POSES)
     exact = t.interval(
         0.95, seeds - 1, values[:, 0].mean(), values[:, 0].std(ddof=1) / np.sqrt(seeds)
     )
@@ -58,53 +63,55 @@ def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
     for _ in range(800):
         crossed = random.normal(0, of_seed, (seeds, 1)) + random.normal(0, of_pose, 60)
         values = (crossed + random.normal(0, rest, (seeds, 60)))[:, POSES]
-        low, high = interval(values + 5, POSES)
+        low, high = compute_interval(values + 5, POSES)
         held.append(low <= 5 <= high)
     assert np.mean(held) >= 0.93
 
 
 def test_a_sweep_says_what_its_intervals_are():
-    assert spread_of(3)["interval"].startswith(
+    assert describe_intervals(3)["interval"].startswith(
         "Student's t over 3 seeds and bootstrap over test poses"
     )
-    assert spread_of(1)["interval"].startswith("bootstrap over test poses")
+    assert describe_intervals(1)["interval"].startswith("bootstrap over test poses")
 
 
 def test_the_mean_of_the_resamples_is_the_mean():
     values = scores(12, 0.3, 0.5)
     error = width_expected(values) / (2 * 1.96) / np.sqrt(RESAMPLES)
-    assert resampled(values, POSES).mean() == pytest.approx(values.mean(), abs=4 * error)
+    assert resample_means(values, POSES).mean() == pytest.approx(values.mean(), abs=4 * error)
 
 
 def test_slides_of_a_pose_are_drawn_together():
     """As independent contacts they would give an interval narrower by the square root of two."""
     values = scores(1, 0.0, 1.0)
-    low, high = interval(values, POSES)
-    alone = interval(values, np.arange(len(POSES)))
+    low, high = compute_interval(values, POSES)
+    alone = compute_interval(values, np.arange(len(POSES)))
     assert (high - low) / (alone[1] - alone[0]) == pytest.approx(np.sqrt(2), rel=0.1)
 
 
 def test_one_seed_gives_the_interval_of_the_evaluation():
     values = scores(1, 0.0, 1.0, 0.5)
-    assert interval(values, POSES) == pytest.approx(
+    assert compute_interval(values, POSES) == pytest.approx(
         compute_intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12
     )
 
 
 def test_poses_may_have_different_numbers_of_contacts():
     values, poses = np.array([[1.0, 1.0, 1.0, 5.0]]), np.array([0, 0, 0, 1])
-    found = set(np.round(resampled(values, poses), 12))
+    found = set(np.round(resample_means(values, poses), 12))
     assert found == {1.0, 2.0, 5.0}  # both drawn once: the mean over contacts, not over poses
 
 
 def test_a_constant_difference_has_no_width():
     values = scores(4, 1.0, 1.0, 1.0)
-    assert interval((values + 0.25) - values, POSES) == pytest.approx([0.25, 0.25])
+    assert compute_interval((values + 0.25) - values, POSES) == pytest.approx([0.25, 0.25])
 
 
 def test_draws_depend_on_the_number_alone_and_differ_between_seeds_and_poses():
-    assert np.array_equal(draws(7, 0), draws(7, 0)) and not np.array_equal(draws(7, 0), draws(7, 1))
-    assert set(draws(7, 0).sum(axis=1)) == {7.0}
+    assert np.array_equal(draw_counts(7, 0), draw_counts(7, 0)) and not np.array_equal(
+        draw_counts(7, 0), draw_counts(7, 1)
+    )
+    assert set(draw_counts(7, 0).sum(axis=1)) == {7.0}
 
 
 def test_shapes_that_do_not_fit_are_refused():
@@ -114,4 +121,4 @@ def test_shapes_that_do_not_fit_are_refused():
         (np.ones((2, 3)), np.ones(2)),
     ):
         with pytest.raises(ValueError, match="seeds, N"):
-            interval(values, poses)
+            compute_interval(values, poses)

@@ -13,13 +13,13 @@ from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep import engines
-from jaxunshear.sweep.summary import reproducible
+from jaxunshear.sweep.summary import select_reproducible
 
 
 def test_without_ray_it_says_how_to_get_it(absent):
     absent("ray")
     with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
-        engines.ray_engine(None, 1)
+        engines.make_ray_engine(None, 1)
 
 
 def test_a_cluster_that_is_not_there_is_one_line_at_once():
@@ -28,7 +28,7 @@ def test_a_cluster_that_is_not_there_is_one_line_at_once():
         with pytest.raises(
             UserError, match=f"--ray-address {address}: no cluster answers there"
         ) as refusal:
-            engines.ray_engine(address, 1)
+            engines.make_ray_engine(address, 1)
         assert "\n" not in str(refusal.value)
 
 
@@ -54,7 +54,7 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and len(killed) == 2
     found = convert_record(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
-    assert reproducible(found) == reproducible(
+    assert select_reproducible(found) == select_reproducible(
         convert_record(json.loads(serial.stdout), SweepResult, "it", "again")
     )
     lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()

@@ -16,7 +16,13 @@ from jaxunshear.settings.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINA
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.sweep import Sweep, check_sweep
-from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
+from jaxunshear.sweep.grid import (
+    compute_row_digest,
+    find_reference,
+    list_cells,
+    list_rows,
+    select_training_part,
+)
 from jaxunshear.training.data_origin import describe_origin
 
 BASE = Experiment(name="plain", claim="none")
@@ -26,7 +32,7 @@ SPLIT = (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (64, 64
 
 def test_a_grid_has_every_value_with_every_other():
     sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)), SPLIT), seeds=(0, 3))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     assert [cell.label for cell in cells[:3]] == [
         "patch_weight=0.0, pose_channels:shear_channels=8:120",
         "patch_weight=0.0, pose_channels:shear_channels=64:64",
@@ -38,7 +44,7 @@ def test_a_grid_has_every_value_with_every_other():
         train=replace(BASE.train, patch_weight=0.1),
         unshear=replace(BASE.unshear, pose_channels=8, shear_channels=120),
     )
-    rows = rows_of(sweep, cells)
+    rows = list_rows(sweep, cells)
     assert len(rows) == len({row.digest for row in rows.values()}) == 12
     for (label, seed), row in rows.items():
         validate(row.experiment)  # its name can be that of a folder
@@ -53,7 +59,7 @@ def test_short_names_are_dotted_where_two_would_be_the_same():
     sweep = replace(
         PLAIN, grid=(("train.batch", (4,)), ("train_posenet.batch", (8,)), ("train.l1", (0.0,)))
     )
-    assert cells_of(sweep)[0].label == "train.batch=4, train_posenet.batch=8, l1=0.0"
+    assert list_cells(sweep)[0].label == "train.batch=4, train_posenet.batch=8, l1=0.0"
 
 
 def test_a_long_label_still_makes_a_folder():
@@ -64,7 +70,7 @@ def test_a_long_label_still_makes_a_folder():
     sweep = replace(
         PLAIN, rows=(((names, (0.5, 0.125, 0.125, 0.125, 0.125)),),), seeds=(2**31 - 1,)
     )
-    (row,) = rows_of(sweep, cells_of(sweep)).values()
+    (row,) = list_rows(sweep, list_cells(sweep)).values()
     assert row.experiment.name.endswith(f"_seed-2147483647-{row.digest}") and len(row.label) > 75
     validate(row.experiment)
 
@@ -76,24 +82,24 @@ def test_equal_rows_are_one():
         rows=((("train.batch", 16),), (("train.batch", 16),), (("train.patch_weight", 1.0),)),
     )
     assert BASE.train.batch == 16 and BASE.train.patch_weight == 0.1
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     assert [cell.label for cell in cells] == [
         "patch_weight=0.1",
         "patch_weight=1",
         "patch_weight=1.0",
         "batch=16",
     ]
-    digests = [row.digest for row in rows_of(sweep, cells).values()]
+    digests = [row.digest for row in list_rows(sweep, cells).values()]
     assert digests[0] == digests[3] and digests[1] == digests[2] and len(set(digests)) == 2
 
 
 def test_rows_can_be_given_labels():
     rows = ((("train.batch", 4),), ())
     sweep = replace(PLAIN, rows=rows, labels=("small batch", "as it is"))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     assert [cell.label for cell in cells] == ["small batch", "as it is"]
     assert cells[0].experiment.train.batch == 4
-    assert reference_of(sweep, cells) == "as it is"
+    assert find_reference(sweep, cells) == "as it is"
     for labels, line in (
         (("one",), "one for each of the 2 rows"),
         (("a", "a"), "twice"),
@@ -106,7 +112,7 @@ def test_rows_can_be_given_labels():
 def test_different_cells_of_one_label_are_refused():
     sensors = (TACTIP_331, replace(TACTIP_331, rings=8))
     with pytest.raises(UserError, match="both called 'sensor=tactip331'"):
-        cells_of(replace(PLAIN, grid=(("sensor", sensors),)))
+        list_cells(replace(PLAIN, grid=(("sensor", sensors),)))
 
 
 def _value(base: Experiment, name: str) -> object:
@@ -117,11 +123,11 @@ def _value(base: Experiment, name: str) -> object:
     ("base", "other"), [(BASE, "paired.tap_folder"), (RECORDED, "paired.stimuli")]
 )
 def test_every_setting_decides_the_digest_but_names_and_order(base, other):
-    digest = row_digest(base, False)
-    assert digest == row_digest(
+    digest = compute_row_digest(base, False)
+    assert digest == compute_row_digest(
         replace(base, name="x", claim="y", networks=base.networks[::-1]), False
     )
-    assert digest != row_digest(base, True)
+    assert digest != compute_row_digest(base, True)
     assert _value(base, other) is None
     for name, kind in list_field_types():
         value = _value(base, name)
@@ -134,17 +140,17 @@ def test_every_setting_decides_the_digest_but_names_and_order(base, other):
             str: lambda v: v + "x",
         }.get(kind)
         changed = changing(value) if changing else ("x",)
-        assert row_digest(replace_field(base, name, changed), False) != digest, name
+        assert compute_row_digest(replace_field(base, name, changed), False) != digest, name
 
 
 def test_the_reference_is_the_cell_of_the_bases_own_values():
     sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)),))
-    assert reference_of(sweep, cells_of(sweep)) == "patch_weight=0.1"
+    assert find_reference(sweep, list_cells(sweep)) == "patch_weight=0.1"
     off = replace(PLAIN, grid=(("train.patch_weight", (0.0, 1.0)),))
-    assert reference_of(off, cells_of(off)) is None
+    assert find_reference(off, list_cells(off)) is None
     named = replace(off, reference="patch_weight=1.0")
-    assert reference_of(named, cells_of(named)) == "patch_weight=1.0"
-    assert reference_of(PLAIN, cells_of(PLAIN)) is None
+    assert find_reference(named, list_cells(named)) == "patch_weight=1.0"
+    assert find_reference(PLAIN, list_cells(PLAIN)) is None
 
 
 @pytest.fixture
@@ -211,7 +217,7 @@ def test_equal_parts_are_equal_trainings(asked, network):
         train_posenet=replace(BASE.train_posenet, epochs=9.0),
         train_teacher=replace(BASE.train_teacher, epochs=11.0),
     )
-    part = training_part(full, network)
+    part = select_training_part(full, network)
     assert asked(part, network) == asked(full, network)
     changed = {
         field.name: getattr(full, field.name) != getattr(part, field.name)
@@ -219,7 +225,7 @@ def test_equal_parts_are_equal_trainings(asked, network):
     }
     assert changed["unseen"] and changed["networks"]
     assert sum(not changed[name] for name in ("train", "train_posenet", "train_teacher")) == 1
-    assert training_part(replace(full, seed=6), network).name != part.name
+    assert select_training_part(replace(full, seed=6), network).name != part.name
 
 
 def test_a_teacher_is_trained_where_a_network_is_taught():
@@ -238,7 +244,9 @@ def test_a_taught_network_depends_on_its_teacher():
 
     def names(experiment, network):
         wider = replace(experiment, posenet=replace(experiment.posenet, hidden=7))
-        return training_part(experiment, network).name, training_part(wider, network).name
+        return select_training_part(experiment, network).name, select_training_part(
+            wider, network
+        ).name
 
     assert len(set(names(plain, "disentangled"))) == 1
     assert len(set(names(taught, "disentangled"))) == 2
@@ -254,7 +262,9 @@ def test_a_teacher_has_a_training_of_its_own():
         other = replace(experiment, **{field: replace(getattr(experiment, field), epochs=9.0)})
         names = ("disentangled", "posenet", TEACHER)
         return {
-            name for name in names if training_part(experiment, name) != training_part(other, name)
+            name
+            for name in names
+            if select_training_part(experiment, name) != select_training_part(other, name)
         }
 
     assert those_that_change(taught, "train_teacher") == {"disentangled", TEACHER}
@@ -267,9 +277,9 @@ def test_a_teacher_has_a_training_of_its_own():
 @pytest.mark.parametrize("network", ["entangled", "unet"])
 def test_networks_without_codes_are_shared_by_rows_of_other_codes(asked, network):
     other = replace(BASE, unshear=replace(BASE.unshear, pose_channels=8, shear_channels=120))
-    assert training_part(BASE, network) == training_part(other, network)
+    assert select_training_part(BASE, network) == select_training_part(other, network)
     assert asked(BASE, network) == asked(other, network)
-    assert training_part(BASE, "disentangled") != training_part(other, "disentangled")
+    assert select_training_part(BASE, "disentangled") != select_training_part(other, "disentangled")
 
 
 CHANGES = {  # of recordings: which trainings each concerns
@@ -287,7 +297,9 @@ def test_recorded_taps_teach_the_same_whatever_is_made_of_slides(change):
     other = replace(base, paired=replace(base.paired, **changed))
     for network in (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled"):
         same = network not in concerned
-        assert (training_part(base, network) == training_part(other, network)) == same, network
+        assert (
+            select_training_part(base, network) == select_training_part(other, network)
+        ) == same, network
         assert (describe_origin(base, network) == describe_origin(other, network)) == same, network
 
 
@@ -303,7 +315,9 @@ def test_what_the_direct_posenet_is_concerns_it_and_who_learns_from_it(unlabelle
     )
     names = (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled")
     for other in (replace(base, pins=pins), replace(base, paired=paired)):
-        changed = {n for n in names if training_part(base, n) != training_part(other, n)}
+        changed = {
+            n for n in names if select_training_part(base, n) != select_training_part(other, n)
+        }
         assert changed == {"posenet_sheared"} | concerned
 
 
@@ -311,9 +325,11 @@ def test_turned_pins_concern_those_that_read_slides():
     base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"))
     other = replace(base, pins=replace(base.pins, turned=0.5))
     names = (RENDERER, TEACHER, "posenet", "posenet_sheared")
-    assert {name for name in names if training_part(base, name) != training_part(other, name)} == {
-        "posenet_sheared"
-    }
+    assert {
+        name
+        for name in names
+        if select_training_part(base, name) != select_training_part(other, name)
+    } == {"posenet_sheared"}
 
 
 def test_a_posenet_of_simulated_taps_is_shared_whatever_the_slides_are():
@@ -322,7 +338,7 @@ def test_a_posenet_of_simulated_taps_is_shared_whatever_the_slides_are():
     )
     ranges = replace(base.paired.ranges, twist_deg=5.0)
     other = replace(base, paired=replace(base.paired, ranges=ranges), other_twists_deg=(5.0,))
-    assert training_part(base, "posenet") == training_part(other, "posenet")
-    assert training_part(base, "disentangled") != training_part(other, "disentangled")
+    assert select_training_part(base, "posenet") == select_training_part(other, "posenet")
+    assert select_training_part(base, "disentangled") != select_training_part(other, "disentangled")
     leaning = replace(base, pose=replace(base.pose, ranges=replace(base.pose.ranges, tilt_deg=5.0)))
-    assert training_part(base, "posenet") != training_part(leaning, "posenet")
+    assert select_training_part(base, "posenet") != select_training_part(leaning, "posenet")

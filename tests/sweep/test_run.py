@@ -24,9 +24,9 @@ from jaxunshear.settings.serialization import from_json
 from jaxunshear.source import read_source
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan
-from jaxunshear.sweep.rows import cells_of, rows_of
-from jaxunshear.sweep.summary import reproducible
-from jaxunshear.sweep.table import table
+from jaxunshear.sweep.grid import list_cells, list_rows
+from jaxunshear.sweep.summary import select_reproducible
+from jaxunshear.sweep.summary_table import format_table
 from jaxunshear.sweep.tasks import LOCK, TASK
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"
@@ -220,7 +220,9 @@ def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
         seeds=(0,),
         networks=("disentangled",),
     )
-    task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)
+    task = plan.make_data_task(
+        tmp_path, list(list_rows(sweep, list_cells(sweep)).values()), tmp_path
+    )
     (made,) = read_json(task.folder / TASK)["experiments"]
     assert set(list_sets(from_json(made))) == {"tactip_paired", "tactip_pose"}
 
@@ -238,7 +240,7 @@ def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(
     assert [len(cell.failures) for cell in summary.cells] == [0, 1, 1, 1]
     for cell, reason in zip(summary.cells[1:], rates.values(), strict=True):
         assert cell.failures[0].reason.startswith(reason) and cell.metrics == {}
-        assert f"failed: {cell.label}, seed 0: {reason}" in table(summary)
+        assert f"failed: {cell.label}, seed 0: {reason}" in format_table(summary)
     assert {row["status"] for row in rows(tmp_path).values()} == {"done", "failed"}
     assert all(row["settings"]["seed"] == row["seed"] == 0 for row in rows(tmp_path).values())
     log = next((tmp_path / "small" / "rows").glob("learning_rate-0.125*")) / "log.txt"
@@ -295,7 +297,7 @@ def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
         *(tmp_path / "small" / "shared").glob("*/posenet"),
     ]:
         shutil.rmtree(path)
-    assert reproducible(swept(sweep)) == reproducible(first)
+    assert select_reproducible(swept(sweep)) == select_reproducible(first)
 
 
 def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
@@ -405,7 +407,7 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
         convert_record(json.loads(text), SweepResult, "its output", "again")
         for text in (killed, entire)
     ]
-    assert reproducible(ended[0]) == reproducible(ended[1])
+    assert select_reproducible(ended[0]) == select_reproducible(ended[1])
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
         tmp_path / "full" / "small" / "sweep.png"
     ).read_bytes()

@@ -11,11 +11,17 @@ from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.sweep.bootstrap import interval
-from jaxunshear.sweep.rows import cells_of, reference_of
-from jaxunshear.sweep.scores import Measured
-from jaxunshear.sweep.summary import ablation, differences, metrics, reproducible, summarise
-from jaxunshear.sweep.table import table
+from jaxunshear.sweep.crossed_bootstrap import compute_interval
+from jaxunshear.sweep.grid import find_reference, list_cells
+from jaxunshear.sweep.scores import RowScores
+from jaxunshear.sweep.summary import (
+    compute_differences,
+    compute_metrics,
+    select_reproducible,
+    summarise,
+    summarise_code_swaps,
+)
+from jaxunshear.sweep.summary_table import format_table
 
 SWEEP = Sweep(
     name="small",
@@ -30,7 +36,7 @@ GROUPS = 6 * (POSES % 3) + POSES  # in the order of stimuli, then poses
 NAME = "ms_ssim/disentangled"
 
 
-def done(values: np.ndarray, **more) -> Measured:
+def done(values: np.ndarray, **more) -> RowScores:
     outcome = {
         "status": "done",
         "reason": None,
@@ -66,22 +72,22 @@ def done(values: np.ndarray, **more) -> Measured:
         "host": "here",
     }
     unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
-    return Measured(
+    return RowScores(
         convert_record(outcome | more, Outcome, "row.json", "again"),
         {"": {NAME: values} | LABELS, "unseen": unseen},
     )
 
 
-def failed(reason: str) -> Measured:
-    return Measured(Outcome(status="failed", reason=reason), {})
+def failed(reason: str) -> RowScores:
+    return RowScores(Outcome(status="failed", reason=reason), {})
 
 
 def test_scores_that_only_a_newer_version_measured_are_left_out():
     old, new = done(random(0)), done(random(1))
     new.tests[""]["ms_ssim/unet"] = random(2)
     new.tests["depth_1mm"] = new.tests["unseen"]
-    assert set(metrics({0: new, 1: old})) == set(metrics({0: old, 1: new}))
-    assert not any("unet" in name or "depth" in name for name in metrics({0: new, 1: old}))
+    assert set(compute_metrics({0: new, 1: old})) == set(compute_metrics({0: old, 1: new}))
+    assert not any("unet" in name or "depth" in name for name in compute_metrics({0: new, 1: old}))
 
 
 def random(seed: int) -> np.ndarray:
@@ -90,14 +96,14 @@ def random(seed: int) -> np.ndarray:
 
 @pytest.fixture
 def summary():
-    cells = cells_of(SWEEP)
+    cells = list_cells(SWEEP)
     rows = {
         (cell.label, seed): done(random(10 * number + seed))
         for number, cell in enumerate(cells)
         for seed in (0, 1)
     }
     rows[cells[2].label, 1] = failed("killed by signal 9")
-    return summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
+    return summarise(SWEEP, cells, rows, find_reference(SWEEP, cells))
 
 
 def test_likeness_is_reported_for_every_shape_too(summary):
@@ -124,7 +130,7 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
             for seed in range(5)
         ]
         rows = {seed: done(random(0)) for seed in range(5)}
-        return metrics(
+        return compute_metrics(
             {seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()}
         )
 
@@ -150,7 +156,7 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
     errors = {seed: np.random.default_rng(seed).uniform(0, 9, 12) for seed in rows}
 
     def found(labels):
-        return metrics(
+        return compute_metrics(
             {s: row._replace(tests={"": {name: errors[s]} | labels}) for s, row in rows.items()}
         )
 
@@ -165,11 +171,11 @@ def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
     both = np.stack([random(0), random(1)])
     assert figure.mean == pytest.approx(both.mean())
     assert figure.per_seed == pytest.approx({"0": both[0].mean(), "1": both[1].mean()})
-    assert figure.interval == interval(both, GROUPS)
+    assert figure.interval == compute_interval(both, GROUPS)
     unseen = summary.cells[0].metrics[f"unseen: {NAME}"]
-    assert unseen.mean == pytest.approx(2 * both[:, :4].mean()) and unseen.interval == interval(
-        2 * both[:, :4], np.arange(4)
-    )
+    assert unseen.mean == pytest.approx(
+        2 * both[:, :4].mean()
+    ) and unseen.interval == compute_interval(2 * both[:, :4], np.arange(4))
     plain = summary.cells[0].metrics["pin_error/disentangled/rms_px"]
     assert plain == Figure(both[:, 0].mean(), None, {"0": both[0, 0], "1": both[1, 0]})
     assert "pin_error/disentangled/rms_mm" not in summary.cells[0].metrics
@@ -183,26 +189,26 @@ def test_differences_are_paired_over_the_seeds_that_both_have(summary):
     assert summary.reference == "patch_weight=0.1" and summary.cells[1].difference == {}
     pairs = np.stack([random(0) - random(10), random(1) - random(11)])
     assert summary.cells[0].difference[NAME] == Figure(
-        pytest.approx(pairs.mean()), interval(pairs, GROUPS)
+        pytest.approx(pairs.mean()), compute_interval(pairs, GROUPS)
     )
     one = (random(20) - random(10))[None]
     assert summary.cells[2].difference[NAME] == Figure(
-        pytest.approx(one.mean()), interval(one, GROUPS)
+        pytest.approx(one.mean()), compute_interval(one, GROUPS)
     )
 
 
 def test_noise_that_two_cells_share_does_not_widen_their_difference():
     rows = {seed: done(random(seed)) for seed in (0, 1)}
     other = {seed: done(random(seed) - 0.5) for seed in (0, 1)}
-    found = differences(rows, other)[NAME]
+    found = compute_differences(rows, other)[NAME]
     assert found.interval == pytest.approx([0.5, 0.5])
 
 
 def test_other_test_contacts_have_no_difference():
     elsewhere = done(random(0))
     elsewhere.tests[""]["pose_id"] = POSES + 1
-    assert list(differences({0: done(random(0))}, {0: elsewhere})) == [f"unseen: {NAME}"]
-    assert differences({0: done(random(0))}, {1: done(random(0))}) == {}
+    assert list(compute_differences({0: done(random(0))}, {0: elsewhere})) == [f"unseen: {NAME}"]
+    assert compute_differences({0: done(random(0))}, {1: done(random(0))}) == {}
 
 
 def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_difference():
@@ -212,7 +218,7 @@ def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_differenc
     ):
         elsewhere = done(random(1))
         elsewhere.outcome.results.settings[part].update(change)
-        assert differences({0: done(random(0))}, {0: elsewhere}) == {}
+        assert compute_differences({0: done(random(0))}, {0: elsewhere}) == {}
 
 
 def test_a_further_test_is_compared_by_its_own_settings():
@@ -222,8 +228,8 @@ def test_a_further_test_is_compared_by_its_own_settings():
     )
     unseen = others.outcome.results.tests
     unseen["unseen"] = replace(unseen["unseen"], stimuli=["leaf", "flower"])
-    assert list(differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
-    assert list(differences({0: done(random(0))}, {0: others})) == [NAME]
+    assert list(compute_differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
+    assert list(compute_differences({0: done(random(0))}, {0: others})) == [NAME]
 
 
 @pytest.mark.parametrize(
@@ -235,7 +241,7 @@ def test_poses_read_from_images_of_another_size_are_compared_and_their_likeness_
     larger.outcome.results.settings["paired"]["preprocess"] = {"size": 160}
     for row in (smaller, larger):
         row.tests[""] |= {"swap/DC(z_p)/mse": random(2), "pose/disentangled/x_mm": random(3)}
-    assert list(differences({0: smaller}, {0: larger})) == ["pose/disentangled/x_mm"]
+    assert list(compute_differences({0: smaller}, {0: larger})) == ["pose/disentangled/x_mm"]
 
 
 def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary):
@@ -246,19 +252,19 @@ def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary
 
 
 def test_nothing_done_is_a_summary_too():
-    cells = cells_of(SWEEP)
+    cells = list_cells(SWEEP)
     rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
+    found = summarise(SWEEP, cells, rows, find_reference(SWEEP, cells))
     assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
-    assert table(found).count("failed: ") == 6
+    assert format_table(found).count("failed: ") == 6
 
 
 def test_nothing_done_without_a_grid_is_a_summary_too():
     sweep = replace(SWEEP, grid=(), rows=((), (("train.epochs", 2),)))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
-    found = summarise(sweep, cells, rows, reference_of(sweep, cells))
-    assert [cell.metrics for cell in found.cells] == [{}, {}] and "failed: " in table(found)
+    found = summarise(sweep, cells, rows, find_reference(sweep, cells))
+    assert [cell.metrics for cell in found.cells] == [{}, {}] and "failed: " in format_table(found)
 
 
 def test_it_is_json_and_costs_are_all_that_may_differ(summary):
@@ -271,19 +277,22 @@ def test_it_is_json_and_costs_are_all_that_may_differ(summary):
         convert_record(again, SweepResult, "sweep.json", "again").cells[0].metrics
         == summary.cells[0].metrics
     )
-    assert not reproducible(summary).cells[0].costs and reproducible(summary).cells[0].metrics
+    assert (
+        not select_reproducible(summary).cells[0].costs
+        and select_reproducible(summary).cells[0].metrics
+    )
 
 
 def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_out():
     rows = {0: done(random(0)), 1: done(random(1), ablation=None)}
-    assert list(ablation(rows)["DS(z_p,0)/ssim"].per_seed) == ["0"]
+    assert list(summarise_code_swaps(rows)["DS(z_p,0)/ssim"].per_seed) == ["0"]
     lacking = done(random(1))
     lacking.outcome.results.pin_error["disentangled"]["rms_px"] = None
-    assert "pin_error/disentangled/rms_px" not in metrics({0: done(random(0)), 1: lacking})
+    assert "pin_error/disentangled/rms_px" not in compute_metrics({0: done(random(0)), 1: lacking})
 
 
 def test_the_table_shows_figures_reference_and_failures(summary):
-    lines = table(summary).splitlines()
+    lines = format_table(summary).splitlines()
     assert lines[0].split() == ["seeds", NAME, "training", "memory"]
     assert (
         lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
@@ -292,27 +301,27 @@ def test_the_table_shows_figures_reference_and_failures(summary):
         "1 of 2" in lines[3] and lines[-2] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
     )
     assert lines[-1].endswith("--retry-failed tries them again")
-    low, high = interval(np.stack([random(0), random(1)]), GROUPS)
+    low, high = compute_interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
-    assert "*" not in table(replace(summary, reference=None)).splitlines()[2]
+    assert "*" not in format_table(replace(summary, reference=None)).splitlines()[2]
 
 
 def test_nothing_failed_is_nothing_to_try_again(summary):
-    assert "--retry-failed" not in table(replace(summary, cells=summary.cells[:2]))
+    assert "--retry-failed" not in format_table(replace(summary, cells=summary.cells[:2]))
 
 
 def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
     rows = ((), (("train.epochs", 9.0),), (("paired.slides", 8),))
     sweep = replace(SWEEP, grid=(), rows=rows, labels=("base", "longer", "more slides"), seeds=(0,))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     measured = {
         (cell.label, 0): done(
             np.full(12, 0.5 + number / 10), train_seconds={"disentangled": 10.0 + number}
         )
         for number, cell in enumerate(cells)
     }
-    found = summarise(sweep, cells, measured, reference_of(sweep, cells))
-    lines = table(found).splitlines()
+    found = summarise(sweep, cells, measured, find_reference(sweep, cells))
+    lines = format_table(found).splitlines()
     assert f"{NAME} against train_seconds: base < longer" in lines
     assert lines[-1] == "not ranked, tested on other contacts: more slides"
 
@@ -324,18 +333,21 @@ def test_intervals_say_what_they_are_over(summary):
         and "seeds" in summary.spread["what"]
     )
     assert (
-        "brackets: 95 % intervals over training seeds and test poses" in table(summary).splitlines()
+        "brackets: 95 % intervals over training seeds and test poses"
+        in format_table(summary).splitlines()
     )
     sweep = replace(SWEEP, grid=(), rows=((),), labels=("base",), seeds=(0,))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     one = summarise(sweep, cells, {(cells[0].label, 0): done(random(0))}, None)
     assert one.spread["over"] == "test poses of one training" and "seeds" not in one.spread["what"]
-    assert "brackets: 95 % intervals over test poses of one training" in table(one).splitlines()
+    assert (
+        "brackets: 95 % intervals over test poses of one training" in format_table(one).splitlines()
+    )
 
 
 def test_cells_of_different_networks():
     sweep = replace(SWEEP, grid=(("networks", (("disentangled",), ("unet",))),), seeds=(0,))
-    cells = cells_of(sweep)
+    cells = list_cells(sweep)
     assert [cell.label for cell in cells] == ["networks=disentangled", "networks=unet"]
     other = done(random(1))
     other = other._replace(tests={"": {"ms_ssim/unet": random(1)} | LABELS})
@@ -347,4 +359,4 @@ def test_cells_of_different_networks():
     )
     assert found.networks == ["disentangled", "unet"]
     assert not any(name.startswith("ms_ssim") for name in found.cells[1].difference)
-    assert "-" in table(found).splitlines()[1].split()
+    assert "-" in format_table(found).splitlines()[1].split()

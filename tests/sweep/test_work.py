@@ -7,8 +7,8 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.storage import os_error
-from jaxunshear.sweep import work
-from jaxunshear.sweep.tasks import Order
+from jaxunshear.sweep import worker
+from jaxunshear.sweep.tasks import TaskOrder
 
 FULL = os_error(Path("somewhere"), OSError(errno.ENOSPC, "No space left on device"))
 
@@ -21,8 +21,8 @@ def reason(monkeypatch, tmp_path):
         def refuse(*_):
             raise error
 
-        monkeypatch.setattr(work, f"_{kind}", refuse)
-        outcome = work.attempt(Order(kind=kind), tmp_path)
+        monkeypatch.setattr(worker, f"_{kind}", refuse)
+        outcome = worker.run_order(TaskOrder(kind=kind), tmp_path)
         assert outcome.status == "failed" and outcome.wall_seconds >= 0
         return outcome.reason
 

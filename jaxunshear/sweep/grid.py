@@ -44,10 +44,10 @@ from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
 from jaxunshear.storage import Json
 
-LONGEST_NAME = 90  # of a folder, before its digest
+MAX_NAME_LENGTH = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it
-TESTS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
-UNUSED_BY_TAUGHT = ("train_posenet",)
+TEST_SETTINGS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
+UNUSED_WITH_TEACHER = ("train_posenet",)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Row:
     experiment: Experiment
 
 
-def cells_of(sweep: Sweep) -> list[Cell]:
+def list_cells(sweep: Sweep) -> list[Cell]:
     """The grid in the order of its axes, the last one fastest, then the explicit rows; repeated ones once.
 
     Raises `UserError` for a cell that no run could work with, and for two different ones of the same label.
@@ -77,10 +77,11 @@ def cells_of(sweep: Sweep) -> list[Cell]:
     cells: dict[str, Cell] = {}
     for given, point, changes in _changes(sweep):
         reported = ", ".join(
-            f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes
+            f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
+            for fields, value in changes
         )
         label = given or reported or "base"
-        cell = Cell(label, point, changes, _changed(sweep, changes, label))
+        cell = Cell(label, point, changes, _apply_changes(sweep, changes, label))
         if label in cells and cells[label].experiment != cell.experiment:
             raise UserError(
                 f"sweep {sweep.name}: two different cells are both called '{label}': name their sensors and outlines apart"
@@ -89,39 +90,39 @@ def cells_of(sweep: Sweep) -> list[Cell]:
     return list(cells.values())
 
 
-def rows_of(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
+def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
     """The row of each (cell's label, seed). Cells of equal settings share their rows."""
     rows: dict[tuple[str, int], Row] = {}
     made: dict[str, Row] = {}
     for cell, seed in itertools.product(cells, sweep.seeds):
         networks = tuple(network for network in ALL_NETWORKS if network in cell.experiment.networks)
         experiment = dataclasses.replace(cell.experiment, seed=seed, networks=networks)
-        own = row_digest(experiment, sweep.ablation)
+        own = compute_row_digest(experiment, sweep.ablation)
         words = re.sub(r"[^A-Za-z0-9._]+", "-", cell.label.replace(", ", "_"))
-        name = f"{words[: LONGEST_NAME - len(f'_seed-{seed}')]}_seed-{seed}-{own}"
+        name = f"{words[: MAX_NAME_LENGTH - len(f'_seed-{seed}')]}_seed-{seed}-{own}"
         made.setdefault(own, Row(cell.label, own, dataclasses.replace(experiment, name=name)))
         rows[cell.label, seed] = made[own]
     return rows
 
 
-def row_digest(experiment: Experiment, ablation: bool) -> str:
+def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
     """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
     networks = tuple(sorted(experiment.networks))
     full = dataclasses.replace(experiment, name="", claim="", networks=networks)
     return _digest({"experiment": to_json(full), "ablation": ablation})
 
 
-def training_part(experiment: Experiment, network: str) -> Experiment:
+def select_training_part(experiment: Experiment, network: str) -> Experiment:
     """`experiment` with all that the training of `network` does not depend on set to a default, its name to that of the part.
 
     Rows with equal parts share that training.
     """
     plain = Experiment(name="", claim="")
-    unused: tuple[str, ...] = ("name", "claim", *TESTS)
+    unused: tuple[str, ...] = ("name", "claim", *TEST_SETTINGS)
     # recordings: one set for taps and slides; pins: one training for all networks
     if not get_recorded(experiment) and not uses_pins(experiment):
         taught = len(list_required_networks(experiment, network)) > 1
-        unused += UNUSED_BY_TAUGHT if taught else REGISTRY[network].unused
+        unused += UNUSED_WITH_TEACHER if taught else REGISTRY[network].unused
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if uses_pins(experiment) and network in (*POSENETS, RENDERER):
         part = dataclasses.replace(
@@ -161,7 +162,7 @@ def _without_direct(part: Experiment) -> Experiment:
     return part
 
 
-def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:
+def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
     """Label of the cell that others are compared with: the one named, else that of the base's own values, else None."""
     if sweep.reference is not None:
         if all(cell.label != sweep.reference for cell in cells):
@@ -169,18 +170,20 @@ def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:
                 f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: {_some(cells)}"
             )
         return sweep.reference
-    own = row_digest(get_base(sweep), sweep.ablation)
-    equal = (cell.label for cell in cells if row_digest(cell.experiment, sweep.ablation) == own)
+    own = compute_row_digest(get_base(sweep), sweep.ablation)
+    equal = (
+        cell.label for cell in cells if compute_row_digest(cell.experiment, sweep.ablation) == own
+    )
     return next(equal, None) if len(cells) > 1 else None
 
 
-def axis_values(axis: Axis) -> tuple[str, ...]:
+def list_axis_values(axis: Axis) -> tuple[str, ...]:
     """The printed values along an axis, repeated ones once."""
     fields, values = axis
-    return tuple(dict.fromkeys(value_label(fields, value) for value in values))
+    return tuple(dict.fromkeys(format_value_label(fields, value) for value in values))
 
 
-def name_of(fields: Fields, sweep: Sweep) -> str:
+def format_field_name(fields: Fields, sweep: Sweep) -> str:
     """`patch_weight`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
     varied = {name for fields, _ in sweep.grid for name in list_fields(fields)}
     varied |= {name for row in sweep.rows for fields, _ in row for name in list_fields(fields)}
@@ -189,12 +192,12 @@ def name_of(fields: Fields, sweep: Sweep) -> str:
     return ":".join(short if shorts.count(short) == 1 else name for name, short in parts)
 
 
-def value_label(fields: Fields, value: Value) -> str:
+def format_value_label(fields: Fields, value: Value) -> str:
     """`8:120` for fields that vary together."""
-    return ":".join(format_value(part) for _, part in parts_of(fields, value))
+    return ":".join(format_value(part) for _, part in split_change(fields, value))
 
 
-def parts_of(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
+def split_change(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
     """Each field that a change sets, with its own value."""
     return zip(list_fields(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
@@ -207,15 +210,19 @@ def _changes(
     if sweep.grid or not sweep.rows:
         for values in itertools.product(*(values for _, values in sweep.grid)):
             changes = tuple(zip(names, values, strict=True))
-            yield None, tuple(value_label(fields, value) for fields, value in changes), changes
+            yield (
+                None,
+                tuple(format_value_label(fields, value) for fields, value in changes),
+                changes,
+            )
     for label, row in zip_longest(sweep.labels, sweep.rows):
         yield label, None, row
 
 
-def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
+def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
     experiment = get_base(sweep)
     for fields, value in changes:
-        for name, part in parts_of(fields, value):
+        for name, part in split_change(fields, value):
             experiment = replace_field(experiment, name, part)
     try:
         validate(experiment)

@@ -5,16 +5,21 @@ from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.table import plain_table
 
-LEARNT_SHEARED = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
+DIRECT_KIND = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
 
-MAIN = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")  # *: each network
+MAIN_METRICS = (
+    "ms_ssim/*",
+    "pose/*/edge_mm",
+    "pose/*/edge_deg",
+    "swap/DS(z_p,z_s)/mse",
+)  # *: each network
 
 
-def table(summary: SweepResult) -> str:
+def format_table(summary: SweepResult) -> str:
     """A line a cell: the main figures with their intervals, seconds of training, memory; then the failures with their reasons,
     and what no other setting beats."""
     cells = summary.cells
-    names = main_metrics(summary)
+    names = select_main_metrics(summary)
     head, rows = ("", "seeds", *names, "training", "memory"), []
     for cell in cells:
         mark = " *" if cell.label == summary.reference else ""
@@ -61,16 +66,17 @@ def _frontiers(summary: SweepResult) -> list[str]:
     ]
 
 
-def main_metrics(summary: SweepResult) -> list[str]:
+def select_main_metrics(summary: SweepResult) -> list[str]:
     """The figures that the table has room for, of those that any cell has."""
     there = {name: None for cell in summary.cells for name in cell.metrics}
-    patterns: tuple[str, ...] = MAIN
+    patterns: tuple[str, ...] = MAIN_METRICS
     if not any(name.endswith("/edge_mm") for name in there):  # other targets: the first two
         read = [name.rpartition("/")[2] for name in there if name.startswith("pose/")]
-        patterns = (MAIN[0], *(f"pose/*/{target}" for target in list(dict.fromkeys(read))[:2]))
-    shown = [
-        LEARNT_SHEARED if network == POSENET_SHEARED else network for network in summary.networks
-    ]
+        patterns = (
+            MAIN_METRICS[0],
+            *(f"pose/*/{target}" for target in list(dict.fromkeys(read))[:2]),
+        )
+    shown = [DIRECT_KIND if network == POSENET_SHEARED else network for network in summary.networks]
     wanted = [pattern.replace("*", network) for pattern in patterns for network in shown]
     return [name for name in dict.fromkeys(wanted) if name in there]
 

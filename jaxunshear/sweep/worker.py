@@ -1,4 +1,4 @@
-"""The process of one task: `python -m jaxunshear.sweep.work FOLDER PARENT` does FOLDER/task.json and writes the outcome.
+"""The process of one task: `python -m jaxunshear.sweep.worker FOLDER PARENT` does FOLDER/task.json and writes the outcome.
 
 It dies with its parent, and holds FOLDER/lock, so that never two of them work in one folder.
 """
@@ -31,12 +31,12 @@ from jaxunshear.sweep.tasks import (
     DISK_FULL,
     LOCK,
     TASK,
-    Order,
-    failure,
-    outcome_file,
+    TaskOrder,
+    copy_order_fields,
+    get_outcome_file,
+    make_failure,
     read_order,
     read_outcome,
-    repeated,
 )
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -44,17 +44,17 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 def main(folder: Path, parent: int) -> int:
     """Does the task in `folder`, unless it has an outcome already."""
-    die_with(parent)
+    exit_with_parent(parent)
     read_source()  # as the code is now; it may be changed while this works
     keep_freed_memory()
     with locked(
         folder / LOCK, wait=True
     ):  # one left over from a killed sweep may still be at its end
         order = read_order(folder)
-        outcome = outcome_file(folder, order.kind)
+        outcome = get_outcome_file(folder, order.kind)
         if not outcome.exists():
             try:
-                write_record(outcome, attempt(order, folder))
+                write_record(outcome, run_order(order, folder))
             except Exception as error:
                 if disk_is_full(error):
                     print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -63,7 +63,7 @@ def main(folder: Path, parent: int) -> int:
     return 0
 
 
-def die_with(parent: int) -> None:
+def exit_with_parent(parent: int) -> None:
     """Has the system kill this process when `parent` ends, however it ends (Linux; elsewhere this task is finished first)."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -71,24 +71,24 @@ def die_with(parent: int) -> None:
         sys.exit("the sweep has ended")
 
 
-def attempt(order: Order, folder: Path) -> Outcome:
+def run_order(order: TaskOrder, folder: Path) -> Outcome:
     """What the task made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
     began = time.perf_counter()
     try:
         check_variables()  # a machine of a cluster has its own
         made = {"data": _data, "training": _training, "row": _row}[order.kind](order, folder)
-        outcome = repeated(order, made)
+        outcome = copy_order_fields(order, made)
     except UserError as error:
         if disk_is_full(error):
             raise
-        outcome = failure(
+        outcome = make_failure(
             order, str(error) if order.kind == "data" else _to_retry(str(error)), folder
         )
     except Exception as error:  # also a MemoryError, and what XLA makes of one
         if disk_is_full(error):
             raise
         traceback.print_exc()
-        outcome = failure(order, f"{type(error).__name__}: {error}"[:500], folder)
+        outcome = make_failure(order, f"{type(error).__name__}: {error}"[:500], folder)
     kilobyte = 1 if sys.platform == "darwin" else 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte
     return replace(
@@ -109,7 +109,7 @@ def _to_retry(reason: str) -> str:
     )
 
 
-def _data(order: Order, folder: Path) -> Outcome:
+def _data(order: TaskOrder, folder: Path) -> Outcome:
     from jaxunshear.dataset.generation import make_sets
 
     for wanted in order.experiments:
@@ -117,25 +117,25 @@ def _data(order: Order, folder: Path) -> Outcome:
     return Outcome(status="done", reason=None)
 
 
-def _training(order: Order, folder: Path) -> Outcome:
-    experiment = _started(order, folder)
+def _training(order: TaskOrder, folder: Path) -> Outcome:
+    experiment = _start_task(order, folder)
     run_stages(
         experiment, tuple(order.networks or ()), folder.parent, Path(order.data), order.command
     )
-    return _trained(order, folder)
+    return _summarise_trainings(order, folder)
 
 
-def _row(order: Order, folder: Path) -> Outcome:
-    experiment = _started(order, folder)
+def _row(order: TaskOrder, folder: Path) -> Outcome:
+    experiment = _start_task(order, folder)
     stages, data = (*(order.networks or ()), "evaluate"), Path(order.data)
     results = run_stages(experiment, stages, folder.parent, data, order.command)
     assert results is not None
-    spoilt = _spoilt(experiment, folder, data, order.command) if order.ablation else None
-    made = replace(_trained(order, folder), results=results, ablation=spoilt)
+    spoilt = _measure_codes(experiment, folder, data, order.command) if order.ablation else None
+    made = replace(_summarise_trainings(order, folder), results=results, ablation=spoilt)
     return replace(made, device=results.machine.device, ms_per_image=results.ms_per_image)
 
 
-def _spoilt(
+def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
     """What decoders make of exchanged codes, and what each code holds that it should not."""
@@ -150,7 +150,7 @@ def _spoilt(
     return rows
 
 
-def _started(order: Order, folder: Path) -> Experiment:
+def _start_task(order: TaskOrder, folder: Path) -> Experiment:
     """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
     for network, source in order.sources.items():
         _reuse(Path(source), folder / network)
@@ -184,7 +184,7 @@ def _check_checkpoints(source: Path) -> None:
     load_best(source)
 
 
-def _trained(order: Order, folder: Path) -> Outcome:
+def _summarise_trainings(order: TaskOrder, folder: Path) -> Outcome:
     """Time and memory of the trainings, those of other tasks with them."""
     ended = {
         network: read_record(

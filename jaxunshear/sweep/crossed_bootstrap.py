@@ -17,45 +17,45 @@ from scipy.special import ndtri, stdtrit
 from jaxunshear.evaluation import bootstrap
 
 SEED = 0
-OVER = "training seeds and test poses"  # what the intervals of several seeds are over
+INTERVALS_OVER = "training seeds and test poses"  # what the intervals of several seeds are over
 
 
-def spread_of(seeds: int) -> dict[str, str | int]:
+def describe_intervals(seeds: int) -> dict[str, str | int]:
     """Say what the intervals in sweep.json are."""
     drawn = "bootstrap over test poses, each with all its slides"
     kind = f"Student's t over {seeds} seeds and {drawn}" if seeds > 1 else drawn
     return {
         "interval": kind,
         "what": f"{bootstrap.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
-        "over": OVER if seeds > 1 else bootstrap.INTERVALS_OVER,
+        "over": INTERVALS_OVER if seeds > 1 else bootstrap.INTERVALS_OVER,
         "resamples": bootstrap.RESAMPLES,
         "seed": SEED,
     }
 
 
-def interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
+def compute_interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
     """[low, high] of the mean of `values` (seeds, N) at 95 %; `poses` (N,) are the poses that the N contacts belong to.
 
     With one seed it is that of the evaluation: over poses alone. Raises `ValueError` where shapes do not fit.
     """
     if values.ndim != 2 or not values.size or values.shape[1:] != poses.shape:
         raise ValueError("values must be an array (seeds, N), poses (N,), neither of them empty")
-    return bootstrap.compute_interval(resampled(values, poses))
+    return bootstrap.compute_interval(resample_means(values, poses))
 
 
-def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def resample_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Give the mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
     sums = np.stack(
         [np.bincount(group, row) for row in values.astype(np.float64)]
     )  # (seeds, poses)
-    of_seeds, of_poses = weights(len(values), SEED + 1), draws(len(counts), SEED)
+    of_seeds, of_poses = draw_seed_weights(len(values), SEED + 1), draw_counts(len(counts), SEED)
     return np.sum((of_seeds @ sums) * of_poses, axis=1) / (len(values) * (of_poses @ counts))
 
 
 @functools.cache
-def weights(seeds: int, seed: int) -> np.ndarray:
+def draw_seed_weights(seeds: int, seed: int) -> np.ndarray:
     """Draw how much each training seed counts in each resample, (resamples, seeds); 1 on average.
 
     The weighted mean of numbers x, one per training seed, is normal about mean(x). Its standard
@@ -70,7 +70,7 @@ def weights(seeds: int, seed: int) -> np.ndarray:
 
 
 @functools.cache
-def draws(things: int, seed: int) -> np.ndarray:
+def draw_counts(things: int, seed: int) -> np.ndarray:
     """Draw how often each of `things` counts, with replacement, in each resample: (resamples, things)."""
     equal = np.full(things, 1 / things)
     return (
