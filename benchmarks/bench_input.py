@@ -30,7 +30,7 @@ from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.tasks import Task, make_unshear_task
-from verification.clock import seconds
+from verification.clock import time_call
 
 SECONDS = 60.0  # of each way
 LEAST_ROUNDS = 2
@@ -111,7 +111,7 @@ def _measured(case: Case, of_each: float) -> Json:
     state = [first]
     lowered = jax.jit(step, donate_argnums=0).lower(state[0], there)
     programs: list[jax.stages.Compiled] = []
-    compile_s = seconds(lambda: programs.append(lowered.compile()))
+    compile_s = time_call(lambda: programs.append(lowered.compile()))
 
     def turn(batches: Iterator[Mapping[str, jax.Array]]) -> None:
         """As training does it: steps are waited for one behind."""
@@ -125,10 +125,10 @@ def _measured(case: Case, of_each: float) -> Json:
 
     turn(stream)
     turn(itertools.repeat(there))
-    rounds = max(LEAST_ROUNDS, round(of_each / seconds(lambda: turn(itertools.repeat(there)))))
+    rounds = max(LEAST_ROUNDS, round(of_each / time_call(lambda: turn(itertools.repeat(there)))))
     spent = np.array(
         [
-            [seconds(lambda: turn(itertools.repeat(there))), seconds(lambda: turn(stream))]
+            [time_call(lambda: turn(itertools.repeat(there))), time_call(lambda: turn(stream))]
             for _ in range(rounds)
         ]
     )

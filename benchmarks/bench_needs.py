@@ -29,7 +29,7 @@ from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
-from verification.clock import seconds
+from verification.clock import time_call
 
 ROUNDS = 15
 BATCH = 8
@@ -61,7 +61,7 @@ class Way:
 def bench_needs(
     size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS
 ) -> list[Json]:
-    """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
+    """A row a case: `operations`, `time_call` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
     unshearnet.check_net(net)
@@ -87,7 +87,7 @@ def _measured(full: Way, less: Way, rounds: int) -> Json:
     times: dict[str, list[float]] = {kind: [] for kind in works}
     for _ in range(rounds):
         for kind, work in works.items():
-            times[kind].append(seconds(work))
+            times[kind].append(time_call(work))
     for kind, laps in times.items():
         found[kind] |= {"seconds": float(np.median(laps)), "p95": float(np.percentile(laps, 95))}
     ratios = {

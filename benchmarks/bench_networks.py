@@ -34,7 +34,7 @@ from jaxunshear.settings.targets import list_target_names
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
-from verification.clock import SIZE, matrix_product, seconds
+from verification.clock import SIZE, make_matrix_product, time_call
 
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
@@ -285,15 +285,15 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Roun
                 raise
             rows[name]["failed"] = f"{type(crash).__name__}: {first_line(crash)}"
     times: dict[str, list[float]] = {name: [] for name in ready}
-    product, yard = matrix_product(), []
+    product, yard = make_matrix_product(), []
     for _ in range(rounds[0]):
         for name, work in ready.items():
             end = time.perf_counter() + rounds[1]
             while True:
-                times[name].append(seconds(work))
+                times[name].append(time_call(work))
                 if time.perf_counter() >= end:
                     break
-        yard += [seconds(product) for _ in range(3)]
+        yard += [time_call(product) for _ in range(3)]
     rate = 2 * SIZE**3 / statistics.median(yard)
     for name, spent in times.items():
         median, late = np.median(spent), np.percentile(spent, 95)

@@ -28,7 +28,7 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
-from verification.clock import seconds
+from verification.clock import time_call
 
 NETS = {
     "dense": PinUnshear(),
@@ -116,10 +116,12 @@ def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 
 def _measured(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -> Json:
     works = {way: work for way, (work, _) in made.items()}
-    times = max(1, round(turn_s / min(seconds(work) for work in works.values() for _ in range(3))))
+    times = max(
+        1, round(turn_s / min(time_call(work) for work in works.values() for _ in range(3)))
+    )
 
     def turn(way: str) -> float:
-        return 1e3 * seconds(lambda: [works[way]() for _ in range(times)]) / times
+        return 1e3 * time_call(lambda: [works[way]() for _ in range(times)]) / times
 
     fast, plain = np.array(
         [[turn(layer_choice.FAST), turn(layer_choice.PLAIN)] for _ in range(rounds)]

@@ -24,9 +24,9 @@ from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import RING_MM, compute_ring_spacing, set_ring_spacing
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
-from verification.clock import laps, matrix_product, seconds
-from verification.paper import KINDS, NAMES, paper_scenes
-from verification.px import pin_error
+from verification.clock import make_matrix_product, time_call, time_repeats
+from verification.paper import KINDS, NAMES, sample_paper_scenes
+from verification.pin_distance import compute_pin_error
 
 OWN = "admm"
 WRONG_PX = 1.0  # rms: a solver that ends further off than this has failed
@@ -43,7 +43,7 @@ class Effort:
     slow: int = 63  # timed, of rows that take a second a state
     repeats: int = 5
     budget_s: float = 15.0
-    scenes: Callable[[str, int], Scenes] = paper_scenes  # by kind and number
+    scenes: Callable[[str, int], Scenes] = sample_paper_scenes  # by kind and number
     truth: Level = LEVELS["reference"]
 
 
@@ -189,18 +189,18 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
 
     systems.load_shared_dome(here)
     jax.clear_caches()
-    product = matrix_product()
+    product = make_matrix_product()
     try:
-        first = seconds(work)
-        spent = laps(work, product, effort.repeats, effort.budget_s)
+        first = time_call(work)
+        spent = time_repeats(work, product, effort.repeats, effort.budget_s)
     except Exception as crash:
         return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
     planned = min(
-        seconds(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2)
+        time_call(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2)
     )
     each = 1e3 * spent.work / len(scenes)
     part = contacts[0]
-    error = pin_error(sensor, part.pins[: len(compared)], pins)
+    error = compute_pin_error(sensor, part.pins[: len(compared)], pins)
     found = {
         "ms_per_state": float(np.median(each)),
         "ms_p95": float(np.percentile(each, 95)),

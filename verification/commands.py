@@ -92,12 +92,12 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.progress import Progress
     from verification import verify
-    from verification.tables import as_dict, table
+    from verification.verification_rows import convert_row, format_rows
 
     with Progress("verify", len(verify.CHECKS), unit="checks") as progress:
-        rows = verify.verify(progress)
-    print(table(rows))
-    keep([as_dict(row) for row in rows])
+        rows = verify.run_verification(progress)
+    print(format_rows(rows))
+    keep([convert_row(row) for row in rows])
     missed = [row.problem for row in rows if not row.holds]
     print(
         f"\n{len(rows)} rows, {len(missed)} do not hold{': ' if missed else ''}{', '.join(missed)}"
@@ -108,15 +108,15 @@ def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
 def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
     from verification import stability
 
-    rows = stability.stability(arguments.only)
-    print(stability.table(rows))
+    rows = stability.run_stability(arguments.only)
+    print(stability.format_table(rows))
     keep(stability.as_dicts(rows))
-    return 1 if stability.failed(rows) else 0
+    return 1 if stability.select_failed(rows) else 0
 
 
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.settings.sensor import get_sensor
-    from verification import show_plan
+    from verification import plan_report
 
     given, sensor = vars(arguments), get_sensor(arguments.sensor)
     if arguments.scenes is not None:
@@ -125,13 +125,13 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
                 raise UserError(
                     f"--{option}: plan --scenes draws its own contacts; it takes --level, --sensor and --json"
                 )
-        shown = show_plan.show_grouping(arguments.scenes, arguments.level, sensor)
+        shown = plan_report.show_grouping(arguments.scenes, arguments.level, sensor)
     else:
         one = {
             option: usual if given[option] is None else given[option]
             for option, usual in _CONTACT.items()
         }
-        shown = show_plan.show_plan(
+        shown = plan_report.show_plan(
             one["stimulus"],
             _numbers(one["pose"], 4, "--pose"),
             _numbers(one["move"], 2, "--move"),

@@ -18,7 +18,7 @@ from jaxunshear.contact.elasticity import (
     compute_lame_constants,
 )
 from jaxunshear.contact.mesh import Mesh, make_dome_mesh, sample_elements
-from verification.tables import Row, fit_order, vanishes
+from verification.verification_rows import Row, fit_order, make_zero_row
 
 GROUP = "elements"
 CHUNK = 4096
@@ -29,7 +29,7 @@ GAUSS_3 = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), -1).reshape(-1, 2)
 WEIGHT_3 = np.outer(_WEIGHT, _WEIGHT).ravel()
 
 
-def irregular_patch(cells: int = 4, seed: int = 0) -> Mesh:
+def make_irregular_patch(cells: int = 4, seed: int = 0) -> Mesh:
     """A square r, z in [0, 1] cut into quadrilaterals with straight sides, whose inner corners lie anywhere near their place."""
     line = np.linspace(0, 1, cells + 1)
     corners = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
@@ -55,9 +55,9 @@ def irregular_patch(cells: int = 4, seed: int = 0) -> Mesh:
     return Mesh(np.array(points), np.array(elements), np.zeros(len(elements), bool), none, none)
 
 
-def patch_test() -> list[Row]:
+def run_patch_test() -> list[Row]:
     """Prescribed at its boundary, a homogeneous strain must be found inside to rounding."""
-    mesh = irregular_patch()
+    mesh = make_irregular_patch()
     r, z = mesh.nodes.T
     zero = np.zeros_like(r)
     fields = {
@@ -74,15 +74,15 @@ def patch_test() -> list[Row]:
     worst = 0.0
     for m, field in fields.values():
         exact = np.stack(field, -1)
-        found = _solved(
+        found = _solve_prescribed(
             k0 + m * k1 + m * m * k2, np.repeat(edge, 3), exact.ravel(), np.zeros(exact.size)
         )
         worst = max(worst, np.abs(found - exact.ravel()).max() / np.abs(exact).max())
     words = "patch test on distorted elements: worst of 6 homogeneous strains"
-    return [vanishes(GROUP, words, worst, 1.0, 1e-9)]
+    return [make_zero_row(GROUP, words, worst, 1.0, 1e-9)]
 
 
-def _solved(
+def _solve_prescribed(
     matrix: sp.csc_matrix, fixed: np.ndarray, values: np.ndarray, load: np.ndarray
 ) -> np.ndarray:
     """Displacements that are `values` where `fixed` (both (n,))."""
@@ -92,7 +92,7 @@ def _solved(
     return found
 
 
-def made_up(m: int, r: jax.Array, z: jax.Array) -> jax.Array:
+def compute_manufactured(m: int, r: jax.Array, z: jax.Array) -> jax.Array:
     """(3,) U, V, W of a displacement that is smooth on the axis too."""
     swirl, push, lift = _parts(r**2, z)
     both, one = swirl * r ** (m + 1), push * r ** (m - 1) if m else 0 * r
@@ -117,7 +117,9 @@ def _cartesian(m: int, point: jax.Array) -> jax.Array:
     return jnp.stack([flat.real, flat.imag, lift * (plane**m).real])
 
 
-def body_force(m: int, modulus: float, poisson: float, r: jax.Array, z: jax.Array) -> jax.Array:
+def compute_body_force(
+    m: int, modulus: float, poisson: float, r: jax.Array, z: jax.Array
+) -> jax.Array:
     """(3,) that bears the made-up field: minus the divergence of its stress, radial, tangential and axial as U, V, W are."""
     shear, first = compute_lame_constants(modulus, poisson)
 
@@ -147,10 +149,10 @@ class _Sample(NamedTuple):
 
 @partial(jax.jit, static_argnames=("m", "poisson"))
 def _sample(m: int, poisson: float, r: jax.Array, z: jax.Array) -> _Sample:
-    field = partial(made_up, m)
+    field = partial(compute_manufactured, m)
     slopes = lambda r, z: jnp.stack([jax.jacfwd(field, i)(r, z) for i in (0, 1)], -1)  # noqa: E731
     return _Sample(
-        *(jax.vmap(f)(r, z) for f in (field, slopes, partial(body_force, m, 1.0, poisson)))
+        *(jax.vmap(f)(r, z) for f in (field, slopes, partial(compute_body_force, m, 1.0, poisson)))
     )
 
 
@@ -165,7 +167,7 @@ def _everywhere(m: int, poisson: float, r: np.ndarray, z: np.ndarray) -> _Sample
     return _Sample(*(field.reshape(*r.shape, *field.shape[1:]) for field in full))
 
 
-def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
+def measure_manufactured_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     """Relative errors of displacement and of its slopes, in the mean square over the body."""
     values, slopes, area, r = sample_elements(mesh, GAUSS_3)
     z = np.einsum("qn,en->eq", values, mesh.nodes[mesh.elements][..., 1])
@@ -180,7 +182,7 @@ def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     edge[np.unique(mesh.surface)] = True
     edge[mesh.clamped] = True
     edge[mesh.axis] = True
-    found = _solved(
+    found = _solve_prescribed(
         k0 + m * k1 + m * m * k2, np.repeat(edge, 3), at_nodes.ravel(), load.ravel()
     ).reshape(-1, 3)
     here = np.einsum("qn,eni->eqi", values, found[mesh.elements])
@@ -195,16 +197,18 @@ def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     return share(here - exact.field, exact.field), share(sloping - exact.slopes, exact.slopes)
 
 
-def made_up_orders() -> list[Row]:
+def measure_manufactured_orders() -> list[Row]:
     """On the dome's own meshes, curved sides included. Q8 should converge with h^3, its slopes with h^2."""
     sizes = np.array([0.25, 0.125, 0.0625])
     rows = []
     for m in (0, 1, 2):
-        errors = np.array([made_up_errors(make_dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes])
+        errors = np.array(
+            [measure_manufactured_errors(make_dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes]
+        )
         for error, name, least in zip(
             errors.T, ("displacement", "slopes"), (2.7, 1.7), strict=True
         ):
             words, order = f"made-up field, m = {m}, nu = 0.49: {name}", fit_order(sizes, error)
             more = {"order": order, "least_order": least, "note": "order in h"}
-            rows.append(vanishes(GROUP, words, error[-1], 1.0, 0.01, **more))
+            rows.append(make_zero_row(GROUP, words, error[-1], 1.0, 0.01, **more))
     return rows

@@ -14,8 +14,8 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.sensor import Sensor
-from verification.px import px_apart
-from verification.tables import Row, vanishes
+from verification.pin_distance import compute_pin_distance
+from verification.verification_rows import Row, make_zero_row
 
 GROUP = "the dome"
 FINE = "fine tolerance"
@@ -29,16 +29,16 @@ FRICTION = 0.7
 Points = np.ndarray | list[np.ndarray]  # (B, K, 6)
 
 
-def paths(points: Points, friction: float = FRICTION) -> Paths:
+def make_paths(points: Points, friction: float = FRICTION) -> Paths:
     return Paths(
         np.zeros(len(points), int), np.full(len(points), friction), np.asarray(points, float)
     )
 
 
-def _ends(
+def _solve_ends(
     sensor: Sensor, points: Points, level: str | Level = EXACT, friction: float = FRICTION
 ) -> Contacts:
-    return follow(sensor, (EDGE,), paths(points, friction), level)[0]
+    return follow(sensor, (EDGE,), make_paths(points, friction), level)[0]
 
 
 def _rotation(degrees: float) -> np.ndarray:
@@ -46,7 +46,7 @@ def _rotation(degrees: float) -> np.ndarray:
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
 
-def slide(
+def make_slide(
     x: float,
     y: float,
     move: tuple[float, float],
@@ -63,17 +63,17 @@ def slide(
     return points
 
 
-def turned(sensor: Sensor) -> list[Row]:
+def check_rotation(sensor: Sensor) -> list[Row]:
     """The sensor turned about its axis over an edge: the same skin, seen from another side."""
     angles = (0.0, 60.0, 17.0)
-    made = _ends(sensor, [slide(-1.0, 0.0, (0.8, 1.5), yaw) for yaw in angles])
+    made = _solve_ends(sensor, [make_slide(-1.0, 0.0, (0.8, 1.5), yaw) for yaw in angles])
     still = made.pins[0]
-    sixth = px_apart(
+    sixth = compute_pin_distance(
         sensor,
         made.pins[1],
         (still @ _rotation(-60.0).T)[make_sixfold_permutations(sensor.pins)[1]],
     )
-    other = px_apart(sensor, made.pins[2], _at_angles(sensor, still, -17.0))
+    other = compute_pin_distance(sensor, made.pins[2], _at_angles(sensor, still, -17.0))
     outer = np.arange(sensor.pins) > 3 * 3 * 4  # rings with enough pins to interpolate between
     force = _rotation(angles[2]) @ made.force_n[2] - made.force_n[0]
     note = "the contact nodes' lattice; pins from the 4th ring on, interpolated"
@@ -83,7 +83,7 @@ def turned(sensor: Sensor) -> list[Row]:
     return [
         _px("slide over an edge, all turned by 60 deg", sixth, 0.02, good, FINE),
         _px("slide over an edge, all turned by 17 deg", other[outer], None, good, note),
-        vanishes(GROUP, words, float(np.linalg.norm(force)), size, 0.01, settled=good),
+        make_zero_row(GROUP, words, float(np.linalg.norm(force)), size, 0.01, settled=good),
     ]
 
 
@@ -108,13 +108,13 @@ def _polar(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
 
 
-def mirrored(sensor: Sensor) -> list[Row]:
-    made = _ends(
-        sensor, [slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
+def check_mirroring(sensor: Sensor) -> list[Row]:
+    made = _solve_ends(
+        sensor, [make_slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
     )
     tips = compute_pin_tips(sensor)
     partner = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
-    apart = px_apart(sensor, made.pins[0] * [1, -1, 1], made.pins[1][partner])
+    apart = compute_pin_distance(sensor, made.pins[0] * [1, -1, 1], made.pins[1][partner])
     return [
         _px(
             "slide with a twist to the right against to the left",
@@ -126,31 +126,31 @@ def mirrored(sensor: Sensor) -> list[Row]:
     ]
 
 
-def resumed(sensor: Sensor) -> list[Row]:
+def check_resuming(sensor: Sensor) -> list[Row]:
     """One motion in two calls."""
     full = np.array(
         [
-            slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist)
+            make_slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist)
             for depth, twist in ((2.0, 0.0), (3.5, 15.0))
         ]
     )
     rows = []
     for level, bar, note in (("auto", 0.1, ""), (EXACT, 0.02, FINE)):
-        at_once, _ = follow(sensor, (EDGE,), paths(full), level)
-        _, pressed = follow(sensor, (EDGE,), paths(full[:, :2]), level)
-        later, _ = follow(sensor, (EDGE,), paths(full[:, 1:]), level, pressed)
-        apart = px_apart(sensor, at_once.pins, later.pins)
+        at_once, _ = follow(sensor, (EDGE,), make_paths(full), level)
+        _, pressed = follow(sensor, (EDGE,), make_paths(full[:, :2]), level)
+        later, _ = follow(sensor, (EDGE,), make_paths(full[:, 1:]), level, pressed)
+        apart = compute_pin_distance(sensor, at_once.pins, later.pins)
         good = bool(at_once.converged.all() and later.converged.all())
         rows.append(_px("press and slide in one call against in two", apart, bar, good, note))
     return rows
 
 
-def frictionless(sensor: Sensor) -> list[Row]:
+def check_frictionless(sensor: Sensor) -> list[Row]:
     """Without friction only the end of a path counts, up to where each increment searched for the edge."""
-    end = slide(-1.0, 0.5, (0.0, 0.0), yaw=10.0)
-    roundabout = slide(-1.0, 0.5, (2.0, -1.5), yaw=-20.0, twist=30.0)
-    made = _ends(sensor, [end, roundabout], friction=0.0)
-    apart = px_apart(sensor, made.pins[0], made.pins[1])
+    end = make_slide(-1.0, 0.5, (0.0, 0.0), yaw=10.0)
+    roundabout = make_slide(-1.0, 0.5, (2.0, -1.5), yaw=-20.0, twist=30.0)
+    made = _solve_ends(sensor, [end, roundabout], friction=0.0)
+    apart = compute_pin_distance(sensor, made.pins[0], made.pins[1])
     return [
         _px(
             "no friction: pressed straight down against from the side",
@@ -162,7 +162,7 @@ def frictionless(sensor: Sensor) -> list[Row]:
     ]
 
 
-def edge_sweep(sensor: Sensor) -> list[Row]:
+def check_edge_sweep(sensor: Sensor) -> list[Row]:
     """Ends 0.05 mm apart across an edge, taps and slides: does a node that comes to touch make a pin jump?"""
     places = np.arange(-3.0, 3.0 + 1e-9, 0.05)
     rows = []
@@ -170,10 +170,12 @@ def edge_sweep(sensor: Sensor) -> list[Row]:
         ("taps", (0.0, 0.0), 0.0),
         ("slides of 1.5 mm along it", (0.0, 1.5), 10.0),
     ):
-        made = _ends(sensor, [slide(x, 0.0, move, yaw, depth=3.0) for x in places], "auto")
+        made = _solve_ends(
+            sensor, [make_slide(x, 0.0, move, yaw, depth=3.0) for x in places], "auto"
+        )
         pins, good = made.pins.astype(float), bool(made.converged.all())
-        step = px_apart(sensor, pins[1:], pins[:-1])
-        change = px_apart(sensor, pins[2:] + pins[:-2] - pins[1:-1], pins[1:-1])
+        step = compute_pin_distance(sensor, pins[1:], pins[:-1])
+        change = compute_pin_distance(sensor, pins[2:] + pins[:-2] - pins[1:-1], pins[1:-1])
         rows += [
             _px(f"edge passed in steps of 0.05 mm by {words}: step", step, None, good),
             _px(f"edge passed by {words}: step against the step before", change, 0.3, good),
@@ -181,17 +183,17 @@ def edge_sweep(sensor: Sensor) -> list[Row]:
     return rows
 
 
-def tilted(sensor: Sensor) -> list[Row]:
+def check_tilt(sensor: Sensor) -> list[Row]:
     """A tilt on the flat brings another place of the dome into contact: alike, but for the lattice and the clamp at its base."""
     points = []
     for direction in (0.0, 60.0, 17.0):
         along = _rotation(direction)[:2, :2]
-        point = slide(-FLAT_MM, 0.0, tuple(along @ [1.0, 0.0]))
+        point = make_slide(-FLAT_MM, 0.0, tuple(along @ [1.0, 0.0]))
         point[:, TILT_X:] = along @ [0.0, 20.0]
         points.append(point)
-    made = _ends(sensor, points)
+    made = _solve_ends(sensor, points)
     force = np.linalg.norm(made.force_n, axis=-1)
-    sixth = px_apart(
+    sixth = compute_pin_distance(
         sensor,
         made.pins[1][make_sixfold_permutations(sensor.pins)[1]],
         made.pins[0] @ _rotation(60.0).T,
@@ -200,17 +202,17 @@ def tilted(sensor: Sensor) -> list[Row]:
     good = bool(made.converged.all())
     rows = [
         _px("slide on the flat, tilted by 20 deg, turned by 60 deg", sixth, 0.02, good, FINE),
-        vanishes(GROUP, words, force[2] - force[0], force[0], 0.01, settled=good),
+        make_zero_row(GROUP, words, force[2] - force[0], force[0], 0.01, settled=good),
     ]
     tilts = (0.0, 10.0, 20.0)
-    presses = np.array([slide(-FLAT_MM, 0.0, (0.0, 0.0)) for _ in tilts])
+    presses = np.array([make_slide(-FLAT_MM, 0.0, (0.0, 0.0)) for _ in tilts])
     presses[:, :, TILT_X + 1] = np.array(tilts)[:, None]
-    made = _ends(sensor, presses, friction=0.0)
+    made = _solve_ends(sensor, presses, friction=0.0)
     force = np.linalg.norm(made.force_n, axis=-1)
     for tilt, here in zip(tilts[1:], force[1:], strict=True):
         words = f"frictionless press on the flat, tilted by {tilt:g} deg: change of the force"
         rows.append(
-            vanishes(
+            make_zero_row(
                 GROUP, words, here - force[0], force[0], 0.03, settled=bool(made.converged.all())
             )
         )
@@ -218,6 +220,6 @@ def tilted(sensor: Sensor) -> list[Row]:
 
 
 def _px(problem: str, apart: np.ndarray, bar: float | None, settled: bool, note: str = "") -> Row:
-    return vanishes(
+    return make_zero_row(
         GROUP, f"{problem}, px", apart.max(), 1.0, bar, settled=settled, note=note, px=True
     )

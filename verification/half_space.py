@@ -1,7 +1,7 @@
 """A half-space, the body for which closed forms exist, put through the simulator's own mesh, condensation and solver.
 
-    body = half_space(0.499)
-    made = trace(body, body.sphere(50.0), poses, friction)   # every increment's forces, slips and gaps
+    body = make_half_space(0.499)
+    made = trace_forces(body, body.sphere(50.0), poses, friction)   # every increment's forces, slips and gaps
 
 The half-space is a half ball that is clamped far away: at 2,000 mm, where what is resolved is the first mm about its axis.
 Everything here scales, so that a contact of k + 1/2 spacings of the contact nodes is also a mesh of that fineness.
@@ -86,7 +86,7 @@ class HalfSpace:
 
 
 @lru_cache(maxsize=4)
-def half_space(poisson: float, rings: int = RINGS) -> HalfSpace:
+def make_half_space(poisson: float, rings: int = RINGS) -> HalfSpace:
     mesh = make_half_space_mesh(
         rings * SPACING_MM, SPACING_MM, growth=GROWTH, reach=REACH / (rings * SPACING_MM)
     )
@@ -113,7 +113,7 @@ class Trace(NamedTuple):
         return self.force.sum(axis=2)
 
 
-def trace(
+def trace_forces(
     body: HalfSpace,
     height: np.ndarray,
     poses: np.ndarray,
@@ -149,8 +149,8 @@ def trace(
     )
 
 
-def press(depth_mm: np.ndarray, steps: int) -> np.ndarray:
-    """Poses (steps + 2, B, 6) that go down to depth (B,) at once, and then stay: what `trace` may be given a motion by."""
+def make_press_poses(depth_mm: np.ndarray, steps: int) -> np.ndarray:
+    """Poses (steps + 2, B, 6) that go down to depth (B,) at once, and then stay: what `trace_forces` may be given a motion by."""
     poses = np.zeros((steps + 2, len(depth_mm), 6))
     poses[1:, :, 3] = depth_mm
     return poses

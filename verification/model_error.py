@@ -22,7 +22,7 @@ from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
 from verification.large_strain import fit_contact_radius, press_dome
-from verification.px import pin_error
+from verification.pin_distance import compute_pin_error
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 INSIDE_MM = 25.0  # of the edge of the disk, so far that no contact reaches it
@@ -46,7 +46,7 @@ class ModelError(NamedTuple):
     strained: float  # share of the gel's volume beyond 20 % of principal strain, in the reference
 
 
-def model_error(
+def measure_model_error(
     sensor: Sensor,
     depths: Sequence[float] = DEPTHS_MM,
     mesh_mm: float = 1.0,
@@ -55,16 +55,16 @@ def model_error(
     """Rows, a depth each. `level` "reference" keeps the solver's own error out of the model's."""
     with Progress("large strain", 2 * len(depths), unit="presses") as progress:
         exact = press_dome(sensor, depths, mesh_mm, progress=progress)
-        straight = press_dome(sensor, depths, mesh_mm, logarithmic, progress)
+        straight = press_dome(sensor, depths, mesh_mm, compute_hencky_energy, progress)
     contacts, skins = _linear(sensor, depths, level)
     radii = _linear_radii(sensor, skins)
     rows = []
     for i, depth in enumerate(depths):
         converged = bool(exact.converged[i] and straight.converged[i] and contacts.converged[i])
         figures = (
-            pin_error(sensor, exact.pins[i], compute_pin_tips(sensor)).rms_px,
-            *pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
-            pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
+            compute_pin_error(sensor, exact.pins[i], compute_pin_tips(sensor)).rms_px,
+            *compute_pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
+            compute_pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
             _ratio(contacts.force_n[i, 2], exact.force_n[i]),
             _ratio(radii[i], exact.contact_radius_mm[i]),
             float(exact.strained[i]),
@@ -74,7 +74,7 @@ def model_error(
     return rows
 
 
-def logarithmic(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
+def compute_hencky_energy(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
     """mu |log U|^2 + lambda/2 (ln J)^2 in MPa (Hencky 1928) of an axisymmetric deformation gradient (3, 3): exact rotations
     and stretches, stress linear in the strain, so that what it has apart from `neo_hookean` is the law of the material."""
     plane = gradient[::2, ::2]

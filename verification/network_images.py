@@ -1,7 +1,7 @@
 """Images like a tactile sensor's, and what could be wrong with them: food for the networks' cases.
 
->>> batch = pairs(step=3, count=4, size=64)          # {"canonical", "sheared"} uint8 (4, 64, 64, 1) of {0, 255}
->>> batch = spoilt(KINDS["all black"], spoilt(as_floats, batch))
+>>> batch = make_pairs(step=3, count=4, size=64)          # {"canonical", "sheared"} uint8 (4, 64, 64, 1) of {0, 255}
+>>> batch = corrupt_images(KINDS["all black"], corrupt_images(as_floats, batch))
 """
 
 from collections.abc import Callable
@@ -13,13 +13,13 @@ IMAGES = ("canonical", "sheared", "image")
 Batch = dict[str, np.ndarray]
 
 
-def pairs(step: int, count: int, size: int) -> Batch:
+def make_pairs(step: int, count: int, size: int) -> Batch:
     """Dots about a contact, once as a tap and once slid; the same for the same `step`."""
     at, slide = _contacts(step, count)
     return {"canonical": _dots(size, at, 0 * slide), "sheared": _dots(size, at, slide)}
 
 
-def poses(step: int, count: int, size: int) -> Batch:
+def make_poses(step: int, count: int, size: int) -> Batch:
     """Taps with labels: "pose" (count, 4) mm, mm, deg, mm and "edge" (count, 2) mm, deg."""
     at, slide = _contacts(step, count)
     off = 10 * (at - 0.5)
@@ -46,12 +46,12 @@ def _dots(size: int, at: np.ndarray, slide: np.ndarray) -> np.ndarray:
     return (near[..., None] * 255).astype(np.uint8)
 
 
-def spoilt(kind: Callable[[np.ndarray], np.ndarray], batch: Batch) -> Batch:
+def corrupt_images(kind: Callable[[np.ndarray], np.ndarray], batch: Batch) -> Batch:
     """`kind` done to the images of a batch, not to its labels."""
     return {name: kind(values) if name in IMAGES else values for name, values in batch.items()}
 
 
-def one_pixel_apart(images: np.ndarray) -> np.ndarray:
+def vary_one_pixel(images: np.ndarray) -> np.ndarray:
     """The first image over and over, each time with another pixel of its first line inverted."""
     same = np.repeat(images[:1], len(images), 0)
     flat = same.reshape(len(same), -1)
@@ -59,15 +59,15 @@ def one_pixel_apart(images: np.ndarray) -> np.ndarray:
     return same
 
 
-def with_nan(images: np.ndarray) -> np.ndarray:
+def insert_nan(images: np.ndarray) -> np.ndarray:
     """As floats in [0, 1], a NaN in the middle of the second image."""
-    floats = as_floats(images).copy()
+    floats = convert_to_floats(images).copy()
     middle = images.shape[1] // 2
     floats[1, middle, middle] = np.nan
     return floats
 
 
-def as_floats(images: np.ndarray) -> np.ndarray:
+def convert_to_floats(images: np.ndarray) -> np.ndarray:
     """In [0, 1]; floats stay as they are."""
     return images / np.float32(255) if images.dtype == np.uint8 else images
 
@@ -79,5 +79,5 @@ KINDS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "all white": np.ones_like,
     "inverted": lambda images: 1 - images,
     "alike": lambda images: np.repeat(images[:1], len(images), 0),
-    "one pixel apart": one_pixel_apart,
+    "one pixel apart": vary_one_pixel,
 }

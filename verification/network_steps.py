@@ -1,6 +1,6 @@
 """Training steps without the loop about them, so that networks of one shape are compiled once for all that is tried on them.
 
-    found = walk(net, training, make, folder)     # some steps, each inspected, saved, and used
+    found = run_steps(net, training, make, folder)     # some steps, each inspected, saved, and used
 
 Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
 """
@@ -27,7 +27,7 @@ from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Task, make_posenet_task, make_unshear_task
 from jaxunshear.training.trainer import make_first_state
 from verification.network_images import Batch
-from verification.stability_networks import Found
+from verification.stability_networks import CaseOutput
 
 STEPS, SAVED_EVERY = 8, 4
 TARGETS = make_range_targets((), Ranges())
@@ -36,14 +36,14 @@ Guards = tuple[Callable[..., dict[str, float]], Callable[..., None]]
 
 
 class Programs(NamedTuple):
-    """Of one network: its first state, (state, batch, learning rate, patch weight) -> (state, terms), and `infer`."""
+    """Of one network: its first state, (state, batch, learning rate, patch weight) -> (state, terms), and `infer_all`."""
 
     state: State
     step: Callable[..., tuple[State, dict[str, jax.Array]]]
     infer: Callable[..., dict[str, jax.Array]]
 
 
-def task_of(net: Net, training: Training) -> Task:
+def make_task(net: Net, training: Training) -> Task:
     return (
         make_posenet_task(net, training, TARGETS)
         if isinstance(net, PoseNet)
@@ -51,7 +51,7 @@ def task_of(net: Net, training: Training) -> Task:
     )
 
 
-def programs(net: Net, training: Training) -> Programs:
+def build_programs(net: Net, training: Training) -> Programs:
     """Those of `net`; trainings that differ in learning rate and (positive) patch weight share them. Raises `UserError`."""
     same: Json = {
         "learning_rate": 1.0,
@@ -64,7 +64,7 @@ def programs(net: Net, training: Training) -> Programs:
 
 @functools.cache
 def _programs(net: Net, training: Training) -> Programs:
-    task = task_of(net, training)
+    task = make_task(net, training)
 
     def step(
         state: State, batch: Batch, rate: float, weight: float
@@ -74,22 +74,22 @@ def _programs(net: Net, training: Training) -> Programs:
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
 
     optimiser = make_optimiser(training, STEPS, 1)
-    infer_ = jax.jit(lambda variables, images: infer(net, variables, images))
+    infer_ = jax.jit(lambda variables, images: infer_all(net, variables, images))
     return Programs(make_first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
 
 
-def walk(
+def run_steps(
     net: Net,
     training: Training,
     make: Callable[[int], Batch],
     folder: Path,
     steps: int = STEPS,
     guards: Guards = (check_terms, check_state),
-) -> Found:
+) -> CaseOutput:
     """`steps` training steps of float batches `make(step)`, then inference with the kept network on `make(-1)`. The learning
     rate stays, and is that of `training` or of its last drop. Raises `UserError` where the loop would,
     by `guards` of each step's terms and of a state to be saved."""
-    state, step, use = programs(net, training)
+    state, step, use = build_programs(net, training)
     drops = dict(training.drops)
     for done in range(1, steps + 1):
         batch = make(done - 1)
@@ -103,14 +103,14 @@ def walk(
     arrays = {
         "terms": last,
         "variables": variables,
-        "outputs": dict(use(variables, images_of(make(-1)))),
+        "outputs": dict(use(variables, get_images(make(-1)))),
     }
-    return found_of(net, arrays, variables, steps, last)
+    return build_found(net, arrays, variables, steps, last)
 
 
-def found_of(
+def build_found(
     net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]
-) -> Found:
+) -> CaseOutput:
     loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
     note = (
         ""
@@ -120,15 +120,17 @@ def found_of(
     if last["regularisation"] > loss:
         note = f"l1 and l2 weigh {last['regularisation'] / loss:.2g} times the loss: kernels shrink first"
     wrong = _parts(net, variables)
-    return Found(arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=last["gradient"])
+    return CaseOutput(
+        arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=last["gradient"]
+    )
 
 
-def images_of(batch: Batch) -> np.ndarray:
+def get_images(batch: Batch) -> np.ndarray:
     """The images that a network is given: taps for PoseNet, sheared images for the others."""
     return batch["image" if "image" in batch else "sheared"]
 
 
-def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
+def infer_all(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
     """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)

@@ -20,18 +20,33 @@ from jaxunshear.settings.registry import ENTANGLED
 from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import train as train_network
-from verification.network_images import KINDS, Batch, as_floats, pairs, poses, spoilt, with_nan
+from verification.network_images import (
+    KINDS,
+    Batch,
+    convert_to_floats,
+    corrupt_images,
+    insert_nan,
+    make_pairs,
+    make_poses,
+)
 from verification.network_steps import (
     SAVED_EVERY,
     STEPS,
     Net,
-    found_of,
-    images_of,
-    programs,
-    task_of,
-    walk,
+    build_found,
+    build_programs,
+    get_images,
+    make_task,
+    run_steps,
 )
-from verification.stability_networks import FINITE, REFUSED, SAYS_WHERE, STOPPED, Found, NetworkCase
+from verification.stability_networks import (
+    FINITE,
+    REFUSED,
+    SAYS_WHERE,
+    STOPPED,
+    CaseOutput,
+    NetworkCase,
+)
 
 NET = UnshearNet(size=64, widths=(6, 8, 8), pose_channels=8, shear_channels=8)
 SHALLOW = UnshearNet(size=32, widths=(4, 6), pose_channels=8, shear_channels=8)  # quick to compile
@@ -53,7 +68,7 @@ REMEDY = "the data, then run the same command"
 Change = Callable[[int, Batch], Batch]  # of the float batch that follows so many steps
 
 
-def training_cases() -> Iterator[NetworkCase]:
+def list_training_cases() -> Iterator[NetworkCase]:
     """All of them; names are unique and begin with "network"."""
     yield from _settings()
     yield from _starts()
@@ -67,7 +82,7 @@ def training_cases() -> Iterator[NetworkCase]:
         yield from _entire(trained)
 
 
-def steps_case(
+def make_steps_case(
     name: str,
     net: Net,
     training: Training = TRAINING,
@@ -78,47 +93,49 @@ def steps_case(
 ) -> NetworkCase:
     def make(step: int) -> Batch:
         count = training.batch if step != VALIDATION else 4
-        return change(step, spoilt(as_floats, batch_of(net, step, count)))
+        return change(step, corrupt_images(convert_to_floats, make_batch(net, step, count)))
 
-    run = partial(walk, net, training, make, steps=steps)
-    return NetworkCase(f"network {kind_of(net)}, {name}", run, f"{net}, {training}", expects, words)
+    run = partial(run_steps, net, training, make, steps=steps)
+    return NetworkCase(
+        f"network {get_kind(net)}, {name}", run, f"{net}, {training}", expects, words
+    )
 
 
-def kind_of(net: Net) -> str:
+def get_kind(net: Net) -> str:
     return type(net).__name__
 
 
-def batch_of(net: Net, step: int, count: int) -> Batch:
-    return (poses if isinstance(net, PoseNet) else pairs)(step % 1000, count, net.size)
+def make_batch(net: Net, step: int, count: int) -> Batch:
+    return (make_poses if isinstance(net, PoseNet) else make_pairs)(step % 1000, count, net.size)
 
 
-def every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
-    return lambda step, batch: spoilt(kind, batch) if step % 2 else batch
+def change_every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
+    return lambda step, batch: corrupt_images(kind, batch) if step % 2 else batch
 
 
 def _settings() -> Iterator[NetworkCase]:
     for weight in PATCH_WEIGHTS:
-        yield steps_case(
+        yield make_steps_case(
             f"patch weight {weight:g}",
             NET if weight else SHALLOW,
             replace(TRAINING, patch_weight=weight),
         )
     for pose, shear in ((64, 64), (128, 0)):
-        yield steps_case(
+        yield make_steps_case(
             f"codes {pose}:{shear}", replace(SHALLOW, pose_channels=pose, shear_channels=shear)
         )
     for pose, shear, field in ((0, 128, "pose_channels"), (128, -1, "shear_channels")):
         net = replace(SHALLOW, pose_channels=pose, shear_channels=shear)
-        yield steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
+        yield make_steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
     for training, field in (
         (replace(TRAINING, crops=0), "crops"),
         (replace(TRAINING, crop_px=65), "crop_px"),
     ):
-        yield steps_case(
+        yield make_steps_case(
             f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,)
         )
-    yield steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
-    yield steps_case(
+    yield make_steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
+    yield make_steps_case(
         "of the usual 128 px and widths",
         UnshearNet(),
         replace(TRAINING, batch=2),
@@ -129,8 +146,8 @@ def _settings() -> Iterator[NetworkCase]:
 def _decays(net: Net) -> Iterator[NetworkCase]:
     """Weights on kernels: the paper's, and such as leave nothing else to learn."""
     for weight in DECAYS:
-        yield steps_case(f"l1 {weight:g}", net, replace(TRAINING, l1=weight))
-        yield steps_case(f"l2 {weight:g}", net, replace(TRAINING, l2=weight))
+        yield make_steps_case(f"l1 {weight:g}", net, replace(TRAINING, l1=weight))
+        yield make_steps_case(f"l2 {weight:g}", net, replace(TRAINING, l2=weight))
 
 
 def _starts() -> Iterator[NetworkCase]:
@@ -142,23 +159,23 @@ def _starts() -> Iterator[NetworkCase]:
             f"the paper's start, l1 and l2 per {kernels}",
             replace(PAPER, batch=2, kernels=kernels),
         )
-        yield steps_case(name, net, training, steps=SAVED_EVERY)
+        yield make_steps_case(name, net, training, steps=SAVED_EVERY)
 
 
 def _rates(net: Net) -> Iterator[NetworkCase]:
     for rate in RATES:
         name, training = f"learning rate {rate:g}", replace(TRAINING, learning_rate=rate)
-        yield steps_case(name, net, training, expects=(FINITE, STOPPED))
+        yield make_steps_case(name, net, training, expects=(FINITE, STOPPED))
     # finite terms, and an update that throws the weights away, in the step before a checkpoint
     training = replace(TRAINING, drops=((STEPS - 1, math.inf),))
     words = (*SAYS_WHERE, "params", f"step {STEPS}", f"batch {STEPS - 1}", KEPT)
-    yield steps_case("learning rate inf", net, training, expects=(STOPPED,), words=words)
+    yield make_steps_case("learning rate inf", net, training, expects=(STOPPED,), words=words)
 
 
 def _images(net: Net) -> Iterator[NetworkCase]:
     for name, kind in KINDS.items():
-        yield steps_case(f"images {name}", net, change=every_second(kind))
-    yield steps_case(
+        yield make_steps_case(f"images {name}", net, change=change_every_second(kind))
+    yield make_steps_case(
         "images with a NaN",
         net,
         change=_nan,
@@ -166,10 +183,12 @@ def _images(net: Net) -> Iterator[NetworkCase]:
         words=_words("of examples 1;", REMEDY),
     )
     words = _words("to 1e+25;", "learning_rate")
-    yield steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
+    yield make_steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
     if isinstance(net, PoseNet):
         words = _words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
-        yield steps_case("infinite labels", net, change=_unknown, expects=(STOPPED,), words=words)
+        yield make_steps_case(
+            "infinite labels", net, change=_unknown, expects=(STOPPED,), words=words
+        )
 
 
 def _words(*more: str) -> tuple[str, ...]:
@@ -178,12 +197,16 @@ def _words(*more: str) -> tuple[str, ...]:
 
 
 def _nan(step: int, batch: Batch) -> Batch:
-    return spoilt(with_nan, batch) if step == BROKEN_FROM else batch
+    return corrupt_images(insert_nan, batch) if step == BROKEN_FROM else batch
 
 
 def _huge(step: int, batch: Batch) -> Batch:
     """Whose variance overflows."""
-    return spoilt(lambda images: images * np.float32(1e25), batch) if step == BROKEN_FROM else batch
+    return (
+        corrupt_images(lambda images: images * np.float32(1e25), batch)
+        if step == BROKEN_FROM
+        else batch
+    )
 
 
 def _unknown(step: int, batch: Batch) -> Batch:
@@ -192,17 +215,19 @@ def _unknown(step: int, batch: Batch) -> Batch:
 
 def _batches(net: Net) -> Iterator[NetworkCase]:
     single, alone = replace(TRAINING, batch=1), net if isinstance(net, PoseNet) else SHALLOW
-    yield steps_case("batches of one image", alone, single)
+    yield make_steps_case("batches of one image", alone, single)
     # so small that a channel of the last convolution is one number, which normalisation makes zero
     narrow = replace(alone, size=16 if isinstance(net, PoseNet) else 4)
-    yield steps_case("batches of one image, codes of one pixel", narrow, replace(single, crop_px=4))
+    yield make_steps_case(
+        "batches of one image, codes of one pixel", narrow, replace(single, crop_px=4)
+    )
 
-    one = spoilt(as_floats, batch_of(net, 0, 1))
+    one = corrupt_images(convert_to_floats, make_batch(net, 0, 1))
 
     def one_pose(step: int, batch: Batch) -> Batch:
         return {name: np.repeat(values, len(batch[name]), 0) for name, values in one.items()}
 
-    yield steps_case("one pose only", net, change=one_pose)
+    yield make_steps_case("one pose only", net, change=one_pose)
 
 
 def _entire(net: Net) -> Iterator[NetworkCase]:
@@ -211,34 +236,36 @@ def _entire(net: Net) -> Iterator[NetworkCase]:
     words = (*SAYS_WHERE, KEPT, "whose numbers are", "learning_rate")
     tried = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
     for name, training, expects in tried[: 1 if isinstance(net, UNet) else 2]:
-        run = partial(train, net, training)
+        run = partial(run_training, net, training)
         yield NetworkCase(
-            f"network {kind_of(net)}, {name}", run, f"{net}, {training}", (expects,), words
+            f"network {get_kind(net)}, {name}", run, f"{net}, {training}", (expects,), words
         )
 
 
-def train(net: Net, training: Training, folder: Path) -> Found:
+def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
     """A training in `folder`, then the kept network at work on the validation batch."""
 
     def batches(start: int) -> Iterator[Batch]:
-        return (batch_of(net, step, training.batch) for step in itertools.count(start))
+        return (make_batch(net, step, training.batch) for step in itertools.count(start))
 
-    checked = batch_of(net, VALIDATION, 4)
-    task = task_of(net, training)
+    checked = make_batch(net, VALIDATION, 4)
+    task = make_task(net, training)
     summary = train_network(
         task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch
     )
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
     variables = checkpoint.load_best(folder)
-    outputs = dict(programs(net, TRAINING).infer(variables, as_floats(images_of(checked))))
+    outputs = dict(
+        build_programs(net, TRAINING).infer(variables, convert_to_floats(get_images(checked)))
+    )
     arrays = {
         "log": terms,
         "best loss": summary.best_loss,
         "variables": variables,
         "outputs": outputs,
     }
-    return found_of(net, arrays, variables, summary.steps, terms[-1]["train"])
+    return build_found(net, arrays, variables, summary.steps, terms[-1]["train"])
 
 
 def _numbers(terms: dict[str, float | None]) -> dict[str, float]:

@@ -18,10 +18,23 @@ from jaxunshear.model import posenet
 from jaxunshear.model.weights import Variables
 from jaxunshear.settings.networks import PoseNet
 from jaxunshear.training import checkpoint, losses
-from verification.network_images import KINDS, as_floats, pairs, spoilt, with_nan
-from verification.network_steps import TARGETS, Net, images_of, infer, programs, walk
-from verification.network_trainings import NET, POSENET, TRAINING, batch_of, kind_of
-from verification.stability_networks import Found, NetworkCase
+from verification.network_images import (
+    KINDS,
+    convert_to_floats,
+    corrupt_images,
+    insert_nan,
+    make_pairs,
+)
+from verification.network_steps import (
+    TARGETS,
+    Net,
+    build_programs,
+    get_images,
+    infer_all,
+    run_steps,
+)
+from verification.network_trainings import NET, POSENET, TRAINING, get_kind, make_batch
+from verification.stability_networks import CaseOutput, NetworkCase
 
 LEARNT, UNSEEN = 60, 500  # steps, and the step whose batch is none of theirs
 SATURATED = 1e4  # a logit whose sigmoid is 0 or 1 to the last bit
@@ -34,7 +47,7 @@ SIZES = {"ms_ssim": 128, "ssim": 64}
 Metric = Callable[..., jax.Array]
 
 
-def value_cases() -> Iterator[NetworkCase]:
+def list_value_cases() -> Iterator[NetworkCase]:
     """All of them; names are unique and begin with "network"."""
     yield from _losses()
     yield from _metrics()
@@ -43,7 +56,7 @@ def value_cases() -> Iterator[NetworkCase]:
 
 
 def _case(
-    name: str, line: str, find: Callable[..., Found], *given: object, **more: object
+    name: str, line: str, find: Callable[..., CaseOutput], *given: object, **more: object
 ) -> NetworkCase:
     return NetworkCase(f"network {name}", lambda folder: find(*given, **more), line)
 
@@ -52,20 +65,24 @@ def _case(
 
 
 def _losses() -> Iterator[NetworkCase]:
-    dots, usual = (pairs(step, 4, 64)["canonical"] for step in (0, 1))
-    sharp = SATURATED * (2 * as_floats(dots) - 1)
+    dots, usual = (make_pairs(step, 4, 64)["canonical"] for step in (0, 1))
+    sharp = SATURATED * (2 * convert_to_floats(dots) - 1)
     for logit in (SATURATED, -SATURATED):
         yield _case(
-            f"losses, logits {logit:g}", VALUE, _loss, np.full_like(sharp, logit), as_floats(usual)
+            f"losses, logits {logit:g}",
+            VALUE,
+            _loss,
+            np.full_like(sharp, logit),
+            convert_to_floats(usual),
         )
     for name, kind in KINDS.items():
-        yield _case(f"losses, images {name}", VALUE, _loss, sharp, kind(as_floats(usual)))
-    yield _case("losses, equal images", VALUE, _loss, sharp, as_floats(dots), equal=True)
+        yield _case(f"losses, images {name}", VALUE, _loss, sharp, kind(convert_to_floats(usual)))
+    yield _case("losses, equal images", VALUE, _loss, sharp, convert_to_floats(dots), equal=True)
     for net in (NET, POSENET):
-        yield _case(f"{kind_of(net)}, saturated outputs", "a training step", _saturated, net)
+        yield _case(f"{get_kind(net)}, saturated outputs", "a training step", _check_saturated, net)
 
 
-def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
+def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> CaseOutput:
     """All losses of images and of poses that come out of a sigmoid, and their slopes by its logits."""
     side, target = logits.shape[1], jnp.asarray(images)
     counts = losses.count_crop_coverage(
@@ -86,14 +103,14 @@ def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
     largest = max(float(np.max(np.abs(slope))) for _, slope in arrays.values())
     most = max(float(value) for value, _ in arrays.values())
     if equal:
-        return Found(arrays, error=max(most, largest), bar=0.0)
-    return Found(arrays, loss=most, gradient=largest)
+        return CaseOutput(arrays, error=max(most, largest), bar=0.0)
+    return CaseOutput(arrays, loss=most, gradient=largest)
 
 
-def _saturated(net: Net) -> Found:
+def _check_saturated(net: Net) -> CaseOutput:
     """A network whose last layers shout: every output is 0 or 1, and a training step must live with it."""
-    start, step, use = programs(net, TRAINING)
-    params = dict(learnt(net)["params"])
+    start, step, use = build_programs(net, TRAINING)
+    params = dict(train_briefly(net)["params"])
     if isinstance(net, PoseNet):
         params["Dense_1"] = _loud(params["Dense_1"])
     else:
@@ -101,12 +118,12 @@ def _saturated(net: Net) -> Found:
             decoder: params[decoder] | {"Last_0": _loud(params[decoder]["Last_0"])}
             for decoder in ("DC", "DS")
         }
-    variables = {"params": params, "batch_stats": learnt(net)["batch_stats"]}
+    variables = {"params": params, "batch_stats": train_briefly(net)["batch_stats"]}
     state, batch = start._replace(**variables, average=variables), _floats(net, 1)
     after, terms = step(
         state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight)
     )
-    reported = dict(use(variables, images_of(batch)))
+    reported = dict(use(variables, get_images(batch)))
     outputs = np.asarray(reported["outputs" if isinstance(net, PoseNet) else "unsheared"])
     wrong = (
         ""
@@ -117,7 +134,7 @@ def _saturated(net: Net) -> Found:
         float(terms[name])
         for name in ("pose" if isinstance(net, PoseNet) else "supervised", "gradient")
     )
-    return Found(
+    return CaseOutput(
         {"terms": terms, "state": after, "answers": reported},
         wrong=wrong,
         loss=loss,
@@ -134,8 +151,8 @@ def _loud(layer: Variables) -> Variables:
 
 def _metrics() -> Iterator[NetworkCase]:
     for name, size in SIZES.items():
-        metric = metric_of(name)
-        dots, other = (as_floats(pairs(step, 2, size)["canonical"]) for step in (0, 1))
+        metric = get_metric(name)
+        dots, other = (convert_to_floats(make_pairs(step, 2, size)["canonical"]) for step in (0, 1))
         black, white, grey = (np.full_like(dots, value) for value in (0.0, 1.0, 0.5))
         near = dots.copy()
         near[:, size // 2, size // 2] = 1 - near[:, size // 2, size // 2]
@@ -154,13 +171,13 @@ def _metrics() -> Iterator[NetworkCase]:
         yield _case(f"{name}, a NaN", VALUE, _score_nan, metric, dots, other)
 
 
-def metric_of(name: str) -> Metric:
+def get_metric(name: str) -> Metric:
     if name == "ssim":
         return metrics.ssim
     return functools.partial(metrics.ms_ssim, scales=metrics.count_scales(SIZES[name]))
 
 
-def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) -> Found:
+def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) -> CaseOutput:
     values, slopes = (
         np.asarray(metric(a, b)),
         np.asarray(jax.grad(lambda x: jnp.sum(metric(x, b)))(jnp.asarray(a))),
@@ -170,20 +187,20 @@ def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) ->
     if equal:
         off = np.abs(values - 1).max()
         outside = outside or ("" if off < 1e-5 else f"{values.tolist()} of equal images")
-        return Found(
+        return CaseOutput(
             {"values": values, "slopes": slopes}, error=largest, bar=EQUAL_SLOPE, wrong=outside
         )
-    return Found(
+    return CaseOutput(
         {"values": values, "slopes": slopes}, gradient=largest, loss=float(values[0]), wrong=outside
     )
 
 
-def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
+def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> CaseOutput:
     """A NaN in the second image is seen in its score, and in no other."""
     spoilt = a.copy()
     spoilt[1, 20, 20] = np.nan
     clean, scores = np.asarray(metric(a, b)), np.asarray(metric(spoilt, b))
-    return Found(
+    return CaseOutput(
         {"others": scores[0]}, {"score": scores[1]}, error=float(abs(scores[0] - clean[0])), bar=0.0
     )
 
@@ -192,10 +209,10 @@ def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
 
 
 @functools.cache
-def learnt(net: Net) -> Variables:
+def train_briefly(net: Net) -> Variables:
     """Variables of a short training."""
     with tempfile.TemporaryDirectory() as folder:
-        walk(
+        run_steps(
             net,
             replace(TRAINING, learning_rate=1e-2),
             lambda step: _floats(net, step),
@@ -206,42 +223,45 @@ def learnt(net: Net) -> Variables:
 
 
 def _floats(net: Net, step: int) -> dict[str, np.ndarray]:
-    return spoilt(as_floats, batch_of(net, step, 4))
+    return corrupt_images(convert_to_floats, make_batch(net, step, 4))
 
 
 def _inference(net: Net) -> Iterator[NetworkCase]:
-    name = f"{kind_of(net)}, inference"
+    name = f"{get_kind(net)}, inference"
     yield _case(f"{name}, one image with a NaN", "outputs image by image", _nan_inference, net)
     yield _case(f"{name} in float64", CAST, _precision, net, jnp.float64, FLOAT64_MOST)
 
 
-def _nan_inference(net: Net) -> Found:
+def _nan_inference(net: Net) -> CaseOutput:
     """A NaN in the second image reaches what is inferred from it, and from no other image."""
-    run, images = programs(net, TRAINING).infer, images_of(batch_of(net, UNSEEN, 4))
+    run, images = build_programs(net, TRAINING).infer, get_images(make_batch(net, UNSEEN, 4))
     clean, broken = (
-        jax.device_get(run(learnt(net), given)) for given in (as_floats(images), with_nan(images))
+        jax.device_get(run(train_briefly(net), given))
+        for given in (convert_to_floats(images), insert_nan(images))
     )
     others = {name: np.delete(values, 1, 0) for name, values in broken.items()}
     apart = max(
         float(np.max(np.abs(np.delete(clean[name], 1, 0) - others[name]))) for name in others
     )
-    return Found(others, {name: values[1] for name, values in broken.items()}, error=apart, bar=0.0)
+    return CaseOutput(
+        others, {name: values[1] for name, values in broken.items()}, error=apart, bar=0.0
+    )
 
 
-def _precision(net: Net, kind: type, bar: float) -> Found:
+def _precision(net: Net, kind: type, bar: float) -> CaseOutput:
     names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
-    return precision(
-        functools.partial(infer, net),
-        (learnt(net), images_of(_floats(net, UNSEEN))),
+    return compare_precision(
+        functools.partial(infer_all, net),
+        (train_briefly(net), get_images(_floats(net, UNSEEN))),
         names,
         kind,
         bar,
     )
 
 
-def precision(
+def compare_precision(
     run: Callable[..., dict], given: tuple, names: Sequence[str], kind: type, bar: float
-) -> Found:
+) -> CaseOutput:
     """`run` of arrays, `given` as float32 against `kind`, over all of its outputs `names`, in [0, 1]: the largest
     difference."""
 
@@ -259,4 +279,4 @@ def precision(
         "" if spread > 0.02 else "the network gives the same for every image: nothing was compared"
     )
     wrong = wrong or ("" if error > 0 else "not one number differs: nothing was cast")
-    return Found({"float32": usual, "other": other}, error=float(error), bar=bar, wrong=wrong)
+    return CaseOutput({"float32": usual, "other": other}, error=float(error), bar=bar, wrong=wrong)

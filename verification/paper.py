@@ -9,7 +9,7 @@ from jaxunshear.settings.data import Ranges
 KINDS = ("slide", "tap")
 
 
-def paper_scenes(kind: str, count: int, seed: int = 0) -> Scenes:
+def sample_paper_scenes(kind: str, count: int, seed: int = 0) -> Scenes:
     """`count` slides, or taps at the same poses, each shape in turn. The first of many are the same as few."""
     ranges = Ranges()
     single = []

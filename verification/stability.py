@@ -1,7 +1,7 @@
 """Contacts and networks at their extremes, in a table: solved, refused, or given up with a report; never silently wrong.
 
-    rows = stability()
-    failed(rows)
+    rows = run_stability()
+    select_failed(rows)
 
 Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more, in
 float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference. Networks are judged in
@@ -24,10 +24,10 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.storage import Json
 from verification import stability_networks
-from verification.cases import Case, all_cases
-from verification.network_trainings import training_cases
-from verification.network_values import value_cases
-from verification.px import PinError, pin_error
+from verification.contact_cases import Case, list_cases
+from verification.network_trainings import list_training_cases
+from verification.network_values import list_value_cases
+from verification.pin_distance import PinError, compute_pin_error
 from verification.stability_networks import NetworkCase, NetworkRow
 
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
@@ -45,7 +45,7 @@ PROMISED = (SOLVED, RETRIED, REFUSED, UNSOLVED, UNCOMPARED)
 
 
 @dataclass(frozen=True)
-class Row:
+class StabilityRow:
     """Of one case; NaN where nothing was measured."""
 
     case: str
@@ -74,57 +74,59 @@ def _words_like(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[s
     ]
 
 
-def stability(
+def run_stability(
     only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None
-) -> list[Row | NetworkRow]:
+) -> list[StabilityRow | NetworkRow]:
     """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
     every: Sequence[Case | NetworkCase] = (
-        [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
+        [*list_cases(), *list_training_cases(), *list_value_cases()] if cases is None else cases
     )
     found = [case for case in every if only is None or only in case.name]
     if not found:
         raise UserError(
             f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}"
         )
-    rows: list[Row | NetworkRow] = []
+    rows: list[StabilityRow | NetworkRow] = []
     with Progress("stability", len(found), unit="cases") as progress:
         for case in found:
-            rows.append(examine(case))
+            rows.append(examine_case(case))
             progress.advance(1)
     return rows
 
 
-def failed(rows: Sequence[Row | NetworkRow]) -> list[Row | NetworkRow]:
+def select_failed(rows: Sequence[StabilityRow | NetworkRow]) -> list[StabilityRow | NetworkRow]:
     """Those that break the promise."""
     return [row for row in rows if not row.holds]
 
 
-def given_up(rows: Sequence[Row]) -> list[Row]:
+def select_given_up(rows: Sequence[StabilityRow]) -> list[StabilityRow]:
     return [row for row in rows if row.outcome == UNSOLVED]
 
 
-def examine(case: Case | NetworkCase) -> Row | NetworkRow:
+def examine_case(case: Case | NetworkCase) -> StabilityRow | NetworkRow:
     """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
     if isinstance(case, NetworkCase):
         return stability_networks.examine(case)
     try:
         return _examine(case)
     except Exception as error:
-        return Row(
+        return StabilityRow(
             case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line
         )
 
 
-def _examine(case: Case) -> Row:
+def _examine(case: Case) -> StabilityRow:
     try:
         contacts = case.solve("auto", True)
     except UserError as error:
-        return _refused(case, str(error))
+        return _judge_refusal(case, str(error))
     if case.refused is not None:
-        return Row(case.name, f"not refused: {case.refused} is senseless", False, scene=case.line)
+        return StabilityRow(
+            case.name, f"not refused: {case.refused} is senseless", False, scene=case.line
+        )
     start = time.perf_counter()
     case.solve("auto", True)
-    row = Row(
+    row = StabilityRow(
         case.name,
         SOLVED,
         True,
@@ -159,10 +161,10 @@ def _apart(case: Case, some: Contacts, others: Contacts) -> PinError:
     """NaN where one of the two has not converged, and so says nothing about the other."""
     if not (some.converged.all() and others.converged.all()):
         return PinError(*(np.nan,) * 5)
-    return pin_error(case.sensor, some.pins, others.pins)
+    return compute_pin_error(case.sensor, some.pins, others.pins)
 
 
-def _outcome(row: Row, retried: bool, twin: bool) -> str:
+def _outcome(row: StabilityRow, retried: bool, twin: bool) -> str:
     if row.tight_px > SILENT_PX:
         return "converged to something else"
     if row.float_px > PRECISION_PX:
@@ -174,38 +176,42 @@ def _outcome(row: Row, retried: bool, twin: bool) -> str:
     return RETRIED if retried else SOLVED
 
 
-def _refused(case: Case, said: str) -> Row:
+def _judge_refusal(case: Case, said: str) -> StabilityRow:
     if case.refused is None:
-        return Row(case.name, "refused, though it can be solved", False, said=said, scene=case.line)
+        return StabilityRow(
+            case.name, "refused, though it can be solved", False, said=said, scene=case.line
+        )
     if case.refused not in said or "\n" in said:
-        return Row(
+        return StabilityRow(
             case.name,
             f"refused by a line that does not name '{case.refused}'",
             False,
             said=said,
             scene=case.line,
         )
-    return Row(case.name, REFUSED, True, said=said, scene=case.line)
+    return StabilityRow(case.name, REFUSED, True, said=said, scene=case.line)
 
 
-def as_dicts(rows: Sequence[Row | NetworkRow]) -> list[Json]:
+def as_dicts(rows: Sequence[StabilityRow | NetworkRow]) -> list[Json]:
     return [asdict(row) for row in rows]
 
 
-def table(rows: Sequence[Row | NetworkRow]) -> str:
+def format_table(rows: Sequence[StabilityRow | NetworkRow]) -> str:
     """For people: a line a case, then what was given up or went wrong, and how to run it again; contacts, then networks."""
     networks = [row for row in rows if isinstance(row, NetworkRow)]
-    contacts = [row for row in rows if isinstance(row, Row)]
+    contacts = [row for row in rows if isinstance(row, StabilityRow)]
     parts = [_table(contacts)] if contacts else []
-    return "\n\n".join(parts + ([stability_networks.table(networks)] if networks else []))
+    return "\n\n".join(
+        parts + ([stability_networks.format_network_table(networks)] if networks else [])
+    )
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[StabilityRow]) -> str:
     width = max(len(row.case) for row in rows)
     head = f"{'case':{width}}  finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
     lines = [head, *(_line(row, width) for row in rows)]
     broken = [row for row in rows if not row.holds]
-    for title, some in (("GIVEN UP", given_up(rows)), ("FAILED", broken)):
+    for title, some in (("GIVEN UP", select_given_up(rows)), ("FAILED", broken)):
         for row in some:
             lines += [
                 f"\n{title}: {row.case}: {row.outcome}",
@@ -228,11 +234,11 @@ def _table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def _line(row: Row, width: int) -> str:
+def _line(row: StabilityRow, width: int) -> str:
     if row.finite is None:
         return f"{row.case:{width}}  {row.outcome}: {row.said}"
     figures = [
-        stability_networks.short(value)
+        stability_networks.format_short(value)
         for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)
     ]
     answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]

@@ -28,7 +28,7 @@ SAYS_WHERE = ("not finite at step", "batch", "checkpoint")  # in the line of a t
 
 
 @dataclass(frozen=True)
-class Found:
+class CaseOutput:
     """What a case measured. `arrays`: trees that must be finite. `shown`: what must hold a NaN, as one came in."""
 
     arrays: Mapping[str, object]
@@ -47,7 +47,7 @@ class NetworkCase:
     """`run` works in an empty folder. `expects` is what it promises; a line must then hold all of `words`."""
 
     name: str
-    run: Callable[[Path], Found]
+    run: Callable[[Path], CaseOutput]
     line: str  # for people: what was run
     expects: tuple[str, ...] = (FINITE,)
     words: tuple[str, ...] = ()
@@ -89,24 +89,26 @@ def _examine(case: NetworkCase, folder: Path) -> NetworkRow:
             io.StringIO()
         ):  # a line of progress for each little training
             found = case.run(folder)
-        return _judged(case, row, found)
+        return _judge(case, row, found)
     except UserError as error:
-        return _stopped(case, replace(row, said=str(error).replace(str(folder), "FOLDER")), folder)
+        return _judge_stop(
+            case, replace(row, said=str(error).replace(str(folder), "FOLDER")), folder
+        )
     except Exception as error:
         return replace(row, outcome="crashed", said=f"{type(error).__name__}: {error}")
 
 
-def _judged(case: NetworkCase, row: NetworkRow, found: Found) -> NetworkRow:
+def _judge(case: NetworkCase, row: NetworkRow, found: CaseOutput) -> NetworkRow:
     if not jax.tree.leaves(dict(found.arrays)):
         return replace(row, outcome="nothing was measured")
-    broken = not_finite(found.arrays)
+    broken = list_not_finite(found.arrays)
     row = replace(
         row, finite=not broken, steps=found.steps, loss=found.loss, gradient=found.gradient
     )
     row = replace(row, error=found.error, bar=found.bar)
     if broken:
         return replace(row, outcome="not finite", said=", ".join(broken[:5]))
-    hidden = [name for name, tree in found.shown.items() if not not_finite({name: tree})]
+    hidden = [name for name, tree in found.shown.items() if not list_not_finite({name: tree})]
     if hidden:
         return replace(row, outcome="hides a NaN", said=", ".join(hidden))
     if found.wrong:
@@ -118,7 +120,7 @@ def _judged(case: NetworkCase, row: NetworkRow, found: Found) -> NetworkRow:
     return replace(row, outcome=FINITE, holds=True, said=found.note)
 
 
-def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
+def _judge_stop(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
     outcome = STOPPED if STOPPED in case.expects else REFUSED
     if outcome not in case.expects:
         return replace(row, outcome="stopped, though it can be computed")
@@ -133,7 +135,7 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
     kept = checkpoint.find_latest_step(folder)
     if kept is not None:
         try:
-            broken = not_finite(checkpoint.load_best(folder))
+            broken = list_not_finite(checkpoint.load_best(folder))
         except UserError as error:
             broken = [str(error)]
         if broken:
@@ -143,7 +145,7 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
     return replace(row, outcome=outcome, holds=True, kept=kept)
 
 
-def not_finite(tree: Mapping[str, object]) -> list[str]:
+def list_not_finite(tree: Mapping[str, object]) -> list[str]:
     """Dotted names of the arrays that hold a NaN or an infinity."""
     leaves = list_leaves(dict(tree))
     return [
@@ -151,12 +153,12 @@ def not_finite(tree: Mapping[str, object]) -> list[str]:
     ]
 
 
-def table(rows: Sequence[NetworkRow]) -> str:
+def format_network_table(rows: Sequence[NetworkRow]) -> str:
     """For people: a line a case, then what went wrong, and how to run it again."""
     width = max(len(row.case) for row in rows)
     lines = [f"{'case':{width}}  steps  loss     gradient  error    allowed  kept  s      outcome"]
     for row in rows:
-        figures = [short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
+        figures = [format_short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
         lines.append(
             f"{row.case:{width}}  {row.steps or '':<5}  {figures[0]:7}  {figures[1]:8}  {figures[2]:7}  {figures[3]:7}  "
             f"{'' if row.kept is None else row.kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
@@ -178,5 +180,5 @@ def table(rows: Sequence[NetworkRow]) -> str:
     return "\n".join(lines)
 
 
-def short(value: float) -> str:
+def format_short(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.2g}"

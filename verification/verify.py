@@ -1,6 +1,6 @@
 """The contact simulator against closed forms, another solver, and the symmetries that it must have.
 
-    rows = verify()
+    rows = run_verification()
     print(table(rows))
     ok = all(row.holds for row in rows)
 
@@ -15,9 +15,16 @@ import numpy as np
 
 from jaxunshear.progress import Progress
 from jaxunshear.settings.sensor import TACTIP_331
-from verification import elements, full_dome, laws, normal, periodic, shear
-from verification.half_space import half_space
-from verification.tables import Row, vanishes
+from verification import (
+    elements,
+    full_dome,
+    invariants,
+    normal_contact,
+    tamaas_comparison,
+    tangential_contact,
+)
+from verification.half_space import make_half_space
+from verification.verification_rows import Row, make_zero_row
 
 INCOMPRESSIBLE = 0.499
 
@@ -25,27 +32,29 @@ Check = Callable[[], list[Row]]
 
 
 def _on_half_space(check: Callable[..., list[Row]]) -> Check:
-    return lambda: check(half_space(INCOMPRESSIBLE))
+    return lambda: check(make_half_space(INCOMPRESSIBLE))
 
 
-def compressible() -> list[Row]:
+def check_compressible() -> list[Row]:
     """Where the normal load drags the surface inwards, which Cattaneo and Mindlin leave out."""
-    return shear.cattaneo_mindlin(half_space(0.3, rings=9), np.array([7.5]), exact=False)
+    return tangential_contact.check_cattaneo_mindlin(
+        make_half_space(0.3, rings=9), np.array([7.5]), exact=False
+    )
 
 
-def large_strain() -> list[Row]:
+def report_large_strain() -> list[Row]:
     """What the model itself leaves out: no bar, as no solver of it could meet one."""
-    from verification.model_error import model_error
+    from verification.model_error import measure_model_error
 
     group = "the model's own error: linear dome against neo-Hookean, pressed flat without friction"
     rows = []
-    for made in model_error(TACTIP_331):
+    for made in measure_model_error(TACTIP_331):
         note = f"p95 {made.p95_px:.2f}, largest {made.max_px:.2f} px; force x {made.force_ratio:.3f}, radius x {made.radius_ratio:.3f}"
         note += f"; {made.material_px:.2f} px rms with exact kinematics and a linear law"
         note += f"; strain beyond 20 % in {100 * made.strained:.0f} % of the gel"
         words = f"{made.depth_mm:g} mm deep: rms error of the pins, px of their {made.motion_px:.1f} px rms motion"
         rows.append(
-            vanishes(
+            make_zero_row(
                 group, words, made.rms_px, made.motion_px, None, settled=made.converged, note=note
             )
         )
@@ -53,29 +62,53 @@ def large_strain() -> list[Row]:
 
 
 _HALF_SPACE = (
-    *(normal.hertz, normal.flat_punch, periodic.against_tamaas),
-    *(shear.cattaneo_mindlin, shear.oblique, shear.cycle, shear.torsion),
+    *(
+        normal_contact.check_hertz,
+        normal_contact.check_flat_punch,
+        tamaas_comparison.compare_with_tamaas,
+    ),
+    *(
+        tangential_contact.check_cattaneo_mindlin,
+        tangential_contact.check_oblique,
+        tangential_contact.check_cycle,
+        tangential_contact.check_torsion,
+    ),
 )
 _LAWS = (
-    *(laws.of_the_compliance, laws.of_random_paths, laws.no_contact, laws.turned, laws.full_slip),
-    *(laws.closed_loop, laws.of_increments, laws.of_tolerance),
+    *(
+        invariants.check_compliance,
+        invariants.check_random_paths,
+        invariants.check_no_contact,
+        invariants.check_rotation,
+        invariants.check_full_slip,
+    ),
+    *(
+        invariants.check_closed_loop,
+        invariants.check_increment_order,
+        invariants.check_tolerance_order,
+    ),
 )
 _DOME = (
-    *(full_dome.turned, full_dome.mirrored, full_dome.resumed, full_dome.frictionless),
-    *(full_dome.edge_sweep, full_dome.tilted),
+    *(
+        full_dome.check_rotation,
+        full_dome.check_mirroring,
+        full_dome.check_resuming,
+        full_dome.check_frictionless,
+    ),
+    *(full_dome.check_edge_sweep, full_dome.check_tilt),
 )
 CHECKS: tuple[Check, ...] = (
-    *(elements.patch_test, elements.made_up_orders),
+    *(elements.run_patch_test, elements.measure_manufactured_orders),
     *(_on_half_space(check) for check in _HALF_SPACE),
-    compressible,
+    check_compressible,
     *(_on_half_space(check) for check in _LAWS),
-    laws.scaled,
+    invariants.check_scaling,
     *(partial(check, TACTIP_331) for check in _DOME),
-    large_strain,
+    report_large_strain,
 )
 
 
-def verify(progress: Progress | None = None) -> list[Row]:
+def run_verification(progress: Progress | None = None) -> list[Row]:
     """All rows; `progress` is advanced by one for each of `CHECKS`. Minutes on two cores."""
     rows = []
     for check in CHECKS:

@@ -12,10 +12,10 @@ from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import compute_ring_spacing, set_ring_spacing
-from verification.cases import HALF_SIZE
-from verification.clock import laps
-from verification.paper import NAMES, paper_scenes
-from verification.px import pin_error
+from verification.clock import time_repeats
+from verification.contact_cases import HALF_SIZE
+from verification.paper import NAMES, sample_paper_scenes
+from verification.pin_distance import compute_pin_error
 
 FIELDS = {
     *(
@@ -48,7 +48,7 @@ LOOSE = replace(LEVELS["auto"], tolerance=0.3)
 
 
 def shallow(kind: str, count: int) -> Scenes:
-    found = paper_scenes(kind, count)
+    found = sample_paper_scenes(kind, count)
     found.pose[:, 3] = 1.0
     return found
 
@@ -163,24 +163,24 @@ def test_what_is_chosen():
 
 
 def test_scenes_are_the_same_again_and_few_are_the_first_of_many():
-    few, many = paper_scenes("slide", 9), paper_scenes("slide", 14)
+    few, many = sample_paper_scenes("slide", 9), sample_paper_scenes("slide", 14)
     assert np.array_equal(few.pose, many.pose[:9]) and np.array_equal(few.move, many.move[:9])
     assert set(many.stimulus) == set(range(len(NAMES)))
-    taps = paper_scenes("tap", 9)
+    taps = sample_paper_scenes("tap", 9)
     assert np.array_equal(taps.pose, few.pose) and not taps.move.any() and few.move.any()
-    assert not np.array_equal(paper_scenes("slide", 9, seed=1).pose, few.pose)
+    assert not np.array_equal(sample_paper_scenes("slide", 9, seed=1).pose, few.pose)
     assert few.pose[:, 3].min() >= 1 and few.pose[:, 3].max() <= 6
 
 
 def test_px_are_those_of_the_image():
     pins = np.zeros((2, HALF_SIZE.pins, 3))
     moved = pins + np.array([0.1, 0, 0])
-    error = pin_error(HALF_SIZE, pins, moved)
+    error = compute_pin_error(HALF_SIZE, pins, moved)
     assert error.rms_mm == pytest.approx(0.1) and error.rms_px == pytest.approx(error.max_px)
     assert error.rms_px == pytest.approx(
         0.1 * 256 / 33.5, rel=0.01
     )  # px of the frame across its width in mm
-    assert np.isnan(pin_error(HALF_SIZE, pins, moved * np.nan).rms_px)
+    assert np.isnan(compute_pin_error(HALF_SIZE, pins, moved * np.nan).rms_px)
 
 
 def test_another_spacing_is_another_sensor():
@@ -195,6 +195,8 @@ def test_another_spacing_is_another_sensor():
 
 def test_laps_stop_when_the_budget_is_spent():
     calls = []
-    spent = laps(lambda: calls.append(0), lambda: None, repeats=4)
+    spent = time_repeats(lambda: calls.append(0), lambda: None, repeats=4)
     assert len(calls) == len(spent.work) == len(spent.product) == 4
-    assert len(laps(lambda: calls.append(0), lambda: None, repeats=4, budget_s=0.0).work) == 1
+    assert (
+        len(time_repeats(lambda: calls.append(0), lambda: None, repeats=4, budget_s=0.0).work) == 1
+    )

@@ -3,7 +3,7 @@
 import pytest
 
 from verification.half_space import HalfSpace
-from verification.half_space import half_space as made
+from verification.half_space import make_half_space as made
 from verification.verify import INCOMPRESSIBLE
 
 

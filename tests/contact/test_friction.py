@@ -17,9 +17,9 @@ from jaxunshear.contact.friction import (
 )
 from jaxunshear.contact.node_state import count_node_states
 from jaxunshear.contact.obstacle import Obstacles
-from verification.half_space import HalfSpace, press, trace
-from verification.normal import SPHERE_MM, depth
-from verification.shear import FRICTION, slip_distance
+from verification.half_space import HalfSpace, make_press_poses, trace_forces
+from verification.normal_contact import SPHERE_MM, compute_hertz_depth
+from verification.tangential_contact import FRICTION, compute_slip_distance
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 RADIUS_MM = 0.45
@@ -42,8 +42,10 @@ def system(half_space: HalfSpace, near: np.ndarray) -> System:
 
 
 def slides(half_space: HalfSpace) -> np.ndarray:
-    poses = press(np.full(len(SHARES), depth(RADIUS_MM)), 4)
-    poses[2:, :, 0] = np.linspace(0, 1, 5)[1:, None] * SHARES * slip_distance(half_space, RADIUS_MM)
+    poses = make_press_poses(np.full(len(SHARES), compute_hertz_depth(RADIUS_MM)), 4)
+    poses[2:, :, 0] = (
+        np.linspace(0, 1, 5)[1:, None] * SHARES * compute_slip_distance(half_space, RADIUS_MM)
+    )
     return poses
 
 
@@ -62,7 +64,7 @@ def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
 def test_float32_agrees_with_float64(half_space, near, system):
     poses = slides(half_space)
     single = np.asarray(follow(system, poses, FRICTION).force)
-    double = trace(
+    double = trace_forces(
         half_space, half_space.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.4 * RADIUS_MM
     ).force[-1][:, near]
     single, double = (force / force[0, :, 2].sum() for force in (single, double))

@@ -24,9 +24,9 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import Sensor
-from verification.normal import SPHERE_MM, depth, load
-from verification.shear import FRICTION as MU
-from verification.shear import slip_distance
+from verification.normal_contact import SPHERE_MM, compute_hertz_depth, compute_hertz_load
+from verification.tangential_contact import FRICTION as MU
+from verification.tangential_contact import compute_slip_distance
 
 SMALL = Sensor(name="small", rings=2, pin_spacing_mm=2.0, dome_radius_mm=8.0)  # a dome in a second
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
@@ -302,7 +302,7 @@ def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
 
 def test_half_space_in_stick_and_in_slip(half_space):
     """Stuck, a slide x is answered by dQ/dx = 8 a G*; slipping, only friction is: dQ/dmu = P. Each other is nothing."""
-    radius, slide = 0.45, 1.5 * slip_distance(half_space, 0.45)
+    radius, slide = 0.45, 1.5 * compute_slip_distance(half_space, 0.45)
     near = np.flatnonzero(half_space.radius < 1.2 * radius)
     rows = (3 * near[:, None] + np.arange(3)).ravel()
     scale = float(np.trace(half_space.w[np.ix_(rows, rows)])) / len(rows)
@@ -317,7 +317,7 @@ def test_half_space_in_stick_and_in_slip(half_space):
             path = (
                 jnp.zeros((4, 2, 6))
                 .at[1:, :, 3]
-                .set(depth(radius))
+                .set(compute_hertz_depth(radius))
                 .at[2:, :, 0]
                 .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             )
@@ -337,7 +337,7 @@ def test_half_space_in_stick_and_in_slip(half_space):
     assert abs(slipping) < 1e-2 * stuck
     unmoved, weighed = np.diag(by_friction)
     assert unmoved == 0
-    assert weighed == pytest.approx(load(half_space, radius), rel=0.03)
+    assert weighed == pytest.approx(compute_hertz_load(half_space, radius), rel=0.03)
     assert not np.any(by_slide - np.diag(np.diag(by_slide)))  # no scene knows of another
 
 

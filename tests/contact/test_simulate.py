@@ -16,7 +16,7 @@ from jaxunshear.scene.stimuli import TRAINING
 from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
 from tests.golden import make_runs
-from verification.paper import NAMES, paper_scenes
+from verification.paper import NAMES, sample_paper_scenes
 
 REST = compute_pin_tips(TACTIP_331)
 
@@ -166,7 +166,7 @@ def test_friction_from_none_to_infinite():
 
 def test_strong_friction_needs_no_stronger_level():
     """Deep presses, where the rings that come to touch are held where they were."""
-    drawn = paper_scenes("slide", 12, 1).take(np.array([0, 3]))
+    drawn = sample_paper_scenes("slide", 12, 1).take(np.array([0, 3]))
     stuck = simulate(
         TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False
     )

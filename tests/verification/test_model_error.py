@@ -8,16 +8,16 @@ from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
 from verification.hyperelastic import neo_hookean
-from verification.model_error import logarithmic, model_error
-from verification.px import pin_error, px_apart
+from verification.model_error import compute_hencky_energy, measure_model_error
+from verification.pin_distance import compute_pin_distance, compute_pin_error
 
 REST = compute_pin_tips(TACTIP_331)
 
 
 def test_a_shift_is_measured_as_one():
     camera = Camera()
-    px, _, largest, *_ = pin_error(TACTIP_331, REST + np.array([0.3, -0.4, 0.1]), REST)
-    apex = px_apart(TACTIP_331, REST[:1] + np.array([0.5, 0, 0]), REST[:1])[0]
+    px, _, largest, *_ = compute_pin_error(TACTIP_331, REST + np.array([0.3, -0.4, 0.1]), REST)
+    apex = compute_pin_distance(TACTIP_331, REST[:1] + np.array([0.5, 0, 0]), REST[:1])[0]
     assert apex == pytest.approx(0.5 * camera.frame_px / camera.mm_across, rel=1e-4)
     assert 0.9 * apex < px <= largest < 1.2 * apex
 
@@ -25,7 +25,10 @@ def test_a_shift_is_measured_as_one():
 def test_one_pin_in_ten_shows_in_the_percentile_and_not_in_the_mean():
     moved = REST.copy()
     moved[::10, 0] += 1.0
-    error, px = pin_error(TACTIP_331, moved, REST), px_apart(TACTIP_331, moved, REST)
+    error, px = (
+        compute_pin_error(TACTIP_331, moved, REST),
+        compute_pin_distance(TACTIP_331, moved, REST),
+    )
     assert (error.rms_mm, error.p95_mm, error.max_px) == pytest.approx(
         (np.sqrt(34 / 331), 1, px.max())
     )
@@ -44,24 +47,24 @@ def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_wi
     )
     with jax.enable_x64(True):
         small = np.eye(3) + 1e-4 * plane
-        assert float(logarithmic(small, 1.0, 20.0)) == pytest.approx(
+        assert float(compute_hencky_energy(small, 1.0, 20.0)) == pytest.approx(
             float(neo_hookean(small, 1.0, 20.0)), rel=2e-3
         )
         large = np.eye(3) + 0.2 * plane
         same, turned = (
-            float(logarithmic(large, 1.0, 20.0)),
-            float(logarithmic(turn @ large, 1.0, 20.0)),
+            float(compute_hencky_energy(large, 1.0, 20.0)),
+            float(compute_hencky_energy(turn @ large, 1.0, 20.0)),
         )
         assert turned == pytest.approx(same, rel=1e-9)
         stretched = np.diag([np.exp(0.5), np.exp(-0.25), np.exp(-0.25)])
-        assert float(logarithmic(stretched, 1.0, 20.0)) == pytest.approx(
+        assert float(compute_hencky_energy(stretched, 1.0, 20.0)) == pytest.approx(
             0.5**2 + 2 * 0.25**2, rel=1e-6
         )
 
 
 @pytest.mark.long
 def test_the_linear_dome_is_good_at_small_depth_and_worse_deeper():
-    shallow, deep = model_error(TACTIP_331, (0.5, 4.0))
+    shallow, deep = measure_model_error(TACTIP_331, (0.5, 4.0))
     assert shallow.converged and deep.converged
     assert shallow.rms_px < 0.2 < deep.rms_px < deep.motion_px
     assert (

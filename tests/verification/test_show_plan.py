@@ -7,10 +7,10 @@ import pytest
 from jaxunshear.contact.level import OMISSIONS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
-from verification import show_plan as module
-from verification.cases import HALF_SIZE
-from verification.paper import paper_scenes
-from verification.show_plan import show_grouping, show_plan
+from verification import plan_report as module
+from verification.contact_cases import HALF_SIZE
+from verification.paper import sample_paper_scenes
+from verification.plan_report import show_grouping, show_plan
 
 SMALL = replace(HALF_SIZE, name="small")
 
@@ -67,7 +67,7 @@ def test_a_level_that_leaves_nothing_out():
 
 def test_groups_hold_every_scene_once():
     def shallow(kind: str, count: int) -> Scenes:
-        found = paper_scenes(kind, count)
+        found = sample_paper_scenes(kind, count)
         found.pose[:, 3] = 1.0
         return found
 

@@ -7,9 +7,9 @@ import pytest
 
 from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.errors import UserError
-from verification import cases, stability
+from verification import contact_cases, stability
 
-SHALLOW = cases.motion(0.5, slide=(0.3, 0.0))
+SHALLOW = contact_cases.make_motion(0.5, slide=(0.3, 0.0))
 
 
 def answer(pins: np.ndarray, converged: bool = True) -> Contacts:
@@ -25,17 +25,19 @@ def answer(pins: np.ndarray, converged: bool = True) -> Contacts:
     )
 
 
-def made_up(solve, refused=None, twin=None) -> cases.Case:
-    return cases.Case("made up", solve, "the line", cases.HALF_SIZE, refused, twin)
+def made_up(solve, refused=None, twin=None) -> contact_cases.Case:
+    return contact_cases.Case("made up", solve, "the line", contact_cases.HALF_SIZE, refused, twin)
 
 
 def test_cases_are_many_and_their_names_differ():
-    names = [case.name for case in cases.all_cases()]
+    names = [case.name for case in contact_cases.list_cases()]
     assert len(names) >= 60 and len(set(names)) == len(names)
 
 
 def test_a_contact_that_is_solved():
-    row = stability.examine(cases.one_path("small", SHALLOW, sensor=cases.HALF_SIZE))
+    row = stability.examine_case(
+        contact_cases.make_path_case("small", SHALLOW, sensor=contact_cases.HALF_SIZE)
+    )
     assert row.outcome == stability.SOLVED and row.holds and row.finite and row.converged
     assert (
         row.float_px <= stability.PRECISION_PX
@@ -49,10 +51,10 @@ def test_a_contact_that_is_solved():
 def test_nodes_that_stand_there_twice_change_nothing():
     (case,) = [
         case
-        for case in cases.all_cases()
+        for case in contact_cases.list_cases()
         if case.name.startswith("contact nodes that stand there twice")
     ]
-    row = stability.examine(case)
+    row = stability.examine_case(case)
     assert row.holds and row.twin_px < stability.PRECISION_PX
 
 
@@ -69,16 +71,16 @@ def test_nodes_that_stand_there_twice_change_nothing():
     ],
 )
 def test_senseless_contacts_are_refused_by_name(part):
-    rows = stability.stability(part)
+    rows = stability.run_stability(part)
     assert rows and all(row.outcome == stability.REFUSED and row.said for row in rows)
 
 
 def test_senseless_sensors_are_refused_by_the_field():
-    rows = stability.stability("sensor with")
+    rows = stability.run_stability("sensor with")
     assert len(rows) >= 18 and [row.outcome for row in rows] == [stability.REFUSED] * len(rows)
 
 
-PINS = np.zeros((cases.HALF_SIZE.pins, 3))
+PINS = np.zeros((contact_cases.HALF_SIZE.pins, 3))
 
 
 @pytest.mark.parametrize(
@@ -96,20 +98,20 @@ PINS = np.zeros((cases.HALF_SIZE.pins, 3))
     ],
 )
 def test_what_is_wrong_does_not_pass(solve, outcome):
-    row = stability.examine(made_up(solve))
-    assert row.outcome == outcome and not row.holds and stability.failed([row])
+    row = stability.examine_case(made_up(solve))
+    assert row.outcome == outcome and not row.holds and stability.select_failed([row])
     assert (
         row.scene == "the line"
-        and "the line" in stability.table([row])
-        and "--only" in stability.table([row])
+        and "the line" in stability.format_table([row])
+        and "--only" in stability.format_table([row])
     )
 
 
 def test_what_says_that_it_has_not_converged_is_given_up_and_shown():
-    row = stability.examine(made_up(lambda *_: answer(PINS, converged=False)))
+    row = stability.examine_case(made_up(lambda *_: answer(PINS, converged=False)))
     assert row.outcome == stability.UNSOLVED and row.converged is False
-    assert stability.given_up([row]) and not stability.failed([row])
-    assert "the line" in stability.table([row])
+    assert stability.select_given_up([row]) and not stability.select_failed([row])
+    assert "the line" in stability.format_table([row])
 
 
 def test_what_nothing_could_be_compared_with_is_not_called_solved():
@@ -120,26 +122,28 @@ def test_what_nothing_could_be_compared_with_is_not_called_solved():
             PINS + (level == "auto") * 0.001, converged=level in ("auto", reference)
         )
 
-    row = stability.examine(made_up(tight_fails("reference")))
+    row = stability.examine_case(made_up(tight_fails("reference")))
     assert (
         row.outcome == stability.UNCOMPARED
         and row.holds
         and np.isnan(row.float_px)
         and row.tight_px > 0
     )
-    assert np.isnan(stability.examine(made_up(tight_fails("none"))).tight_px)
+    assert np.isnan(stability.examine_case(made_up(tight_fails("none"))).tight_px)
     off = made_up(
         lambda level, retry: answer(
             PINS + 10 * (level == "auto"), converged=level in ("auto", "reference")
         )
     )
-    assert stability.examine(off).outcome == "converged to something else"
+    assert stability.examine_case(off).outcome == "converged to something else"
     lone = made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS, converged=False))
-    assert stability.examine(lone).outcome == stability.UNCOMPARED
+    assert stability.examine_case(lone).outcome == stability.UNCOMPARED
 
 
 def test_a_twin_that_differs_does_not_pass():
-    row = stability.examine(made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS + 0.1)))
+    row = stability.examine_case(
+        made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS + 0.1))
+    )
     assert row.outcome == "differs from its twin" and not row.holds
 
 
@@ -147,21 +151,23 @@ def test_a_refusal_must_name_what_is_refused():
     def refuse(level, retry):
         raise UserError("friction -1 is below zero")
 
-    assert stability.examine(made_up(refuse, refused="friction")).holds
-    assert not stability.examine(made_up(refuse, refused="depth")).holds
-    assert not stability.examine(made_up(refuse)).holds
-    assert not stability.examine(made_up(lambda *_: answer(PINS), refused="depth")).holds
+    assert stability.examine_case(made_up(refuse, refused="friction")).holds
+    assert not stability.examine_case(made_up(refuse, refused="depth")).holds
+    assert not stability.examine_case(made_up(refuse)).holds
+    assert not stability.examine_case(made_up(lambda *_: answer(PINS), refused="depth")).holds
 
 
 def test_an_unknown_case_is_refused():
     with pytest.raises(UserError, match="no case's name"):
-        stability.stability("nothing of the kind")
+        stability.run_stability("nothing of the kind")
 
 
 def test_a_line_says_what_sets_a_sensor_apart():
-    sensor = replace(cases.TACTIP_331, skin_modulus_mpa=7.0)
-    assert cases.written(sensor) == "Sensor(skin_modulus_mpa=7.0)"
-    assert "skin_modulus_mpa=7.0" in cases.one_path("any", SHALLOW, sensor=sensor).line
+    sensor = replace(contact_cases.TACTIP_331, skin_modulus_mpa=7.0)
+    assert contact_cases.format_sensor(sensor) == "Sensor(skin_modulus_mpa=7.0)"
+    assert (
+        "skin_modulus_mpa=7.0" in contact_cases.make_path_case("any", SHALLOW, sensor=sensor).line
+    )
 
 
 @pytest.mark.parametrize(
@@ -169,4 +175,4 @@ def test_a_line_says_what_sets_a_sensor_apart():
 )
 def test_cases_are_reported_by_words_of_their_names(asked, said):
     with pytest.raises(UserError, match=f"--only '{asked}': no case's name contains this; {said}"):
-        stability.stability(asked)
+        stability.run_stability(asked)

@@ -15,12 +15,19 @@ from jaxunshear.training import checkpoint, losses
 from jaxunshear.training.finite_check import check_state
 from verification import network_steps, network_trainings, network_values, stability
 from verification import stability_networks as judge
-from verification.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
-from verification.network_trainings import SHALLOW, steps_case
+from verification.network_images import (
+    KINDS,
+    convert_to_floats,
+    corrupt_images,
+    insert_nan,
+    make_pairs,
+    make_poses,
+)
+from verification.network_trainings import SHALLOW, make_steps_case
 
-FINE = judge.Found({"values": np.ones(3)})
+FINE = judge.CaseOutput({"values": np.ones(3)})
 LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
-NAN = steps_case(
+NAN = make_steps_case(
     "NaN",
     SHALLOW,
     change=network_trainings._nan,
@@ -34,7 +41,7 @@ def guarded(*guards) -> judge.NetworkCase:
 
 
 def network_cases() -> list[judge.NetworkCase]:
-    return [*network_trainings.training_cases(), *network_values.value_cases()]
+    return [*network_trainings.list_training_cases(), *network_values.list_value_cases()]
 
 
 @pytest.fixture
@@ -76,32 +83,32 @@ def test_only_those_asked_for_run(monkeypatch):
         made_up(lambda folder: ran.append(1) or FINE),
         replace(made_up(lambda folder: 1 / 0), name="another"),
     ]
-    rows = stability.stability("made up", cases)
+    rows = stability.run_stability("made up", cases)
     assert [row.outcome for row in rows] == [judge.FINITE] and ran == [1] and rows[0].holds
 
 
 @pytest.mark.parametrize(
     ("found", "outcome"),
     [
-        (judge.Found({"a": {"b": [1.0, np.nan]}}), "not finite"),
-        (judge.Found({"a": jnp.array([np.inf], jnp.bfloat16)}), "not finite"),
-        (judge.Found({}), "nothing was measured"),
-        (judge.Found({"a": 1.0}, error=0.1, bar=0.05), "off by more than allowed"),
-        (judge.Found({"a": 1.0}, error=np.nan, bar=0.05), "off by more than allowed"),
-        (judge.Found({"a": 1.0}, {"b": np.ones(2)}), "hides a NaN"),
-        (judge.Found({"a": 1.0}, wrong="DS was built"), "wrong"),
+        (judge.CaseOutput({"a": {"b": [1.0, np.nan]}}), "not finite"),
+        (judge.CaseOutput({"a": jnp.array([np.inf], jnp.bfloat16)}), "not finite"),
+        (judge.CaseOutput({}), "nothing was measured"),
+        (judge.CaseOutput({"a": 1.0}, error=0.1, bar=0.05), "off by more than allowed"),
+        (judge.CaseOutput({"a": 1.0}, error=np.nan, bar=0.05), "off by more than allowed"),
+        (judge.CaseOutput({"a": 1.0}, {"b": np.ones(2)}), "hides a NaN"),
+        (judge.CaseOutput({"a": 1.0}, wrong="DS was built"), "wrong"),
     ],
 )
 def test_what_is_wrong_does_not_pass(found, outcome):
     row = judge.examine(made_up(lambda folder: found))
-    assert row.outcome == outcome and not row.holds and stability.failed([row]) == [row]
-    text = stability.table([row])
+    assert row.outcome == outcome and not row.holds and stability.select_failed([row]) == [row]
+    text = stability.format_table([row])
     assert "FAILED: network made up" in text and "the line" in text and "--only" in text
 
 
 def test_the_array_that_is_not_finite_is_named():
     assert (
-        judge.examine(made_up(lambda folder: judge.Found({"a": {"b": [1.0, np.nan]}}))).said
+        judge.examine(made_up(lambda folder: judge.CaseOutput({"a": {"b": [1.0, np.nan]}}))).said
         == "a.b.1"
     )
 
@@ -175,7 +182,9 @@ def test_the_papers_start_is_that_of_its_experiment():
 
 @pytest.mark.long
 def test_kernels_that_outweigh_the_loss_are_reported():
-    heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
+    heavy = judge.examine(
+        make_steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0))
+    )
     assert (
         heavy.holds
         and heavy.said.startswith("l1 and l2 weigh")
@@ -184,13 +193,15 @@ def test_kernels_that_outweigh_the_loss_are_reported():
 
 
 def test_steps_pass_with_their_figures():
-    row = judge.examine(steps_case("usual", SHALLOW))
+    row = judge.examine(make_steps_case("usual", SHALLOW))
     assert row.outcome == judge.FINITE and row.holds and row.steps == network_steps.STEPS
     assert 0 < row.loss < 1 and row.gradient > 0 and not row.said
 
 
 def test_a_network_that_learns_nothing_more_is_reported():
-    row = judge.examine(made_up(lambda folder: judge.Found({"a": 1.0}, note="the gradient is 0")))
+    row = judge.examine(
+        made_up(lambda folder: judge.CaseOutput({"a": 1.0}, note="the gradient is 0"))
+    )
     assert row.holds and row.said == "the gradient is 0"
 
 
@@ -213,7 +224,7 @@ def test_a_training_that_does_not_see_is_caught():
     assert not row.holds and row.outcome == "not finite"
 
 
-USUAL = steps_case("usual", SHALLOW)
+USUAL = make_steps_case("usual", SHALLOW)
 
 
 @pytest.mark.parametrize(
@@ -259,8 +270,8 @@ def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcom
     "part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"]
 )
 def test_cases_that_take_seconds_hold(part):
-    rows = stability.stability(part)
-    assert rows and not stability.failed(rows), stability.table(rows)
+    rows = stability.run_stability(part)
+    assert rows and not stability.select_failed(rows), stability.format_table(rows)
 
 
 def test_narrow_numbers_are_compared_with_wide_ones():
@@ -271,7 +282,7 @@ def test_narrow_numbers_are_compared_with_wide_ones():
         return {"unsheared": images * variables["scale"], "sheared": images}
 
     def precision(run, kind):
-        return network_values.precision(run, given, names, kind, 1.0)
+        return network_values.compare_precision(run, given, names, kind, 1.0)
 
     found = precision(reported, jnp.float64)
     assert 1e-9 < found.error < 1e-6 and not found.wrong
@@ -281,11 +292,11 @@ def test_narrow_numbers_are_compared_with_wide_ones():
 
 
 def test_images_are_what_their_names_say():
-    batch = pairs(3, 4, 32)
+    batch = make_pairs(3, 4, 32)
     assert batch["canonical"].dtype == np.uint8 and set(np.unique(batch["canonical"])) == {0, 255}
     assert (batch["canonical"] != batch["sheared"]).any((1, 2, 3)).all()
-    np.testing.assert_array_equal(batch["sheared"], pairs(3, 4, 32)["sheared"])
-    floats = spoilt(as_floats, batch)
+    np.testing.assert_array_equal(batch["sheared"], make_pairs(3, 4, 32)["sheared"])
+    floats = corrupt_images(convert_to_floats, batch)
     assert floats["sheared"].dtype == np.float32 and set(np.unique(floats["sheared"])) == {0, 1}
     made = {name: kind(floats["canonical"]) for name, kind in KINDS.items()}
     constants = [
@@ -296,8 +307,8 @@ def test_images_are_what_their_names_say():
     assert (np.diff(made["alike"], axis=0) == 0).all()
     apart = np.count_nonzero(np.diff(made["one pixel apart"], axis=0), axis=(1, 2, 3))
     assert (apart == 2).all()  # each has its own pixel inverted
-    assert np.argwhere(np.isnan(with_nan(batch["canonical"]))).tolist() == [[1, 16, 16, 0]]
-    labels = poses(3, 4, 32)
+    assert np.argwhere(np.isnan(insert_nan(batch["canonical"]))).tolist() == [[1, 16, 16, 0]]
+    labels = make_poses(3, 4, 32)
     assert (
         labels["pose"].shape == (4, 4)
         and labels["edge"].shape == (4, 2)
@@ -305,9 +316,9 @@ def test_images_are_what_their_names_say():
     )
 
 
-@pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.Found({"a": np.nan}), 1)])
+@pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.CaseOutput({"a": np.nan}), 1)])
 def test_the_command_ends_with_1_where_a_promise_is_broken(monkeypatch, verification, found, code):
     row = judge.examine(made_up(lambda folder: found))
-    monkeypatch.setattr(stability, "stability", lambda only: [row])
+    monkeypatch.setattr(stability, "run_stability", lambda only: [row])
     answer = verification("stability", "--only", "network made up")
     assert answer.code == code and "network made up" in answer.out

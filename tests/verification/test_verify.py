@@ -7,15 +7,22 @@ import numpy as np
 import pytest
 
 from tests.golden import make_runs
-from verification import elements, laws, normal, periodic, shear
-from verification.half_space import HalfSpace, half_space
-from verification.tables import Row, as_dict, compare, fit_order, table, vanishes
-from verification.verify import CHECKS, INCOMPRESSIBLE, verify
+from verification import elements, invariants, normal_contact, tamaas_comparison, tangential_contact
+from verification.half_space import HalfSpace, make_half_space
+from verification.verification_rows import (
+    Row,
+    convert_row,
+    fit_order,
+    format_rows,
+    make_comparison_row,
+    make_zero_row,
+)
+from verification.verify import CHECKS, INCOMPRESSIBLE, run_verification
 
 
 @pytest.fixture(scope="module")
 def body() -> HalfSpace:
-    return half_space(INCOMPRESSIBLE)
+    return make_half_space(INCOMPRESSIBLE)
 
 
 @pytest.fixture(scope="module")
@@ -25,23 +32,30 @@ def rows_of(body):
 
 
 def missed(rows: list[Row]) -> str:
-    return table(row for row in rows if not row.holds)
+    return format_rows(row for row in rows if not row.holds)
 
 
-@pytest.mark.parametrize("check", [elements.patch_test, elements.made_up_orders, laws.scaled])
+@pytest.mark.parametrize(
+    "check",
+    [elements.run_patch_test, elements.measure_manufactured_orders, invariants.check_scaling],
+)
 def test_elements(check):
     assert not missed(check())
 
 
 CHEAP = (
-    *(normal.hertz, shear.cattaneo_mindlin, pytest.param(shear.cycle, marks=pytest.mark.long)),
     *(
-        laws.of_the_compliance,
-        laws.of_random_paths,
-        laws.no_contact,
-        laws.turned,
-        laws.closed_loop,
-        laws.of_increments,
+        normal_contact.check_hertz,
+        tangential_contact.check_cattaneo_mindlin,
+        pytest.param(tangential_contact.check_cycle, marks=pytest.mark.long),
+    ),
+    *(
+        invariants.check_compliance,
+        invariants.check_random_paths,
+        invariants.check_no_contact,
+        invariants.check_rotation,
+        invariants.check_closed_loop,
+        invariants.check_increment_order,
     ),
 )
 
@@ -55,10 +69,10 @@ def test_half_space(check, rows_of):
 
 def test_golden_rows_of_the_half_space(rows_of):
     checks = {
-        "pressed by a sphere (Hertz)": normal.hertz,
-        "pressed and slid (Cattaneo and Mindlin)": shear.cattaneo_mindlin,
-        "there and back": laws.closed_loop,
-        "in more increments": laws.of_increments,
+        "pressed by a sphere (Hertz)": normal_contact.check_hertz,
+        "pressed and slid (Cattaneo and Mindlin)": tangential_contact.check_cattaneo_mindlin,
+        "there and back": invariants.check_closed_loop,
+        "in more increments": invariants.check_increment_order,
     }
     found = {name: [row.measured for row in rows_of(check)] for name, check in checks.items()}
     make_runs.hold("verification on a half-space", found)
@@ -66,18 +80,21 @@ def test_golden_rows_of_the_half_space(rows_of):
 
 def test_without_tamaas_a_row_says_so(body, absent):
     absent("tamaas")
-    (row,) = periodic.against_tamaas(body)
+    (row,) = tamaas_comparison.compare_with_tamaas(body)
     assert row.bar is None and "pip install" in row.note
 
 
 def test_a_bar_holds_or_does_not():
-    assert compare("g", "p", 2.0, 2.01, 0.01).holds
-    assert not compare("g", "p", 2.0, 2.03, 0.01).holds
-    assert compare("g", "p", 2.0, 4.0).holds  # informs only
-    assert not vanishes("g", "p", math.nan, 1.0, 0.01).holds
-    assert not compare("g", "p", 2.0, 2.0, 0.01, settled=False).holds
+    assert make_comparison_row("g", "p", 2.0, 2.01, 0.01).holds
+    assert not make_comparison_row("g", "p", 2.0, 2.03, 0.01).holds
+    assert make_comparison_row("g", "p", 2.0, 4.0).holds  # informs only
+    assert not make_zero_row("g", "p", math.nan, 1.0, 0.01).holds
+    assert not make_comparison_row("g", "p", 2.0, 2.0, 0.01, settled=False).holds
     for order, holds in ((1.1, True), (0.8, False), (math.nan, False), (None, False)):
-        assert compare("g", "p", 2.0, 2.0, 0.01, order=order, least_order=1.0).holds == holds
+        assert (
+            make_comparison_row("g", "p", 2.0, 2.0, 0.01, order=order, least_order=1.0).holds
+            == holds
+        )
 
 
 def test_orders_are_fitted():
@@ -89,10 +106,10 @@ def test_orders_are_fitted():
 
 def test_the_table_gives_what_was_missed():
     rows = [
-        compare("a group", "one", 2.0, 2.2, 0.05, order=1.0, least_order=0.5),
-        vanishes("another", "two", 0.1, 1.0, 0.3, px=True),
+        make_comparison_row("a group", "one", 2.0, 2.2, 0.05, order=1.0, least_order=0.5),
+        make_zero_row("another", "two", 0.1, 1.0, 0.3, px=True),
     ]
-    text = table(rows)
+    text = format_rows(rows)
     assert (
         text.index("a group")
         < text.index("one")
@@ -100,7 +117,7 @@ def test_the_table_gives_what_was_missed():
         < text.index("another")
         < text.index("0.1 px")
     )
-    assert as_dict(rows[0])["holds"] is False
+    assert convert_row(rows[0])["holds"] is False
 
 
 @pytest.mark.long
@@ -111,6 +128,6 @@ def test_every_bar_holds():
         def advance(self, n: float = 1) -> None:
             done.append(n)
 
-    rows = verify(Count())
+    rows = run_verification(Count())
     assert sum(done) == len(CHECKS)
     assert not missed(rows)

@@ -10,39 +10,39 @@ from types import ModuleType
 
 import numpy as np
 
-from verification.half_space import SPACING_MM, HalfSpace, press, trace
-from verification.tables import Row, compare, fit_order, vanishes
+from verification.half_space import SPACING_MM, HalfSpace, make_press_poses, trace_forces
+from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
 
 GROUP = "normal contact against tamaas"
 PERIOD_MM, CELLS = 12.0, 480  # of its square grid
 LATTICE = 3.900265
 
 
-def sphere(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def compute_sphere_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(...) mm by which the surface stands back from the plane of its highest point."""
     return (x**2 + y**2) / 100.0
 
 
-def two_spheres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def compute_two_sphere_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Of unlike radius and height, off the axis."""
     first = ((x + 0.5) ** 2 + y**2) / 60.0
     second = ((x - 0.52) ** 2 + (y - 0.15) ** 2) / 40.0 + 0.002
     return np.minimum(first, second)
 
 
-def rippled(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return sphere(x, y) + 0.002 * (1 - np.cos(2 * np.pi * x / 1.2))
+def compute_rippled_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return compute_sphere_height(x, y) + 0.002 * (1 - np.cos(2 * np.pi * x / 1.2))
 
 
 PROFILES = {
-    "sphere": (sphere, 0.0196),
-    "two spheres": (two_spheres, 0.011),
-    "rippled sphere": (rippled, 0.0185),
+    "sphere": (compute_sphere_height, 0.0196),
+    "two spheres": (compute_two_sphere_height, 0.011),
+    "rippled sphere": (compute_rippled_height, 0.0185),
 }
 SCALES = np.array([0.5, 0.7, 1.0])  # of the profile, on the same nodes: smaller is coarser
 
 
-def against_tamaas(body: HalfSpace) -> list[Row]:
+def compare_with_tamaas(body: HalfSpace) -> list[Row]:
     try:
         import tamaas
     except ImportError:
@@ -54,7 +54,9 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
         forces, settled = [], True
         for scale in SCALES:
             height = scale * profile(*body.nodes[:, :2].T / scale)
-            made = trace(body, height, press(np.array([scale * depth]), 0), 0.0, tolerance=1e-6)
+            made = trace_forces(
+                body, height, make_press_poses(np.array([scale * depth]), 0), 0.0, tolerance=1e-6
+            )
             forces.append(made.force[-1, 0, :, 2])
             settled &= made.settled
         total = forces[-1].sum()
@@ -67,7 +69,7 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
         order = fit_order(1 / SCALES, apart)
         words = f"{name}: share of the force at another place"
         rows += [
-            compare(
+            make_comparison_row(
                 GROUP,
                 f"{name}: depth at the same force, mm",
                 exact_depth,
@@ -75,7 +77,7 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
                 0.01,
                 settled=settled,
             ),
-            vanishes(
+            make_zero_row(
                 GROUP, words, apart[-1], 1.0, 0.05, order=order, least_order=1.0, settled=settled
             ),
         ]
@@ -83,7 +85,7 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
             "xy", _spread(shapes[-1], line), _spread(pressure, line), strict=True
         ):
             rows.append(
-                compare(
+                make_comparison_row(
                     GROUP,
                     f"{name}: extent of the pressure along {axis}, mm",
                     exact,

@@ -42,7 +42,7 @@ class Row:
         return bool(abs(self.error) <= self.bar and enough and self.settled)
 
 
-def compare(
+def make_comparison_row(
     group: str,
     problem: str,
     closed_form: float,
@@ -62,7 +62,7 @@ def compare(
     )
 
 
-def vanishes(
+def make_zero_row(
     group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
 ) -> Row:
     """A row of what should be zero, judged against `scale`."""
@@ -77,12 +77,12 @@ def fit_order(sizes: Iterable[float], errors: Iterable[float]) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def as_dict(row: Row) -> Json:
+def convert_row(row: Row) -> Json:
     """Flat, for a file of results."""
     return {**asdict(row), "holds": row.holds}
 
 
-def table(rows: Iterable[Row]) -> str:
+def format_rows(rows: Iterable[Row]) -> str:
     """Plain text, a heading a group. `ok` and `MISSED` are of rows with a bar; a row without one is `info`."""
     lines, group = [], None
     for row in rows:

@@ -6,29 +6,39 @@ is exact for an incompressible body, for which these problems are therefore pose
 
 import numpy as np
 
-from verification.half_space import SPACING_MM, HalfSpace, press, trace
-from verification.normal import SIZES, SPHERE_MM, Length, depth, load, moment, spread
-from verification.tables import Row, compare, fit_order, vanishes
+from verification.half_space import SPACING_MM, HalfSpace, make_press_poses, trace_forces
+from verification.normal_contact import (
+    SIZES,
+    SPHERE_MM,
+    Length,
+    compute_hemisphere_radius,
+    compute_hertz_depth,
+    compute_hertz_load,
+    compute_moment,
+)
+from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
 
 FRICTION = 0.5
 
 
-def slip_distance(body: HalfSpace, radius_mm: Length) -> Length:
+def compute_slip_distance(body: HalfSpace, radius_mm: Length) -> Length:
     """The slide (mm) after which a stuck contact slips fully: 3 mu P / (16 a G*)."""
-    return 3 * FRICTION * load(body, radius_mm) / (16 * radius_mm * body.pull_modulus)
+    return 3 * FRICTION * compute_hertz_load(body, radius_mm) / (16 * radius_mm * body.pull_modulus)
 
 
 def _slides(
     body: HalfSpace, radius_mm: np.ndarray, shares: np.ndarray, steps: int = 4
 ) -> np.ndarray:
-    poses = press(depth(radius_mm), steps)
+    poses = make_press_poses(compute_hertz_depth(radius_mm), steps)
     poses[2:, :, 0] = (
-        np.linspace(0, 1, steps + 1)[1:, None] * shares * slip_distance(body, radius_mm)
+        np.linspace(0, 1, steps + 1)[1:, None] * shares * compute_slip_distance(body, radius_mm)
     )
     return poses
 
 
-def cattaneo_mindlin(body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = True) -> list[Row]:
+def check_cattaneo_mindlin(
+    body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = True
+) -> list[Row]:
     """Q and the stick radius c of slides by shares of the slip distance; `exact` False: to inform."""
     group = (
         "Cattaneo-Mindlin"
@@ -38,26 +48,32 @@ def cattaneo_mindlin(body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = T
     bar = 0.02 if exact else None
     shares = np.array([0.2, 0.4, 0.6, 0.8, 1.5])
     a = np.repeat(sizes * SPACING_MM, len(shares))
-    made = trace(
+    made = trace_forces(
         body, body.sphere(SPHERE_MM), _slides(body, a, np.tile(shares, len(sizes))), FRICTION
     )
-    pull = (-made.total[-1, :, 0] / (FRICTION * load(body, a))).reshape(len(sizes), -1)
-    stick = (spread(body, stuck_part(made.force[-1])) / a).reshape(len(sizes), -1)[:, :-1]
+    pull = (-made.total[-1, :, 0] / (FRICTION * compute_hertz_load(body, a))).reshape(
+        len(sizes), -1
+    )
+    stick = (compute_hemisphere_radius(body, compute_stuck_part(made.force[-1])) / a).reshape(
+        len(sizes), -1
+    )[:, :-1]
     expected, radius = 1 - np.maximum(0, 1 - shares) ** 1.5, np.sqrt(1 - shares[:-1])
     rows = []
     for share, right, found in zip(shares, expected, pull[-1], strict=True):
         words = f"pull after {share:g} slip distances, Q / (mu P)"
-        rows.append(compare(group, words, right, found, bar, settled=made.settled))
+        rows.append(make_comparison_row(group, words, right, found, bar, settled=made.settled))
     for right, found in zip(radius, stick[-1], strict=True):
         words = f"stick radius there, c / a = {right:.3f}, by second moment"
         note = f"c = {sizes[-1] * right:.1f} spacings"
-        rows.append(compare(group, words, right, found, bar, settled=made.settled, note=note))
+        rows.append(
+            make_comparison_row(group, words, right, found, bar, settled=made.settled, note=note)
+        )
     if exact:
         errors = np.sqrt(np.mean((stick / radius - 1) ** 2, axis=1))
         words = "relative error of these stick radii, rms"
         order = fit_order(1 / sizes, errors)
         rows.append(
-            vanishes(
+            make_zero_row(
                 group,
                 words,
                 errors[-1],
@@ -71,26 +87,28 @@ def cattaneo_mindlin(body: HalfSpace, sizes: np.ndarray = SIZES, exact: bool = T
     return rows
 
 
-def stuck_part(force: np.ndarray) -> np.ndarray:
+def compute_stuck_part(force: np.ndarray) -> np.ndarray:
     """mu p - |q| (..., N): in theory a hemisphere over the stick area and zero outside it; force (..., N, 3)."""
     return np.maximum(FRICTION * force[..., 2] - np.hypot(force[..., 0], force[..., 1]), 0.0)
 
 
-def oblique(body: HalfSpace, size: float = 7.5) -> list[Row]:
+def check_oblique(body: HalfSpace, size: float = 7.5) -> list[Row]:
     """Pressed and slid at once: what touches later has been dragged less. Without slip Q / P = 2 (1 - nu) / (2 - nu) x / d."""
     counts = np.array([4, 8, 16, 32, 64])
     steps = np.minimum(np.arange(counts[-1] + 1)[:, None] / counts, 1.0)
     poses = np.zeros((*steps.shape, 6))
-    deep, slope = depth(size * SPACING_MM), 0.4
+    deep, slope = compute_hertz_depth(size * SPACING_MM), 0.4
     poses[..., 3], poses[..., 0] = steps * deep, steps * slope * deep
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.15 * size * SPACING_MM)
+    made = trace_forces(
+        body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.15 * size * SPACING_MM
+    )
     total = made.total[-1]
     ratio = -total[:, 0] / total[:, 2]
     exact = slope * 2 * (1 - body.poisson) / (2 - body.poisson)
     order = fit_order(1 / counts[:-1], np.diff(ratio))
     words = "oblique press without slip (Mindlin and Deresiewicz), Q / P"
     return [
-        compare(
+        make_comparison_row(
             "Mindlin-Deresiewicz",
             words,
             exact,
@@ -104,11 +122,11 @@ def oblique(body: HalfSpace, size: float = 7.5) -> list[Row]:
     ]
 
 
-def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
+def check_cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
     """A slide to and fro: the work of the pull over a closed cycle, and the heat of its slips."""
     counts = np.array([3, 6, 12, 24])  # increments from end to end
     a = size * SPACING_MM
-    reach = share * slip_distance(body, a)
+    reach = share * compute_slip_distance(body, a)
     number = np.arange(2 * counts[-1] + 1)[:, None] / counts
     along = np.concatenate(
         [
@@ -116,20 +134,20 @@ def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
             np.where(number < 1, 1 - 2 * number, np.minimum(2 * number - 3, 1)),
         ]
     )
-    poses = press(np.full(len(counts), depth(a)), len(along) - 2)
+    poses = make_press_poses(np.full(len(counts), compute_hertz_depth(a)), len(along) - 2)
     poses[2:, :, 0] = reach * along[2:]
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.15 * a)
+    made = trace_forces(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.15 * a)
     pull, place = -made.total[2:, :, 0], poses[2:, :, 0]
     work = np.sum(np.diff(place, axis=0) * (pull[1:] + pull[:-1]) / 2, axis=0)
     limit = FRICTION * made.force[3:, :, :, 2]
     heat = np.sum(limit * np.linalg.norm(made.slip[2:], axis=-1), axis=(0, 2))
     x = 1 - (1 - share) ** 1.5
-    full = FRICTION * load(body, a)
+    full = FRICTION * compute_hertz_load(body, a)
     loss = 9 * full**2 / (10 * a * body.pull_modulus)
     loss *= 1 - (1 - x) ** (5 / 3) - 5 * x / 6 * (1 + (1 - x) ** (2 / 3))
     words = "loss of a cycle (Mindlin and Deresiewicz), N mm"
     return [
-        compare(
+        make_comparison_row(
             "Mindlin-Deresiewicz",
             f"{words}: the pull's work",
             loss,
@@ -140,13 +158,13 @@ def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
             settled=made.settled,
             note="order in increments",
         ),
-        compare(
+        make_comparison_row(
             "Mindlin-Deresiewicz", f"{words}: heat", loss, heat[-1], 0.03, settled=made.settled
         ),
     ]
 
 
-def torsion(body: HalfSpace) -> list[Row]:
+def check_torsion(body: HalfSpace) -> list[Row]:
     """A sphere, pressed and then twisted about its normal: fully stuck, and fully slipping."""
     rows = []
     for sizes, words in (
@@ -155,14 +173,14 @@ def torsion(body: HalfSpace) -> list[Row]:
     ):
         a = sizes * SPACING_MM
         angle = 1e-3
-        poses = press(depth(a), 1)
+        poses = make_press_poses(compute_hertz_depth(a), 1)
         poses[2:, :, 2] = angle
-        made = trace(body, body.sphere(SPHERE_MM), poses, np.inf)
+        made = trace_forces(body, body.sphere(SPHERE_MM), poses, np.inf)
         exact = 16 / 3 * body.shear_modulus * a**3 * angle
-        measured = moment(body, made.force[-1])
+        measured = compute_moment(body, made.force[-1])
         midway = not words
         rows.append(
-            compare(
+            make_comparison_row(
                 "torsion",
                 f"stuck, M = 16/3 G a^3 theta, N mm{words}",
                 exact[-1],
@@ -178,17 +196,24 @@ def torsion(body: HalfSpace) -> list[Row]:
         )
     a = np.array([10.5]) * SPACING_MM
     steps = 6
-    slip_angle = 3 * np.pi / 16 * FRICTION * load(body, a) / (16 / 3 * body.shear_modulus * a**2)
-    poses = press(depth(a), steps)
+    slip_angle = (
+        3
+        * np.pi
+        / 16
+        * FRICTION
+        * compute_hertz_load(body, a)
+        / (16 / 3 * body.shear_modulus * a**2)
+    )
+    poses = make_press_poses(compute_hertz_depth(a), steps)
     poses[2:, :, 2] = np.linspace(0, 1, steps + 1)[1:, None] * 10 * slip_angle
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION)
-    exact = 3 * np.pi / 16 * FRICTION * load(body, a) * a
+    made = trace_forces(body, body.sphere(SPHERE_MM), poses, FRICTION)
+    exact = 3 * np.pi / 16 * FRICTION * compute_hertz_load(body, a) * a
     rows.append(
-        compare(
+        make_comparison_row(
             "torsion",
             "slipping, M = 3 pi / 16 mu P a, N mm",
             exact[0],
-            moment(body, made.force[-1])[0],
+            compute_moment(body, made.force[-1])[0],
             0.03,
             settled=made.settled,
         )

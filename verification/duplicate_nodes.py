@@ -16,7 +16,7 @@ from jaxunshear.scene.stimuli import get_stimulus
 from jaxunshear.settings.sensor import Sensor
 
 
-def follow_duplicated(
+def solve_with_duplicates(
     sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7
 ) -> Contacts:
     """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""

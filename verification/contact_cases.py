@@ -18,7 +18,7 @@ from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import SHAPES as PLANAR
 from jaxunshear.scene.stimuli import Stimulus
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, Sensor
-from verification.duplicates import follow_duplicated
+from verification.duplicate_nodes import solve_with_duplicates
 from verification.stimuli import SHAPES
 
 HALF_SIZE = replace(
@@ -48,7 +48,7 @@ class Case:
     twin: Solve | None = None
 
 
-def motion(
+def make_motion(
     depth: float,
     at: tuple[float, float] = (0.0, 0.0),
     slide: tuple[float, float] = (0.0, 0.0),
@@ -65,7 +65,7 @@ def motion(
     return points
 
 
-def one_path(
+def make_path_case(
     name: str,
     points: np.ndarray,
     shape: str = "disk",
@@ -76,7 +76,7 @@ def one_path(
     stimuli: tuple[str | Stimulus, ...] = (SHAPES.get(shape, shape),)
     paths = Paths(np.array([0]), np.array([friction]), np.asarray(points, float)[None])
     line = (
-        f"follow({written(sensor)}, ({f'SHAPES[{shape!r}]' if shape in SHAPES else repr(shape)},), "
+        f"follow({format_sensor(sensor)}, ({f'SHAPES[{shape!r}]' if shape in SHAPES else repr(shape)},), "
         f"Paths(array([0]), array([{friction!r}]), array({paths.points.tolist()})), 'auto')"
     )
     return Case(
@@ -88,13 +88,13 @@ def one_path(
     )
 
 
-def written(sensor: Sensor) -> str:
+def format_sensor(sensor: Sensor) -> str:
     """The sensor as Python, by what sets it apart from the standard one."""
     changed = [f for f in fields(sensor) if getattr(sensor, f.name) != getattr(TACTIP_331, f.name)]
     return f"Sensor({', '.join(f'{f.name}={getattr(sensor, f.name)!r}' for f in changed)})"
 
 
-def all_cases() -> list[Case]:
+def list_cases() -> list[Case]:
     """Every case; names are unique."""
     groups = (
         _materials,
@@ -111,40 +111,42 @@ def all_cases() -> list[Case]:
 
 
 def _materials() -> Iterator[Case]:
-    dragged = motion(2.0, at=(-4.0, 0.0), slide=(1.5, 0.5))
+    dragged = make_motion(2.0, at=(-4.0, 0.0), slide=(1.5, 0.5))
     for power in range(-2, 7):
         sensor = replace(HALF_SIZE, skin_modulus_mpa=10.0**power * HALF_SIZE.gel_modulus_mpa)
-        yield one_path(f"skin:gel 1e{power}, half-size dome", dragged, sensor=sensor)
+        yield make_path_case(f"skin:gel 1e{power}, half-size dome", dragged, sensor=sensor)
     for poisson in (0.0, 0.3, 0.499, 0.4999):
         sensor = replace(HALF_SIZE, gel_poisson=poisson, skin_poisson=poisson)
-        yield one_path(f"nu {poisson:g}, half-size dome", dragged, sensor=sensor)
-    dragged = motion(4.0, at=(-8.0, 0.0), slide=(3.0, 1.0))
+        yield make_path_case(f"nu {poisson:g}, half-size dome", dragged, sensor=sensor)
+    dragged = make_motion(4.0, at=(-8.0, 0.0), slide=(3.0, 1.0))
     for ratio in (1e-2, 1e6):
         sensor = replace(TACTIP_331, skin_modulus_mpa=ratio * TACTIP_331.gel_modulus_mpa)
-        yield one_path(f"skin:gel {ratio:.0e}, full dome", dragged, sensor=sensor)
-    yield one_path(
+        yield make_path_case(f"skin:gel {ratio:.0e}, full dome", dragged, sensor=sensor)
+    yield make_path_case(
         "nu 0.4999, full dome",
         dragged,
         sensor=replace(TACTIP_331, gel_poisson=0.4999, skin_poisson=0.4999),
     )
-    usual = one_path("", dragged)
+    usual = make_path_case("", dragged)
     for factor in (1e-6, 1e6):
         moduli = (factor * TACTIP_331.skin_modulus_mpa, factor * TACTIP_331.gel_modulus_mpa)
         sensor = replace(TACTIP_331, skin_modulus_mpa=moduli[0], gel_modulus_mpa=moduli[1])
-        case = one_path(f"E times {factor:.0e}, as E times 1", dragged, sensor=sensor)
+        case = make_path_case(f"E times {factor:.0e}, as E times 1", dragged, sensor=sensor)
         yield replace(case, twin=usual.solve)
-    yield one_path("127 pins, hexagonal", dragged, sensor=TACTIP_127)
+    yield make_path_case("127 pins, hexagonal", dragged, sensor=TACTIP_127)
 
 
 def _frictions() -> Iterator[Case]:
-    dragged = motion(4.0, at=(-8.0, 0.0), slide=(3.0, 1.0))
+    dragged = make_motion(4.0, at=(-8.0, 0.0), slide=(3.0, 1.0))
     for friction in (0.0, 1e-6, 0.05, 5.0, 1e4, np.inf):
-        yield one_path(f"friction {friction:g}, slide", dragged, friction=friction)
+        yield make_path_case(f"friction {friction:g}, slide", dragged, friction=friction)
     for friction in (0.0, 1e4, np.inf):
-        yield one_path(f"friction {friction:g}, press on an edge", motion(4.0), friction=friction)
+        yield make_path_case(
+            f"friction {friction:g}, press on an edge", make_motion(4.0), friction=friction
+        )
     for friction in (5.0, np.inf):
-        deep = motion(5.5, at=(-8.0, 0.0), slide=(2.5, 2.5))
-        yield one_path(
+        deep = make_motion(5.5, at=(-8.0, 0.0), slide=(2.5, 2.5))
+        yield make_path_case(
             f"fitted sensor, friction {friction:g}, slide",
             deep,
             friction=friction,
@@ -155,70 +157,88 @@ def _frictions() -> Iterator[Case]:
 def _depths() -> Iterator[Case]:
     inside, slide = (-12.0, 0.0), (2.0, 1.0)
     for depth in (-1.0, 0.0, 1e-6, 0.01, 8.0):
-        yield one_path(f"depth {depth:g} mm, press", motion(depth, at=inside))
-        yield one_path(f"depth {depth:g} mm, slide", motion(depth, at=inside, slide=slide))
-    yield one_path("depth 8 mm on an edge, slide", motion(8.0, slide=slide))
-    yield one_path("depth 10 mm, press", motion(10.0, at=inside))
+        yield make_path_case(f"depth {depth:g} mm, press", make_motion(depth, at=inside))
+        yield make_path_case(
+            f"depth {depth:g} mm, slide", make_motion(depth, at=inside, slide=slide)
+        )
+    yield make_path_case("depth 8 mm on an edge, slide", make_motion(8.0, slide=slide))
+    yield make_path_case("depth 10 mm, press", make_motion(10.0, at=inside))
     for depth in (12.0, 20.0):  # the contact's edge would pass the last ring of nodes
-        yield one_path(f"depth {depth:g} mm, press", motion(depth, at=inside), refused="depth")
-    high = motion(3.0, at=inside)
+        yield make_path_case(
+            f"depth {depth:g} mm, press", make_motion(depth, at=inside), refused="depth"
+        )
+    high = make_motion(3.0, at=inside)
     high[0, 3] = -50.0
-    yield one_path("lowered from 50 mm above", high)
+    yield make_path_case("lowered from 50 mm above", high)
 
 
 def _slides() -> Iterator[Case]:
     for length in (0.0, 1e-9, 1e-3, 0.1, 10.0, 50.0):
-        yield one_path(f"slide of {length:g} mm", motion(3.0, at=(-60.0, 0.0), slide=(length, 0.0)))
-    yield one_path("slide of 50 mm off the shape", motion(3.0, at=(-20.0, 0.0), slide=(50.0, 0.0)))
-    yield one_path("slide of 50 mm onto the shape", motion(3.0, at=(30.0, 0.0), slide=(-50.0, 0.0)))
-    yield one_path(
+        yield make_path_case(
+            f"slide of {length:g} mm", make_motion(3.0, at=(-60.0, 0.0), slide=(length, 0.0))
+        )
+    yield make_path_case(
+        "slide of 50 mm off the shape", make_motion(3.0, at=(-20.0, 0.0), slide=(50.0, 0.0))
+    )
+    yield make_path_case(
+        "slide of 50 mm onto the shape", make_motion(3.0, at=(30.0, 0.0), slide=(-50.0, 0.0))
+    )
+    yield make_path_case(
         "slide of 50 mm along the edge of the flower",
-        motion(3.0, slide=(0.0, 50.0)),
+        make_motion(3.0, slide=(0.0, 50.0)),
         shape="flower",
     )
     back = np.concatenate(
-        [motion(3.0, at=(-12.0, 0.0), slide=(3.0, 0.0)), motion(3.0, at=(-12.0, 0.0))[1:]]
+        [make_motion(3.0, at=(-12.0, 0.0), slide=(3.0, 0.0)), make_motion(3.0, at=(-12.0, 0.0))[1:]]
     )
-    yield one_path("slide of 3 mm there and back", back)
-    lifted = np.concatenate([back, motion(0.0, at=(-12.0, 0.0))[1:] - np.eye(1, 6, 3)])
-    yield one_path("slide of 3 mm, then lifted", lifted)
-    zigzag = np.repeat(motion(3.0, at=(-12.0, 0.0))[:2], [1, 41], axis=0)
+    yield make_path_case("slide of 3 mm there and back", back)
+    lifted = np.concatenate([back, make_motion(0.0, at=(-12.0, 0.0))[1:] - np.eye(1, 6, 3)])
+    yield make_path_case("slide of 3 mm, then lifted", lifted)
+    zigzag = np.repeat(make_motion(3.0, at=(-12.0, 0.0))[:2], [1, 41], axis=0)
     zigzag[1:, 1] += 0.5 * (np.arange(41) % 2)
-    yield one_path("40 slides of 0.5 mm to and fro", zigzag)
+    yield make_path_case("40 slides of 0.5 mm to and fro", zigzag)
 
 
 def _turns() -> Iterator[Case]:
     for twist in (1e-6, 180.0, -180.0, 720.0):
-        yield one_path(f"twist of {twist:g} deg", motion(3.0, at=(-15.0, 0.0), twist=twist))
-    for friction in (0.0, np.inf):
-        points = motion(3.0, at=(-15.0, 0.0), twist=180.0)
-        yield one_path(f"twist of 180 deg, friction {friction:g}", points, friction=friction)
-    yield one_path("twist of 180 deg on an edge", motion(3.0, twist=180.0))
-    for tilt in ((25.0, 0.0), (0.0, -25.0), (17.0, 17.0), (1e-6, 0.0)):
-        yield one_path(f"tilt of {tilt} deg, press", motion(3.0, at=(-15.0, 0.0), tilt=tilt))
-        yield one_path(
-            f"tilt of {tilt} deg on an edge, slide", motion(3.0, tilt=tilt, slide=(1.5, 2.0))
+        yield make_path_case(
+            f"twist of {twist:g} deg", make_motion(3.0, at=(-15.0, 0.0), twist=twist)
         )
-    rocking = motion(3.0, at=(-15.0, 0.0))
+    for friction in (0.0, np.inf):
+        points = make_motion(3.0, at=(-15.0, 0.0), twist=180.0)
+        yield make_path_case(f"twist of 180 deg, friction {friction:g}", points, friction=friction)
+    yield make_path_case("twist of 180 deg on an edge", make_motion(3.0, twist=180.0))
+    for tilt in ((25.0, 0.0), (0.0, -25.0), (17.0, 17.0), (1e-6, 0.0)):
+        yield make_path_case(
+            f"tilt of {tilt} deg, press", make_motion(3.0, at=(-15.0, 0.0), tilt=tilt)
+        )
+        yield make_path_case(
+            f"tilt of {tilt} deg on an edge, slide", make_motion(3.0, tilt=tilt, slide=(1.5, 2.0))
+        )
+    rocking = make_motion(3.0, at=(-15.0, 0.0))
     rocking[2, 4] = 25.0
-    yield one_path("tilted by 25 deg while pressed", rocking)
-    yield one_path(
-        "tilt of 25 deg, friction 0", motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)), friction=0.0
+    yield make_path_case("tilted by 25 deg while pressed", rocking)
+    yield make_path_case(
+        "tilt of 25 deg, friction 0",
+        make_motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)),
+        friction=0.0,
     )
-    yield one_path(
+    yield make_path_case(
         "tilt of 25 deg, friction infinite",
-        motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)),
+        make_motion(3.0, tilt=(25.0, 0.0), slide=(2.0, 0.0)),
         friction=np.inf,
     )
-    yield one_path("tilt of 75 deg", motion(3.0, tilt=(75.0, 0.0)), refused="depth")
+    yield make_path_case("tilt of 75 deg", make_motion(3.0, tilt=(75.0, 0.0)), refused="depth")
 
 
 def _edges() -> Iterator[Case]:
     for name in PLANAR:
-        yield one_path(f"edge of {name} through the apex, press", motion(3.0), shape=name)
-        yield one_path(
+        yield make_path_case(
+            f"edge of {name} through the apex, press", make_motion(3.0), shape=name
+        )
+        yield make_path_case(
             f"edge of {name} through the apex, slide",
-            motion(3.0, at=(-1.0, -1.0), slide=(1.0, 1.0)),
+            make_motion(3.0, at=(-1.0, -1.0), slide=(1.0, 1.0)),
             shape=name,
         )
     for name in (
@@ -229,11 +249,13 @@ def _edges() -> Iterator[Case]:
         "empty",
         "everywhere",
     ):
-        yield one_path(f"shape: {name}, press", motion(2.0), shape=name)
-        yield one_path(
-            f"shape: {name}, slide", motion(2.0, at=(-1.0, -1.0), slide=(2.0, 1.0)), shape=name
+        yield make_path_case(f"shape: {name}, press", make_motion(2.0), shape=name)
+        yield make_path_case(
+            f"shape: {name}, slide", make_motion(2.0, at=(-1.0, -1.0), slide=(2.0, 1.0)), shape=name
         )
-    yield one_path("shape: a point, 8 mm deep", motion(8.0, slide=(1.0, 0.0)), shape="a point")
+    yield make_path_case(
+        "shape: a point, 8 mm deep", make_motion(8.0, slide=(1.0, 0.0)), shape="a point"
+    )
 
 
 def _together() -> Iterator[Case]:
@@ -244,27 +266,27 @@ def _together() -> Iterator[Case]:
     )
     for sensor, name in ((stiff, "1e6"), (soft, "1e-2")):
         for friction in (5.0, 1e4, np.inf):
-            points = motion(4.0, at=(-6.0, 0.0), slide=(4.0, 2.0), twist=90.0)
-            yield one_path(
+            points = make_motion(4.0, at=(-6.0, 0.0), slide=(4.0, 2.0), twist=90.0)
+            yield make_path_case(
                 f"skin:gel {name}, friction {friction:g}, 4 of 10 mm deep, slide, twist",
                 points,
                 friction=friction,
                 sensor=sensor,
             )
-    points = motion(3.0, slide=(2.0, 3.0), twist=90.0, tilt=(10.0, 20.0))
+    points = make_motion(3.0, slide=(2.0, 3.0), twist=90.0, tilt=(10.0, 20.0))
     for friction in (0.7, 1e4, np.inf):
-        yield one_path(
+        yield make_path_case(
             f"edge, tilt, slide, twist, friction {friction:g}", points, friction=friction
         )
-    yield one_path(
+    yield make_path_case(
         "2-mm spiral arm, 8 mm deep, friction 1e4, slide",
-        motion(8.0, slide=(3.0, 3.0)),
+        make_motion(8.0, slide=(3.0, 3.0)),
         "2-mm spiral arm",
         1e4,
     )
     rigid = replace(stiff, gel_poisson=0.4999, skin_poisson=0.4999)
-    points = motion(4.0, slide=(3.0, 1.0))
-    yield one_path(
+    points = make_motion(4.0, slide=(3.0, 1.0))
+    yield make_path_case(
         "skin:gel 1e6, nu 0.4999, friction 1e4, edge, 4 of 10 mm deep, slide",
         points,
         friction=1e4,
@@ -274,8 +296,8 @@ def _together() -> Iterator[Case]:
 
 def _twins() -> Iterator[Case]:
     """The same contact in two ways."""
-    points = motion(3.0, slide=(1.5, 1.0))
-    alone = one_path("", points)
+    points = make_motion(3.0, slide=(1.5, 1.0))
+    alone = make_path_case("", points)
     generator = np.random.default_rng(0)
     crowd = np.concatenate([points[None], np.repeat(points[None], 15, axis=0)])
     crowd[1:, :, :2] += generator.uniform(-5, 5, (15, 1, 2))
@@ -298,10 +320,12 @@ def _twins() -> Iterator[Case]:
     yield replace(alone, name="continued from its state, as in one go", twin=in_two_parts)
 
     def twice(level: str | Level, retry: bool) -> Contacts:
-        return follow_duplicated(HALF_SIZE, motion(1.5, slide=(1.0, 0.5)), 0.7, get_level(level))
+        return solve_with_duplicates(
+            HALF_SIZE, make_motion(1.5, slide=(1.0, 0.5)), 0.7, get_level(level)
+        )
 
-    once = one_path("", motion(1.5, slide=(1.0, 0.5)), sensor=HALF_SIZE)
-    line = f"follow_duplicated({written(HALF_SIZE)}, array({motion(1.5, slide=(1.0, 0.5)).tolist()}), 0.7, LEVELS['auto'])"
+    once = make_path_case("", make_motion(1.5, slide=(1.0, 0.5)), sensor=HALF_SIZE)
+    line = f"follow_duplicated({format_sensor(HALF_SIZE)}, array({make_motion(1.5, slide=(1.0, 0.5)).tolist()}), 0.7, LEVELS['auto'])"
     yield Case(
         "contact nodes that stand there twice, as once", twice, line, HALF_SIZE, twin=once.solve
     )
@@ -315,9 +339,9 @@ def _senseless() -> Iterator[Case]:
     """To be refused, with the field's name."""
     for number, name in enumerate(("x", "y", "yaw", "depth", "tilt_x", "tilt_y")):
         for value in (np.nan, np.inf):
-            points = motion(3.0)
+            points = make_motion(3.0)
             points[1, number] = value
-            yield one_path(f"point with {name} {value:g}", points, refused="points")
+            yield make_path_case(f"point with {name} {value:g}", points, refused="points")
     for value in (np.nan, -np.inf):
         for field in ("pose", "move"):
             scene = Scenes(
@@ -334,28 +358,37 @@ def _senseless() -> Iterator[Case]:
                 refused=field,
             )
     for friction in (np.nan, -0.1, -np.inf):
-        yield one_path(f"friction {friction:g}", motion(3.0), friction=friction, refused="friction")
+        yield make_path_case(
+            f"friction {friction:g}", make_motion(3.0), friction=friction, refused="friction"
+        )
     for field in (f.name for f in fields(Sensor) if f.type in ("float", float)):
         for value in (np.nan, np.inf):
             sensor = replace(TACTIP_331, **{field: value})  # type: ignore[arg-type]
-            yield one_path(
-                f"sensor with {field} {value:g}", motion(3.0), sensor=sensor, refused=field
+            yield make_path_case(
+                f"sensor with {field} {value:g}", make_motion(3.0), sensor=sensor, refused=field
             )
-    yield one_path(
+    yield make_path_case(
         "gel below zero",
-        motion(3.0),
+        make_motion(3.0),
         sensor=replace(TACTIP_331, gel_modulus_mpa=-1.0),
         refused="gel_modulus_mpa",
     )
-    yield one_path(
-        "nu 0.5", motion(3.0), sensor=replace(TACTIP_331, gel_poisson=0.5), refused="gel_poisson"
+    yield make_path_case(
+        "nu 0.5",
+        make_motion(3.0),
+        sensor=replace(TACTIP_331, gel_poisson=0.5),
+        refused="gel_poisson",
     )
     for shape in ("NaN", "infinite", "NaN target"):
-        yield one_path(f"shape: {shape}", motion(3.0), shape=shape, refused=f"stimulus '{shape}'")
-    yield one_path("shape without a name", motion(3.0), shape="square", refused="stimulus 'square'")
+        yield make_path_case(
+            f"shape: {shape}", make_motion(3.0), shape=shape, refused=f"stimulus '{shape}'"
+        )
+    yield make_path_case(
+        "shape without a name", make_motion(3.0), shape="square", refused="stimulus 'square'"
+    )
 
-    start = Skins(np.full((1, 1387, 3), np.nan), motion(3.0)[None, 1])
-    rest = Paths(np.array([0]), np.array([0.7]), motion(3.0, slide=(1.0, 0.0))[None, 1:])
+    start = Skins(np.full((1, 1387, 3), np.nan), make_motion(3.0)[None, 1])
+    rest = Paths(np.array([0]), np.array([0.7]), make_motion(3.0, slide=(1.0, 0.0))[None, 1:])
     yield Case(
         "continued from NaN forces",
         lambda level, retry: follow(TACTIP_331, ("disk",), rest, level, start, retry=retry)[0],
@@ -363,7 +396,7 @@ def _senseless() -> Iterator[Case]:
         refused="forces",
     )
     for value in (1, -1):
-        paths = Paths(np.array([value]), np.array([0.7]), motion(3.0)[None])
+        paths = Paths(np.array([value]), np.array([0.7]), make_motion(3.0)[None])
         yield Case(
             f"stimulus {value} of 1",
             lambda level, retry, p=paths: follow(TACTIP_331, ("disk",), p, level, retry=retry)[0],  # type: ignore[misc]

@@ -19,7 +19,7 @@ class PinError(NamedTuple):
     p95_mm: float
 
 
-def px_apart(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
+def compute_pin_distance(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
 
     def seen(tips: np.ndarray) -> np.ndarray:
@@ -28,9 +28,9 @@ def px_apart(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray
     return np.linalg.norm(seen(pins) - seen(others), axis=-1)
 
 
-def pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:
+def compute_pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:
     """Of pins (..., P, 3) mm against `others`; NaN where any pin is not finite."""
-    px = px_apart(sensor, pins, others)
+    px = compute_pin_distance(sensor, pins, others)
     mm = np.linalg.norm(np.asarray(pins, np.float64) - others, axis=-1)
     if not px.size:
         return PinError(*(0.0,) * 5)

@@ -25,9 +25,9 @@ from jaxunshear.scene.stimuli import make_stimulus
 from jaxunshear.settings.outlines import parse_stimulus as named
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
-from verification.clock import seconds
-from verification.paper import KINDS, NAMES, paper_scenes
-from verification.px import pin_error
+from verification.clock import time_call
+from verification.paper import KINDS, NAMES, sample_paper_scenes
+from verification.pin_distance import compute_pin_error
 
 REPEATS, BUDGET_S = 3, 2.0  # warm runs: fewer where they take long
 TOGETHER = "all of them"
@@ -41,7 +41,7 @@ WORDS = {
 }
 
 
-class Shown(NamedTuple):
+class PlanReport(NamedTuple):
     rows: list[Json]
     text: str
 
@@ -71,7 +71,7 @@ def show_plan(
     friction: float | None = None,
     level: str = "auto",
     sensor: Sensor = TACTIP_331,
-) -> Shown:
+) -> PlanReport:
     """One contact that ends at pose (x, y, yaw, depth) after a slide and a turn; friction None: the stimulus' own."""
     touched = make_stimulus(named(stimulus))
     points = np.zeros((3, 6))
@@ -104,15 +104,15 @@ def show_plan(
         "iterations": int(contacts.iterations[0]),
     }
     title = f"{touched.name}, friction {mu:g}, level {level}, {sensor.name}"
-    return Shown([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
+    return PlanReport([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
 
 
 def show_grouping(
     count: int,
     level: str = "auto",
     sensor: Sensor = TACTIP_331,
-    scenes: Callable[[str, int], Scenes] = paper_scenes,
-) -> Shown:
+    scenes: Callable[[str, int], Scenes] = sample_paper_scenes,
+) -> PlanReport:
     """How `count` random slides and as many taps (of the paper) share batches, and what sharing by need saves."""
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
@@ -153,14 +153,14 @@ def show_grouping(
             found = _omissions(work, how, ("grouping",), progress)
         rows += [{**row, "kind": kind} for row in found]
         lines += ["", *_table(found), ""]
-    return Shown(rows, "\n".join(lines))
+    return PlanReport(rows, "\n".join(lines))
 
 
 def _omissions(
     work: _Work, level: Level, omissions: Sequence[str], progress: Progress
 ) -> list[Json]:
     """A row each. Switched off one by one; what changes nothing in the plan is not timed."""
-    usual_s, usual = _timed(work, level)
+    usual_s, usual = _time_plan(work, level)
     rows = []
     for omission in omissions:
         less = replace(
@@ -169,8 +169,8 @@ def _omissions(
         )
         row: Json = {"omission": omission, "made": less.omit != level.omit, "matters": False}
         if row["made"] and not _same(work.plan(level), work.plan(less)):
-            spent, contacts = _timed(work, less)
-            error = pin_error(work.sensor, usual.pins, contacts.pins)
+            spent, contacts = _time_plan(work, less)
+            error = compute_pin_error(work.sensor, usual.pins, contacts.pins)
             times = {
                 "ms": 1e3 * usual_s,
                 "ms_without_it": 1e3 * spent,
@@ -187,12 +187,12 @@ def _omissions(
     return rows
 
 
-def _timed(work: _Work, level: Level) -> tuple[float, Contacts]:
+def _time_plan(work: _Work, level: Level) -> tuple[float, Contacts]:
     """Median of warm runs, each with its systems set up anew."""
     contacts = work.solve(level)
-    spent = [seconds(lambda: work.solve(level))]
+    spent = [time_call(lambda: work.solve(level))]
     while len(spent) < REPEATS and sum(spent) < BUDGET_S:
-        spent.append(seconds(lambda: work.solve(level)))
+        spent.append(time_call(lambda: work.solve(level)))
     return float(np.median(spent)), contacts
 
 

@@ -4,10 +4,10 @@ import numpy as np
 
 from jaxunshear.contact.elasticity import Compliance, compute_isotropic_stiffness, condense
 from jaxunshear.contact.mesh import make_dome_mesh
-from verification.half_space import SPACING_MM, HalfSpace, Trace, press, trace
-from verification.normal import SPHERE_MM, depth
-from verification.shear import FRICTION, slip_distance
-from verification.tables import Row, compare, fit_order, vanishes
+from verification.half_space import SPACING_MM, HalfSpace, Trace, make_press_poses, trace_forces
+from verification.normal_contact import SPHERE_MM, compute_hertz_depth
+from verification.tangential_contact import FRICTION, compute_slip_distance
+from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
 
 GROUP = "laws of every answer"
 RADIUS_MM = 5.5 * SPACING_MM  # of the contact
@@ -15,7 +15,7 @@ RADIUS_MM = 5.5 * SPACING_MM  # of the contact
 
 def _trace(body: HalfSpace, poses: np.ndarray, tolerance: float = 1e-5) -> Trace:
     """A sphere, as deep as makes the contact RADIUS_MM wide."""
-    return trace(
+    return trace_forces(
         body,
         body.sphere(SPHERE_MM),
         poses,
@@ -25,10 +25,12 @@ def _trace(body: HalfSpace, poses: np.ndarray, tolerance: float = 1e-5) -> Trace
     )
 
 
-def random_paths(body: HalfSpace, count: int = 8, steps: int = 24, seed: int = 0) -> np.ndarray:
+def make_random_paths(
+    body: HalfSpace, count: int = 8, steps: int = 24, seed: int = 0
+) -> np.ndarray:
     """Poses (steps + 1, count, 6): walks in x, y, yaw and depth that slip, stick, lift off and touch again."""
     generator = np.random.default_rng(seed)
-    stride, deep = 0.5 * slip_distance(body, RADIUS_MM), depth(RADIUS_MM)
+    stride, deep = 0.5 * compute_slip_distance(body, RADIUS_MM), compute_hertz_depth(RADIUS_MM)
     walk = generator.normal(size=(steps, count, 4)) * np.array(
         [stride, stride, stride / RADIUS_MM, 0.3 * deep]
     )
@@ -38,18 +40,18 @@ def random_paths(body: HalfSpace, count: int = 8, steps: int = 24, seed: int = 0
     return poses
 
 
-def of_random_paths(body: HalfSpace) -> list[Row]:
-    made = _trace(body, random_paths(body))
+def check_random_paths(body: HalfSpace) -> list[Row]:
+    made = _trace(body, make_random_paths(body))
     force, slip, gap = made.force[1:], made.slip, made.gap
     pull, push = np.linalg.norm(force[..., :2], axis=-1), force[..., 2]
-    most, deep = push.max(), depth(RADIUS_MM)
+    most, deep = push.max(), compute_hertz_depth(RADIUS_MM)
     finite = np.where(np.isfinite(gap), gap, 0.0)
     power = -np.sum(force[..., :2] * slip, axis=-1)
     heat = FRICTION * np.sum(push * np.linalg.norm(slip, axis=-1))
     what = "over 8 random paths of 24 increments with twists and lift-offs"
     settled = made.settled
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             "adhesion: least pressure, of the largest",
             max(-push.min(), 0.0),
@@ -57,17 +59,17 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
             1e-12,
             note=what,
         ),
-        vanishes(
+        make_zero_row(
             GROUP,
             "pull beyond mu p, of the largest pressure",
             (pull - FRICTION * push).max(),
             most,
             1e-9,
         ),
-        vanishes(
+        make_zero_row(
             GROUP, "penetration, of the depth", max(-finite.min(), 0.0), deep, 1e-3, settled=settled
         ),
-        vanishes(
+        make_zero_row(
             GROUP,
             "pressure x gap, of the largest x the depth",
             np.abs(push * finite).max(),
@@ -75,7 +77,7 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
             1e-3,
             settled=settled,
         ),
-        vanishes(
+        make_zero_row(
             GROUP,
             "dissipation below zero, summed, of all heat",
             -np.minimum(power, 0).sum(),
@@ -83,7 +85,7 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
             1e-3,
             settled=settled,
         ),
-        vanishes(
+        make_zero_row(
             GROUP,
             "pull that is not against the slip, of all heat",
             heat - power.sum(),
@@ -94,10 +96,10 @@ def of_random_paths(body: HalfSpace) -> list[Row]:
     ]
 
 
-def of_the_compliance(body: HalfSpace) -> list[Row]:
+def check_compliance(body: HalfSpace) -> list[Row]:
     values = np.linalg.eigvalsh(body.w)
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             "compliance W: asymmetry, of its largest entry",
             np.abs(body.w - body.w.T).max(),
@@ -115,25 +117,25 @@ def of_the_compliance(body: HalfSpace) -> list[Row]:
     ]
 
 
-def no_contact(body: HalfSpace) -> list[Row]:
+def check_no_contact(body: HalfSpace) -> list[Row]:
     poses = np.zeros((4, 1, 6))
     poses[:, 0, 0], poses[:, 0, 3] = np.linspace(0, 1, 4), -0.01
     made = _trace(body, poses)
     return [
-        vanishes(
+        make_zero_row(
             GROUP, "no contact: largest force, exactly zero", np.abs(made.force).max(), 1.0, 0.0
         )
     ]
 
 
 def _slide(body: HalfSpace, angles: np.ndarray, share: float, steps: int) -> np.ndarray:
-    poses = press(np.full(len(angles), depth(RADIUS_MM)), steps)
-    along = np.linspace(0, 1, steps + 1)[1:, None] * share * slip_distance(body, RADIUS_MM)
+    poses = make_press_poses(np.full(len(angles), compute_hertz_depth(RADIUS_MM)), steps)
+    along = np.linspace(0, 1, steps + 1)[1:, None] * share * compute_slip_distance(body, RADIUS_MM)
     poses[2:, :, 0], poses[2:, :, 1] = along * np.cos(angles), along * np.sin(angles)
     return poses
 
 
-def turned(body: HalfSpace) -> list[Row]:
+def check_rotation(body: HalfSpace) -> list[Row]:
     """The same slide in other directions: by 60 deg the nodes are the same, by other angles they are not."""
     angles = np.radians([0.0, 60.0, 17.0, 30.0, 45.0])
     made = _trace(body, _slide(body, angles, 0.6, 4), tolerance=1e-7)
@@ -149,7 +151,7 @@ def turned(body: HalfSpace) -> list[Row]:
     )
     apart = np.linalg.norm(back - back[0], axis=-1) / np.linalg.norm(back[0])
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             "slide turned by 60 deg: change of the force",
             apart[1],
@@ -157,7 +159,7 @@ def turned(body: HalfSpace) -> list[Row]:
             1e-5,
             settled=made.settled,
         ),
-        vanishes(
+        make_zero_row(
             GROUP,
             "slide turned by 17, 30, 45 deg: change of the force",
             apart[2:].max(),
@@ -168,27 +170,33 @@ def turned(body: HalfSpace) -> list[Row]:
     ]
 
 
-def full_slip(body: HalfSpace) -> list[Row]:
+def check_full_slip(body: HalfSpace) -> list[Row]:
     made = _trace(body, _slide(body, np.zeros(1), 2.0, 4))
     total = made.total[-1, 0]
     words = "full slip: Q / P"
     return [
-        compare(GROUP, words, FRICTION, np.hypot(*total[:2]) / total[2], 1e-4, settled=made.settled)
+        make_comparison_row(
+            GROUP, words, FRICTION, np.hypot(*total[:2]) / total[2], 1e-4, settled=made.settled
+        )
     ]
 
 
-def closed_loop(body: HalfSpace) -> list[Row]:
+def check_closed_loop(body: HalfSpace) -> list[Row]:
     """Press, circle, lift off: at the end the body stores nothing, and all work of the motion has become heat."""
     counts = np.array([12, 24, 48, 96])
     share = np.minimum(np.arange(counts[-1] + 1)[:, None] / counts, 1.0)
-    poses = _arc(1.5 * slip_distance(body, RADIUS_MM), 2 * np.pi * np.clip(3 * share - 1, 0, 1))
-    poses[..., 3] = depth(RADIUS_MM) * np.clip(np.minimum(3 * share, 3 - 3 * share), 0, 1)
+    poses = _arc(
+        1.5 * compute_slip_distance(body, RADIUS_MM), 2 * np.pi * np.clip(3 * share - 1, 0, 1)
+    )
+    poses[..., 3] = compute_hertz_depth(RADIUS_MM) * np.clip(
+        np.minimum(3 * share, 3 - 3 * share), 0, 1
+    )
     made = _trace(body, poses)
-    work, heat, stored = energies(body, made, poses)
+    work, heat, stored = compute_energies(body, made, poses)
     order = fit_order(1 / counts, heat / work - 1)
     note = f"order in increments; {counts[-1]} of them"
     return [
-        compare(
+        make_comparison_row(
             GROUP,
             "closed loop: heat of all slips over the motion's work",
             1.0,
@@ -199,18 +207,18 @@ def closed_loop(body: HalfSpace) -> list[Row]:
             settled=made.settled,
             note=note,
         ),
-        vanishes(
+        make_zero_row(
             GROUP, "closed loop: energy still stored, of the work", stored[-1], work[-1], 1e-9
         ),
     ]
 
 
-def of_increments(body: HalfSpace) -> list[Row]:
+def check_increment_order(body: HalfSpace) -> list[Row]:
     """A slide whose direction turns all along, in more and more increments."""
     counts = np.array([4, 8, 16, 32, 64])
     share = np.minimum(np.arange(counts[-1] + 1)[:, None] / counts, 1.0)
-    poses = press(np.full(len(counts), depth(RADIUS_MM)), counts[-1])
-    poses[1:] += _arc(slip_distance(body, RADIUS_MM), np.pi / 2 * share)
+    poses = make_press_poses(np.full(len(counts), compute_hertz_depth(RADIUS_MM)), counts[-1])
+    poses[1:] += _arc(compute_slip_distance(body, RADIUS_MM), np.pi / 2 * share)
     made = _trace(body, poses)
     change = np.linalg.norm(np.diff(made.force[-1], axis=0), axis=(1, 2)) / np.linalg.norm(
         made.force[-1, -1]
@@ -219,7 +227,7 @@ def of_increments(body: HalfSpace) -> list[Row]:
     order = fit_order(1 / counts[1:], change)
     note = "order in increments"
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             words,
             change[-1],
@@ -241,7 +249,7 @@ def _arc(radius_mm: float, angle: np.ndarray) -> np.ndarray:
     )
 
 
-def energies(
+def compute_energies(
     body: HalfSpace, made: Trace, poses: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Work of the motion (trapezia of the force along x, y and depth), heat mu p |slip|, and stored energy at the end, (B,) N mm."""
@@ -257,7 +265,7 @@ def energies(
     return work, heat, np.einsum("bi,ij,bj->b", last, body.w, last) / 2
 
 
-def of_tolerance(body: HalfSpace) -> list[Row]:
+def check_tolerance_order(body: HalfSpace) -> list[Row]:
     """A slide at looser and looser tolerance, against one solved far more exactly."""
     tolerances = (1e-3, 1e-4, 1e-5, 1e-6)
     poses = _slide(body, np.zeros(1), 0.6, 4)
@@ -266,7 +274,7 @@ def of_tolerance(body: HalfSpace) -> list[Row]:
     words = "nodal forces at tolerance 1e-6 against 1e-8"
     order = fit_order(tolerances, errors)
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             words,
             errors[-1],
@@ -279,7 +287,7 @@ def of_tolerance(body: HalfSpace) -> list[Row]:
     ]
 
 
-def scaled() -> list[Row]:
+def check_scaling() -> list[Row]:
     """A small dome whose moduli, and one whose lengths, are larger: displacements and forces follow."""
     rings, pins = 5, np.array([[3.0, 0.0, 2.5], [0.0, 4.0, 3.0]])
 
@@ -300,7 +308,7 @@ def scaled() -> list[Row]:
         "lengths x 3: compliances W, G / 3": ((3 * large.w, base.w), (3 * large.g, base.g)),
     }
     return [
-        vanishes(
+        make_zero_row(
             GROUP,
             f"{words}, largest change",
             max(np.abs(x - y).max() / np.abs(y).max() for x, y in pairs),
