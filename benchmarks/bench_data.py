@@ -21,7 +21,7 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.splits import SPLITS
 
 POSES = 12  # of each shape: some hundred contacts
-PLANNED = 20  # times as many are planned: what it costs once counts less
+PLAN_MULTIPLE = 20  # times as many are planned: what it costs once counts less
 COLUMNS = ("name", "contacts", "cpu_ms", "bytes")
 
 
@@ -38,7 +38,7 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     engine, chunks = make_engine(), get_unfinished_folder(settings, TACTIP_331, data)
     drawn = [
         sample_contacts(one)
-        for one in (settings, dataclasses.replace(settings, poses=PLANNED * settings.poses))
+        for one in (settings, dataclasses.replace(settings, poses=PLAN_MULTIPLE * settings.poses))
     ]
     shots, many = drawn
     counts = [len(each.scenes) for each in drawn]

@@ -44,7 +44,7 @@ def _row(explorer: Explorer, name: str, pictures: int, advance: Callable[[], obj
     generator = np.random.default_rng(0)
     spent, refused = [], 0
     for _ in range(pictures):
-        touch = _anywhere(explorer, name, generator)
+        touch = _sample_touch(explorer, name, generator)
         began = time.perf_counter()
         try:
             explorer.picture(touch)
@@ -66,7 +66,7 @@ def _row(explorer: Explorer, name: str, pictures: int, advance: Callable[[], obj
     }
 
 
-def _anywhere(explorer: Explorer, name: str, generator: np.random.Generator) -> Touch:
+def _sample_touch(explorer: Explorer, name: str, generator: np.random.Generator) -> Touch:
     """A slide of up to MOST_SLIDE_MM to a place about the target point, of the depths that data have."""
     x, y = generator.uniform(-WITHIN_MM, WITHIN_MM, 2)
     ranges = Ranges()

@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.bench_sim import OWN
+from benchmarks.bench_sim import OWN_SOLVER
 from jaxunshear.storage import Json
 from jaxunshear.style import FAINT, INK, LABEL, STYLE, png_of
 from verification.paper import KINDS
@@ -17,7 +17,7 @@ COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9
 MARKS = "os^Dv<>PX*"
 
 
-def work_precision(rows: Sequence[Json]) -> bytes:
+def plot_work_precision(rows: Sequence[Json]) -> bytes:
     """PNG. Rows without an error to show (the reference itself) and rows that crashed are left out; failures are named below."""
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     with rc_context(STYLE):
@@ -30,9 +30,9 @@ def work_precision(rows: Sequence[Json]) -> bytes:
         return png_of(figure)
 
 
-def series_of(row: Json) -> str:
+def choose_series(row: Json) -> str:
     """What a point is drawn with: rows that differ in one thing make a line."""
-    if row["solver"] != OWN:
+    if row["solver"] != OWN_SOLVER:
         return row["solver"]
     if row["against"] != "reference":
         return f"mesh (against {row['against']})"
@@ -46,7 +46,7 @@ def _panel(axes: Axes, rows: list[Json]) -> None:
     lines: dict[str, list[Json]] = {}
     for row in rows:
         if row.get("rms_px", 0) > 0:
-            lines.setdefault(series_of(row), []).append(row)
+            lines.setdefault(choose_series(row), []).append(row)
     for number, (name, points) in enumerate(lines.items()):
         points.sort(key=lambda row: row["ratio"])
         x, y, top = ([row[field] for row in points] for field in ("ratio", "rms_px", "p95_px"))
@@ -54,7 +54,11 @@ def _panel(axes: Axes, rows: list[Json]) -> None:
             COLOURS[number % len(COLOURS)],
             MARKS[(number + number // len(COLOURS)) % len(MARKS)],
         )
-        several = "-" if (len(points) > 1 and "auto:" in name) or points[0]["solver"] != OWN else ""
+        several = (
+            "-"
+            if (len(points) > 1 and "auto:" in name) or points[0]["solver"] != OWN_SOLVER
+            else ""
+        )
         axes.plot(
             x,
             y,

@@ -16,8 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.multiplications import TARGETS, multiplications, pose_multiplications
-from benchmarks.steps import dots, step_of, variables_of
+from benchmarks.multiplications import TARGETS, count_multiplications, count_posenet_multiplications
+from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.apps.export.parts import ExportedModel, ExportedNetwork
 from jaxunshear.apps.robot.stream import make_perceive_function
 from jaxunshear.errors import UserError, first_line
@@ -36,10 +36,10 @@ from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import SIZE, make_matrix_product, time_call
 
-TRAINED = ((256, 8), (128, 32))  # size in px, batch
-INFERRED = (256, 128)
+TRAIN_CASES = ((256, 8), (128, 32))  # size in px, batch
+INFER_SIZES = (256, 128)
 FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
-ABSENT = "is not installed"  # which is no failure
+NOT_INSTALLED = "is not installed"  # which is no failure
 Rounds = tuple[int, float]
 ROUNDS: Rounds = (
     7,
@@ -55,15 +55,15 @@ def bench_train(
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = (
-        list(TRAINED)
+        list(TRAIN_CASES)
         if plain
         else [(128 if size is None else size, 32 if batch is None else batch)]
     )
-    return _measured(
+    return _measure_cases(
         "bench train",
         cases,
         _training_sides,
-        lambda px: 6 * multiplications(UnshearNet(size=px), True),
+        lambda px: 6 * count_multiplications(UnshearNet(size=px), True),
         rounds,
     )
 
@@ -72,29 +72,32 @@ def bench_infer(
     size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
 ) -> list[Json]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
-    cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
-    return _measured(
+    cases = [
+        (px, 1 if batch is None else batch) for px in (INFER_SIZES if size is None else (size,))
+    ]
+    return _measure_cases(
         "bench infer",
         cases,
         _inference_sides,
-        lambda px: 2 * multiplications(UnshearNet(size=px), False),
+        lambda px: 2 * count_multiplications(UnshearNet(size=px), False),
         rounds,
     )
 
 
 def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
     """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
-    cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
+    cases = [(px, 1) for px in (INFER_SIZES if size is None else (size,))]
 
     def operations(px: int) -> int:
         return 2 * (
-            multiplications(UnshearNet(size=px), False) + pose_multiplications(PoseNet(size=px))
+            count_multiplications(UnshearNet(size=px), False)
+            + count_posenet_multiplications(PoseNet(size=px))
         )
 
-    return _measured("bench stream", cases, _stream_sides, operations, rounds)
+    return _measure_cases("bench stream", cases, _stream_sides, operations, rounds)
 
 
-def _measured(
+def _measure_cases(
     title: str,
     cases: Sequence[tuple[int, int]],
     sides: Callable[[int, int], Sides],
@@ -106,7 +109,7 @@ def _measured(
     rows = []
     with Progress(title, len(cases), unit="cases") as progress:
         for px, images in cases:
-            rows += _compared(sides(px, images), px, images, operations(px), rounds)
+            rows += _compare_sides(sides(px, images), px, images, operations(px), rounds)
             progress.advance(1)
     return rows
 
@@ -121,10 +124,10 @@ def _network(size: int, batch: int) -> UnshearNet:
 
 def _training_sides(size: int, batch: int) -> Sides:
     net, training = _network(size, batch), Training(batch=batch)
-    canonical, sheared = dots(batch, size)
+    canonical, sheared = make_noise_images(batch, size)
 
     def ours(form: str) -> Work:
-        step, first = step_of(make_unshear_task(net, training), training)
+        step, first = make_timed_step(make_unshear_task(net, training), training)
         state = [first]
         program = jax.jit(step, donate_argnums=0)
         given = jax.device_put({"canonical": canonical, "sheared": sheared})
@@ -156,10 +159,10 @@ def _training_sides(size: int, batch: int) -> Sides:
 
 def _inference_sides(size: int, batch: int) -> Sides:
     net = _network(size, batch)
-    _, sheared = dots(batch, size)
+    _, sheared = make_noise_images(batch, size)
 
     def ours() -> Work:
-        variables = variables_of(partial(unshearnet.init, net))
+        variables = init_variables(partial(unshearnet.init, net))
         run = jit_for_inference(
             lambda variables, images: unshearnet.unshear(net, variables, images), variables
         )
@@ -188,11 +191,11 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
 def _stream_sides(size: int, batch: int) -> Sides:
     net, pose_net = _network(size, batch), PoseNet(size=size)
-    image = dots(batch, size)[1, 0, ..., 0]
+    image = make_noise_images(batch, size)[1, 0, ..., 0]
 
     def fresh_variables() -> dict[str, Any]:
-        reader = variables_of(partial(posenet.init, pose_net, posenet.count_outputs(TARGETS)))
-        return {DISENTANGLED: variables_of(partial(unshearnet.init, net)), POSENET: reader}
+        reader = init_variables(partial(posenet.init, pose_net, posenet.count_outputs(TARGETS)))
+        return {DISENTANGLED: init_variables(partial(unshearnet.init, net)), POSENET: reader}
 
     def ours() -> Work:
         forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
@@ -250,9 +253,9 @@ def _twins() -> tuple[Any, Any]:
     the second, and slower."""
     import torch
 
-    from benchmarks import torch_twin
+    from benchmarks import torch_networks
 
-    return torch, torch_twin
+    return torch, torch_networks
 
 
 def _place() -> str:
@@ -260,7 +263,9 @@ def _place() -> str:
     return "cuda" if jax.default_backend() == "gpu" else "cpu"
 
 
-def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Rounds) -> list[Json]:
+def _compare_sides(
+    sides: Sides, size: int, batch: int, operations: int, rounds: Rounds
+) -> list[Json]:
     """One row a side."""
     ready: dict[str, Work] = {}
     rows: dict[str, Json] = {}
@@ -278,7 +283,7 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Roun
                 raise
             extra = "torch" if missing.name == "torch" else "onnx"
             rows[name]["failed"] = (
-                f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[{extra}]'"
+                f"{missing.name} {NOT_INSTALLED}: pip install -c constraints.txt '.[{extra}]'"
             )
         except Exception as crash:
             if name == "jaxunshear":
@@ -316,7 +321,7 @@ def table(rows: Sequence[Json]) -> str:
     for row in rows:
         head = f"{row['name']:22} {row['size']:<4} {row['batch']:<5}"
         if row["failed"]:
-            absent = ABSENT in row["failed"]
+            absent = NOT_INSTALLED in row["failed"]
             lines.append(f"{head}  {'' if absent else 'FAILED: '}{row['failed']}")
             continue
         lines.append(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from benchmarks.steps import step_of
+from benchmarks.training_steps import make_timed_step
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import layer_choice, pin_networks
@@ -64,17 +64,24 @@ def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Jso
                 *(("a frame", batch) for batch in BATCHES),
             ):
                 made = {
-                    way: _made(net, rest, what, batch, way)
+                    way: _build_work(net, rest, what, batch, way)
                     for way in (layer_choice.FAST, layer_choice.PLAIN)
                 }
                 rows.append(
-                    {"name": name, "what": what, "batch": batch, **_measured(made, rounds, turn_s)}
+                    {
+                        "name": name,
+                        "what": what,
+                        "batch": batch,
+                        **_measure_work(made, rounds, turn_s),
+                    }
                 )
                 progress.advance()
     return rows
 
 
-def _made(net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str) -> tuple[Work, float]:
+def _build_work(
+    net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str
+) -> tuple[Work, float]:
     """Something to time, and the seconds that compiling it took."""
     with layer_choice.use_layers(way):
         pins = jnp.asarray(
@@ -102,7 +109,7 @@ def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     training = replace(PIN_TRAINING, pose_weight=0.0)
     task = make_pin_unshear_task(net, training, make_range_targets((), Ranges()), rest, SPREAD)
-    step, first = step_of(task, training)
+    step, first = make_timed_step(task, training)
     state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}
     program = jax.jit(step, donate_argnums=0).lower(state[0], batch).compile()
@@ -114,7 +121,7 @@ def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     return work
 
 
-def _measured(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -> Json:
+def _measure_work(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -> Json:
     works = {way: work for way, (work, _) in made.items()}
     times = max(
         1, round(turn_s / min(time_call(work) for work in works.values() for _ in range(3)))

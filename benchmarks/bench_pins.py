@@ -61,19 +61,19 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
             "kind": kind,
             "size": size,
         }
-        | compare(lattice, images, true)
+        | compare_pins(lattice, images, true)
         for kind, (images, true) in seen.items()
     ]
 
 
-def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
+def compare_pins(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
-    found, find_ms = _timed(detect_pins, images)
-    tracks, follow_ms = _timed(lambda each: track_pins(lattice, each), found)
+    found, find_ms = _time_items(detect_pins, images)
+    tracks, follow_ms = _time_items(lambda each: track_pins(lattice, each), found)
     usual = fit_motion_prior(lattice, tracks)
     for row, track in enumerate(tracks):
         if usual is not None and not track.sure:
-            (tracks[row],), more = _timed(
+            (tracks[row],), more = _time_items(
                 lambda each: track_pins(lattice, each, usual), found[row : row + 1]
             )
             follow_ms[row] += more[0]
@@ -101,7 +101,7 @@ Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 
-def _timed(
+def _time_items(
     work: Callable[[Item], Answer], items: Iterable[Item]
 ) -> tuple[list[Answer], np.ndarray]:
     """Answers, and milliseconds (N,) of each."""

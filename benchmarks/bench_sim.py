@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from benchmarks.rivals import RIVALS
-from benchmarks.truth import true_pins
+from benchmarks.other_solvers import OTHER_SOLVERS
+from benchmarks.reference_pins import solve_reference_pins
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact import systems
 from jaxunshear.contact.contact_results import Contacts
@@ -28,7 +28,7 @@ from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error
 
-OWN = "admm"
+OWN_SOLVER = "admm"
 WRONG_PX = 1.0  # rms: a solver that ends further off than this has failed
 FINEST_MM = 0.7
 
@@ -40,7 +40,7 @@ class Effort:
 
     compared: int = 63
     timed: int = 256
-    slow: int = 63  # timed, of rows that take a second a state
+    slow_timed: int = 63  # timed, of rows that take a second a state
     repeats: int = 5
     budget_s: float = 15.0
     scenes: Callable[[str, int], Scenes] = sample_paper_scenes  # by kind and number
@@ -53,16 +53,16 @@ class Setting:
 
     name: str
     level: str
-    how: Level
+    level_settings: Level
     batch: int = 64
-    solver: str = OWN
+    solver: str = OWN_SOLVER
     mesh_mm: float | None = None  # None: the sensor's own
     kinds: tuple[str, ...] = KINDS
     scenes: int | None = None
     against: str = "reference"
 
 
-def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Iterator[Setting]:
+def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Iterator[Setting]:
     """Level by level and batch by batch: what `--level` and `--batch` choose from."""
     for batch in batches:
         for name in ("auto", "fast"):
@@ -71,7 +71,7 @@ def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Itera
                 name,
                 LEVELS[name],
                 batch,
-                scenes=effort.slow if batch == 1 else None,
+                scenes=effort.slow_timed if batch == 1 else None,
             )
     for batch in batches:
         full = {
@@ -81,11 +81,11 @@ def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Itera
         }
         for name, how in full.items():
             label = "auto, nothing left out" if name == "unabridged" else name
-            few = max(effort.slow // (9 if batch < 64 else 1), 1)
+            few = max(effort.slow_timed // (9 if batch < 64 else 1), 1)
             yield Setting(f"{label}, batch {batch}", name, how, batch, scenes=few)
 
 
-def variations(effort: Effort) -> Iterator[Setting]:
+def list_variations(effort: Effort) -> Iterator[Setting]:
     """`auto` at batch 64 with one thing changed."""
     auto = LEVELS["auto"]
     for tolerance in (1.0, 0.5, 0.1, 0.05, 0.02):
@@ -95,13 +95,15 @@ def variations(effort: Effort) -> Iterator[Setting]:
         how = replace(auto, press_mm=factor * auto.press_mm, slide_mm=factor * auto.slide_mm)
         yield Setting(f"auto, steps times {1 / factor:g}", "auto", how)
     yield Setting("auto, float64", "auto", replace(auto, precision="float64"))
-    for solver in RIVALS:
-        if solver == OWN:
+    for solver in OTHER_SOLVERS:
+        if solver == OWN_SOLVER:
             continue
         for tolerance in (0.5, 0.2, 0.05) if solver != "newton, cold" else (0.2,):
             how = replace(auto, tolerance=tolerance, limit=2000)
             batch, scenes = (
-                (1, min(7, effort.slow)) if solver == "newton, cold" else (64, effort.slow)
+                (1, min(7, effort.slow_timed))
+                if solver == "newton, cold"
+                else (64, effort.slow_timed)
             )
             yield Setting(
                 f"{solver}, tolerance {tolerance:g}",
@@ -120,21 +122,21 @@ def variations(effort: Effort) -> Iterator[Setting]:
             "auto",
             auto,
             mesh_mm=mesh,
-            scenes=effort.slow,
+            scenes=effort.slow_timed,
             against=against,
         )
 
 
-def chosen(effort: Effort, level: str | None, batch: int | None) -> list[Setting]:
+def select_settings(effort: Effort, level: str | None, batch: int | None) -> list[Setting]:
     """All settings, or the plain ones of a level, of a batch, or of both."""
     if batch is not None and batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
-    names = {setting.level for setting in main_settings(effort)}
+    names = {setting.level for setting in list_main_settings(effort)}
     if level is not None and level not in names:
         raise UserError(f"--level '{level}' is unknown: use one of {', '.join(sorted(names))}")
     if level is None and batch is None:
-        return [*main_settings(effort), *variations(effort)]
-    plain = main_settings(effort) if batch is None else main_settings(effort, (batch,))
+        return [*list_main_settings(effort), *list_variations(effort)]
+    plain = list_main_settings(effort) if batch is None else list_main_settings(effort, (batch,))
     return [setting for setting in plain if level is None or setting.level == level]
 
 
@@ -148,7 +150,7 @@ def bench_sim(
 ) -> list[Json]:
     """Rows, slides and taps apart; `keep` gets those so far after each. Raises `UserError` for an unknown level."""
     effort = effort or Effort()
-    settings = chosen(effort, level, batch) if settings is None else settings
+    settings = select_settings(effort, level, batch) if settings is None else settings
     work = [(setting, kind) for setting in settings for kind in setting.kinds]
     rows: list[Json] = []
     with Progress("bench sim", len(work), unit="rows") as progress:
@@ -168,10 +170,10 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
         "level": setting.level,
         "kind": kind,
         "batch": setting.batch,
-        "precision": setting.how.precision,
-        "tolerance": setting.how.tolerance,
-        "press_mm": setting.how.press_mm,
-        "slide_mm": setting.how.slide_mm,
+        "precision": setting.level_settings.precision,
+        "tolerance": setting.level_settings.tolerance,
+        "press_mm": setting.level_settings.press_mm,
+        "slide_mm": setting.level_settings.slide_mm,
         "solver": setting.solver,
         "mesh_mm": setting.mesh_mm or compute_ring_spacing(sensor),
         "against": setting.against,
@@ -181,7 +183,7 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
     pins = _truth(sensor, setting, kind, effort)[: len(compared)]
     contacts: list[Contacts] = []
     here = sensor if setting.mesh_mm is None else set_ring_spacing(sensor, setting.mesh_mm)
-    how = replace(setting.how, solver=RIVALS[setting.solver])
+    how = replace(setting.level_settings, solver=OTHER_SOLVERS[setting.solver])
 
     def work() -> None:
         systems.build_system.cache_clear()
@@ -221,9 +223,11 @@ def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.nd
     """(effort.compared, P, 3) mm: always of all scenes that errors are measured on, so that one answer serves every row."""
     scenes = effort.scenes(kind, effort.compared)
     if setting.against == "reference":
-        return true_pins(sensor, NAMES, scenes, effort.truth)
+        return solve_reference_pins(sensor, NAMES, scenes, effort.truth)
     finest = set_ring_spacing(sensor, FINEST_MM)
-    return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
+    return solve_reference_pins(
+        finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000)
+    )
 
 
 def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
@@ -234,7 +238,7 @@ def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
     if not contacts.converged.all():
         lost = int(np.sum(~contacts.converged))
         return f"{lost} of {len(contacts.pins)} states do not converge, rms error {rms_px:.2g} px"
-    if rms_px > WRONG_PX and setting.solver != OWN:
+    if rms_px > WRONG_PX and setting.solver != OWN_SOLVER:
         return f"converges to something else: rms error {rms_px:.2g} px"
     return ""
 

@@ -82,7 +82,7 @@ def _sim(arguments: argparse.Namespace, keep: Keep) -> Found:
     text = bench_sim.table(rows)
     if arguments.out is not None:
         figure = arguments.out / "work_precision.png"
-        write_bytes(figure, bench_figure.work_precision(rows))
+        write_bytes(figure, bench_figure.plot_work_precision(rows))
         text += f"\n{figure}"
     return rows, text
 
@@ -109,10 +109,10 @@ def _stream(arguments: argparse.Namespace, keep: Keep) -> Found:
 
 
 def _needs(arguments: argparse.Namespace, keep: Keep) -> Found:
-    from benchmarks import bench_needs
+    from benchmarks import bench_omissions
 
-    rows = bench_needs.bench_needs(arguments.size or 128)
-    return rows, bench_needs.table(rows)
+    rows = bench_omissions.bench_needs(arguments.size or 128)
+    return rows, bench_omissions.table(rows)
 
 
 def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
@@ -127,12 +127,12 @@ def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
 
 def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     """Measure what takes no option."""
-    from benchmarks import bench_data, bench_explore, bench_input, bench_pin_networks
+    from benchmarks import bench_data, bench_explore, bench_input_pipeline, bench_pin_networks
     from jaxunshear.table import plain_table
 
     kinds: dict[str, tuple[Callable[[], list[Json]], tuple[str, ...]]] = {
         "data": (bench_data.bench_data, bench_data.COLUMNS),
-        "input": (bench_input.bench_input, bench_input.COLUMNS),
+        "input": (bench_input_pipeline.bench_input, bench_input_pipeline.COLUMNS),
         "pinnets": (bench_pin_networks.bench_pin_networks, bench_pin_networks.COLUMNS),
         "explore": (bench_explore.bench_explore, bench_explore.COLUMNS),
     }

@@ -8,7 +8,7 @@ from jaxunshear.settings.targets import make_range_targets
 TARGETS = make_range_targets((), Ranges())
 
 
-def multiplications(net: UnshearNet, training: bool) -> int:
+def count_multiplications(net: UnshearNet, training: bool) -> int:
     """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
     widths, side, count = net.widths, net.size, 0
     for before, width in zip((1, *widths), widths, strict=False):
@@ -19,7 +19,7 @@ def multiplications(net: UnshearNet, training: bool) -> int:
     codes = [pose or widths[-1]] + ([pose + shear] if shear else [])
     if net.apart:  # dense layers from and to numbers without place; z_s by a PoseNet
         count += widths[-1] * side * side * (pose + sum(codes)) + (
-            pose_multiplications(PoseNet(net.size)) if shear else 0
+            count_posenet_multiplications(PoseNet(net.size)) if shear else 0
         )
     else:
         count += 9 * widths[-1] * (pose + shear) * side * side
@@ -32,7 +32,7 @@ def multiplications(net: UnshearNet, training: bool) -> int:
     return count
 
 
-def pose_multiplications(net: PoseNet) -> int:
+def count_posenet_multiplications(net: PoseNet) -> int:
     """Of one image's pass through PoseNet."""
     first, second, *rest = net.widths
     side = net.size // 4

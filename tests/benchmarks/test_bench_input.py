@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.bench_input import COLUMNS, bench_input
+from benchmarks.bench_input_pipeline import COLUMNS, bench_input
 
 
 @pytest.mark.long

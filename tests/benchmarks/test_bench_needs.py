@@ -2,13 +2,13 @@
 
 import pytest
 
-from benchmarks import bench_needs
+from benchmarks import bench_omissions
 from jaxunshear.errors import UserError
 
 
 @pytest.fixture(scope="module")
 def rows():
-    return bench_needs.bench_needs(size=32, widths=(4, 8), rounds=1)
+    return bench_omissions.bench_needs(size=32, widths=(4, 8), rounds=1)
 
 
 @pytest.mark.long
@@ -27,9 +27,9 @@ def test_rows_hold_both_ways(rows):
         for kind in ("with", "without"):
             assert row[kind]["operations"] > 0 and row[kind]["compile_s"] > 0
             assert 0 < row[kind]["seconds"] <= row[kind]["p95"]
-    assert "lambda 0" in bench_needs.table(rows)
+    assert "lambda 0" in bench_omissions.table(rows)
 
 
 def test_a_size_that_cannot_be_halved_is_refused():
     with pytest.raises(UserError, match="100 px"):
-        bench_needs.bench_needs(size=100)
+        bench_omissions.bench_needs(size=100)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import bench_networks
-from benchmarks.multiplications import multiplications, pose_multiplications
+from benchmarks.multiplications import count_multiplications, count_posenet_multiplications
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UnshearNet
@@ -39,7 +39,7 @@ def test_multiplications_are_those_of_plain_convolutions(net, training):
             params[decoder][name]["kernel"].size * (side * 2**i) ** 2
             for i, name in enumerate(names)
         )
-    assert multiplications(net, training) == expected
+    assert count_multiplications(net, training) == expected
 
 
 def test_posenet_s_multiplications_are_those_of_its_layers():
@@ -54,7 +54,7 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
         "Dense_1": 1,
     }
     expected = sum(params[name]["kernel"].size * side**2 for name, side in places.items())
-    assert pose_multiplications(POSENET) == expected
+    assert count_posenet_multiplications(POSENET) == expected
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_what_is_not_installed_has_not_failed():
     sides = iter(
         [("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)]
     )
-    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, (1, 0.0)))
+    said = bench_networks.table(bench_networks._compare_sides(sides, 32, 1, 1, (1, 0.0)))
     assert (
         "torch is not installed" in said
         and said.count("FAILED") == 1
@@ -110,10 +110,10 @@ def test_what_cannot_be_measured_is_refused(size, batch):
 @pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
 def test_the_twin_computes_the_same(net):
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    from benchmarks import torch_twin
+    from benchmarks import torch_networks
 
     variables = unshearnet.init(net, jax.random.key(0))
-    twin = torch_twin.Twin(net)
+    twin = torch_networks.TorchUnshearNet(net)
     twin.load(variables)
     canonical, sheared = (
         np.random.default_rng(0).integers(0, 2, (2, 3, 32, 32, 1)).astype(np.float32)
@@ -139,13 +139,15 @@ def test_the_twin_computes_the_same(net):
     value, slopes = jax.value_and_grad(loss)(variables["params"])
     twin.train()
     with torch.no_grad():
-        means = torch_twin.losses(twin, dataclasses.replace(training, kernels="mean"), *theirs)
+        means = torch_networks.compute_losses(
+            twin, dataclasses.replace(training, kernels="mean"), *theirs
+        )
     params = variables["params"]
     heavier = compute_regularisation(params, 1e-4, 1e-3) - compute_regularisation(
         params, 1e-4, 1e-3, "mean"
     )
     assert float(means) == pytest.approx(float(value - heavier), rel=1e-4)
-    found = torch_twin.losses(twin, training, *theirs)
+    found = torch_networks.compute_losses(twin, training, *theirs)
     found.backward()
     assert float(found.detach()) == pytest.approx(float(value), rel=1e-5)
     first = twin.E[0][0].weight.grad.numpy().transpose(2, 3, 1, 0)
@@ -156,11 +158,11 @@ def test_the_twin_computes_the_same(net):
 
 def test_posenet_s_twin_computes_the_same():
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    from benchmarks import torch_twin
+    from benchmarks import torch_networks
 
     variables = posenet.init(POSENET, 5, jax.random.key(0))
     images = np.random.default_rng(0).random((3, 32, 32, 1)).astype(np.float32)
-    twin = torch_twin.PoseTwin(POSENET, 5).eval()
+    twin = torch_networks.TorchPoseNet(POSENET, 5).eval()
     twin.load(variables)
     with torch.no_grad():
         theirs = twin(torch.from_numpy(images.transpose(0, 3, 1, 2).copy())).numpy()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import bench_figure, bench_sim, rivals
+from benchmarks import bench_figure, bench_sim, other_solvers
 from benchmarks.bench_sim import Effort, Setting
 from benchmarks.bench_sim import bench_sim as bench
 from jaxunshear.contact.level import LEVELS
@@ -55,7 +55,7 @@ def shallow(kind: str, count: int) -> Scenes:
 
 # contacts and a truth that cost little: 1 mm deep on the small dome, against float64
 EXACT = replace(LEVELS["auto"], tolerance=0.01, precision="float64")
-SMALL = Effort(compared=2, timed=2, slow=1, repeats=1, scenes=shallow, truth=EXACT)
+SMALL = Effort(compared=2, timed=2, slow_timed=1, repeats=1, scenes=shallow, truth=EXACT)
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +83,7 @@ def test_a_row_says_all_there_is_to_say():
         assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
         assert row["ms_per_state"] > 0 and row["ratio"] > 0
     assert "auto, batch 2" in bench_sim.table(rows)
-    assert bench_figure.work_precision(rows)[:4] == b"\x89PNG"
+    assert bench_figure.plot_work_precision(rows)[:4] == b"\x89PNG"
 
 
 @pytest.mark.long
@@ -115,10 +115,10 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     def crash(*_):
         raise error
 
-    monkeypatch.setitem(rivals.RIVALS, "broken", crash)
+    monkeypatch.setitem(other_solvers.OTHER_SOLVERS, "broken", crash)
     (row,) = run(Setting("broken", "auto", LOOSE, 2, "broken", kinds=("slide",)))
     assert "crashed" in row["failed"] and said in row["failed"]
-    assert "crashed" in bench_sim.table([row]) and bench_figure.work_precision([row])
+    assert "crashed" in bench_sim.table([row]) and bench_figure.plot_work_precision([row])
 
 
 @pytest.mark.parametrize(
@@ -148,18 +148,18 @@ def test_newton_is_right_where_its_start_is():
 
 
 def test_what_is_chosen():
-    settings = bench_sim.chosen(Effort(), "auto", 64)
+    settings = bench_sim.select_settings(Effort(), "auto", 64)
     assert [(s.level, s.batch, s.solver) for s in settings] == [("auto", 64, "admm")]
-    assert {s.batch for s in bench_sim.chosen(Effort(), None, 16)} == {16}
-    everything = bench_sim.chosen(Effort(), None, None)
+    assert {s.batch for s in bench_sim.select_settings(Effort(), None, 16)} == {16}
+    everything = bench_sim.select_settings(Effort(), None, None)
     assert {"fast", "auto", "default", "reference", "unabridged"} <= {s.level for s in everything}
-    assert set(rivals.RIVALS) == {s.solver for s in everything} and len(
+    assert set(other_solvers.OTHER_SOLVERS) == {s.solver for s in everything} and len(
         {s.name for s in everything}
     ) == len(everything)
     with pytest.raises(UserError, match="--level 'best'"):
-        bench_sim.chosen(Effort(), "best", None)
+        bench_sim.select_settings(Effort(), "best", None)
     with pytest.raises(UserError, match="--batch 0"):
-        bench_sim.chosen(Effort(), None, 0)
+        bench_sim.select_settings(Effort(), None, 0)
 
 
 def test_scenes_are_the_same_again_and_few_are_the_first_of_many():

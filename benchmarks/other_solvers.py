@@ -2,8 +2,8 @@
 `friction.solve_increment`, but for its relaxation, for contacts without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
-- `anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
-- `newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
+- `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
+- `solve_newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ _Walk = tuple[
     jax.Array,
     jax.Array,
 ]
-MEMORY = 5  # earlier steps that Anderson's extrapolation uses
+ANDERSON_DEPTH = 5  # earlier steps that Anderson's extrapolation uses
 GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
 
@@ -103,7 +103,7 @@ def _gradient(accelerate: bool) -> Solver:
         tolerance: jax.Array,
         limit: int,
     ) -> SolverResult:
-        _untilted(frame)
+        _check_untilted(frame)
         largest = _largest_eigenvalue(system)
 
         def step(state: Start) -> tuple[Start, jax.Array]:
@@ -129,7 +129,7 @@ def _gradient(accelerate: bool) -> Solver:
 projected_gradient, accelerated = _gradient(False), _gradient(True)
 
 
-def anderson(
+def solve_anderson(
     system: System,
     frame: jax.Array | None,
     offset: jax.Array,
@@ -139,7 +139,7 @@ def anderson(
     limit: int,
 ) -> SolverResult:
     """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
-    _untilted(frame)
+    _check_untilted(frame)
     count, size = len(offset), offset[0].size
 
     def move(v: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -154,15 +154,15 @@ def anderson(
         worse = (norm > GROWTH * before)[:, None, None]
         # a step that did harm is undone: on from the plain one, with nothing remembered
         way, gain = (v - last[0]).reshape(count, -1), (pull - last[1]).reshape(count, -1)
-        slot = number % MEMORY
+        slot = number % ANDERSON_DEPTH
         ways, pulls = ways.at[:, slot].set(way), pulls.at[:, slot].set(gain)
         ways, pulls = jnp.where(worse, 0, ways), jnp.where(worse, 0, pulls)
         gram = jnp.einsum("bmi,bni->bmn", pulls, pulls)
         ridge = 1e-7 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-30
         right = jnp.einsum("bmi,bi->bm", pulls, pull.reshape(count, -1))
-        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY, dtype=v.dtype), right[..., None])[
-            ..., 0
-        ]
+        share = jnp.linalg.solve(
+            gram + ridge * jnp.eye(ANDERSON_DEPTH, dtype=v.dtype), right[..., None]
+        )[..., 0]
         back = jnp.einsum("bm,bmi->bi", share, ways + pulls).reshape(v.shape)
         after = jnp.where(worse, plain, v + pull - back)
         touching = jnp.maximum(jnp.sum(z[..., -1] > 0, axis=-1), 1)
@@ -174,7 +174,7 @@ def anderson(
     force, dual, _ = start
     v = force + dual
     pull, z, _ = move(v)
-    none = jnp.zeros((count, MEMORY, size), v.dtype)
+    none = jnp.zeros((count, ANDERSON_DEPTH, size), v.dtype)
     state = (
         v + pull,
         v + pull,
@@ -191,7 +191,7 @@ def anderson(
     return force, v - force, error, spent
 
 
-def newton(
+def solve_newton(
     system: System,
     frame: jax.Array | None,
     offset: jax.Array,
@@ -201,7 +201,7 @@ def newton(
     limit: int,
 ) -> SolverResult:
     """Full steps on f - P(f - (W f + b)) = 0, from zero."""
-    _untilted(frame)
+    _check_untilted(frame)
     count, nodes, unknowns = offset.shape
     of_node = jax.jacfwd(lambda force, mu: project(force[None, None], mu[None])[0, 0])
     slopes_of = jax.vmap(jax.vmap(of_node, (0, None)))
@@ -228,15 +228,15 @@ def newton(
     return force, start[1], error, spent
 
 
-def _untilted(frame: jax.Array | None) -> None:
+def _check_untilted(frame: jax.Array | None) -> None:
     if frame is not None:
         raise NotImplementedError("these solvers are for contacts without tilt")
 
 
-RIVALS: dict[str, Solver | None] = {
+OTHER_SOLVERS: dict[str, Solver | None] = {
     "admm": None,
-    "admm with anderson": anderson,
+    "admm with anderson": solve_anderson,
     "accelerated projected gradient": accelerated,
     "projected gradient": projected_gradient,
-    "newton, cold": newton,
+    "newton, cold": solve_newton,
 }

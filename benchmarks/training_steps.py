@@ -12,12 +12,12 @@ from jaxunshear.training.tasks import Batch, Task
 from jaxunshear.training.trainer import get_compile_options, make_first_state
 
 
-def variables_of(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
+def init_variables(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
     """Fresh ones."""
     return jax.jit(init, compiler_options=get_compile_options())(jax.random.key(seed))
 
 
-def step_of(
+def make_timed_step(
     task: Task, training: Training
 ) -> tuple[Callable[[State, Batch], tuple[State, dict[str, jax.Array]]], State]:
     """The step, not yet compiled, and the state before the first one."""
@@ -26,6 +26,6 @@ def step_of(
     return step, make_first_state(task, optimiser, jax.random.key(0))
 
 
-def dots(images: int, size: int) -> np.ndarray:
+def make_noise_images(images: int, size: int) -> np.ndarray:
     """Noise in the place of taps and of slides, (2, images, size, size, 1) uint8 of {0, 255}."""
     return 255 * np.random.default_rng(0).integers(0, 2, (2, images, size, size, 1), np.uint8)

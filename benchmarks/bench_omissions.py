@@ -15,7 +15,7 @@ from functools import cached_property, partial
 import jax
 import numpy as np
 
-from benchmarks.steps import dots, step_of, variables_of
+from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.evaluation.network_outputs import make_image_run
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
@@ -37,7 +37,7 @@ WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 
 
 @dataclass
-class Way:
+class Computation:
     """A function of arrays, and its arguments; several cases may hold the same one."""
 
     call: Callable[..., object]
@@ -70,13 +70,14 @@ def bench_needs(
     with Progress("bench needs", len(cases), unit="cases") as progress:
         for name, left_out, full, less in cases:
             rows.append(
-                {"name": name, "left_out": left_out, "size": size} | _measured(full, less, rounds)
+                {"name": name, "left_out": left_out, "size": size}
+                | _measure_case(full, less, rounds)
             )
             progress.advance(1)
     return rows
 
 
-def _measured(full: Way, less: Way, rounds: int) -> Json:
+def _measure_case(full: Computation, less: Computation, rounds: int) -> Json:
     works: dict[str, Callable[[], object]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
@@ -101,15 +102,15 @@ def _run(compiled: Callable[..., object], arguments: tuple[object, ...]) -> obje
     return jax.block_until_ready(compiled(*arguments))
 
 
-def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
+def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Computation, Computation]]:
     """Name, what is left out, with it, without it."""
-    variables = variables_of(partial(unshearnet.init, net))
+    variables = init_variables(partial(unshearnet.init, net))
     images = np.zeros((1, net.size, net.size, 1), np.float32)
     yield (
         "unshear one image",
         "shear code and DS",
-        Way(lambda v, x: _both_decoders(net, v, x), (variables, images)),
-        Way(lambda v, x: unshearnet.unshear(net, v, x), (variables, images)),
+        Computation(lambda v, x: _both_decoders(net, v, x), (variables, images)),
+        Computation(lambda v, x: unshearnet.unshear(net, v, x), (variables, images)),
     )
     training = Training(batch=BATCH)
     regular, usual = replace(training, l1=1e-3, l2=1e-3), _step(net, training)
@@ -127,26 +128,26 @@ def _both_decoders(
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
-def _step(net: UnshearNet, training: Training) -> Way:
-    step, state = step_of(make_unshear_task(net, training), training)
-    canonical, sheared = dots(training.batch, net.size)
-    return Way(step, (state, {"canonical": canonical, "sheared": sheared}))
+def _step(net: UnshearNet, training: Training) -> Computation:
+    step, state = make_timed_step(make_unshear_task(net, training), training)
+    canonical, sheared = make_noise_images(training.batch, net.size)
+    return Computation(step, (state, {"canonical": canonical, "sheared": sheared}))
 
 
-def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, Way]:
+def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Computation, Computation]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = make_range_targets((), Ranges())
     values = {
-        ENTANGLED: variables_of(partial(unshearnet.init, entangled), 1),
+        ENTANGLED: init_variables(partial(unshearnet.init, entangled), 1),
         DISENTANGLED: variables,
-        POSENET: variables_of(partial(posenet.init, pose, posenet.count_outputs(targets)), 2),
+        POSENET: init_variables(partial(posenet.init, pose, posenet.count_outputs(targets)), 2),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
-    def way(names: tuple[str, ...]) -> Way:
+    def way(names: tuple[str, ...]) -> Computation:
         run = make_image_run({name: nets[name] for name in names}, dict.fromkeys(names, targets))
-        return Way(run, ({name: values[name] for name in names}, None, images, images))
+        return Computation(run, ({name: values[name] for name in names}, None, images, images))
 
     return (
         "evaluation of a batch",

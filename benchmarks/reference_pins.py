@@ -20,7 +20,9 @@ from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, cache_folder, read_npz, write_npz
 
 
-def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> np.ndarray:
+def solve_reference_pins(
+    sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level
+) -> np.ndarray:
     """(B, P, 3) mm. Raises `UserError` where a contact does not converge: nothing can be measured against it."""
     path = cache_folder() / f"pins-{_key(sensor, names, scenes, level)}.npz"
     try:

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from scipy.stats import bootstrap
 
-from benchmarks.steps import dots, step_of
+from benchmarks.training_steps import make_noise_images, make_timed_step
 from jaxunshear.dataset.chunks import pack_bits
 from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.memory import keep_freed_memory
@@ -67,14 +67,14 @@ def bench_input(
     with Progress("bench input", len(cases), unit="cases") as progress:
         rows = []
         for case in cases:
-            rows.append(_measured(case, of_each))
+            rows.append(_measure_case(case, of_each))
             progress.advance(1)
     return rows
 
 
 def _images(widths: tuple[int, ...]) -> Case:
     net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
-    canonical, sheared = dots(EXAMPLES, net.size)[..., 0]
+    canonical, sheared = make_noise_images(EXAMPLES, net.size)[..., 0]
     stored = {"canonical": pack_bits(canonical), "sheared": pack_bits(sheared)}
     return Case(
         "images", make_unshear_task(net, training), training, stored | _poses(), net.size, 2
@@ -99,7 +99,7 @@ def _poses() -> Batch:
     return {"stimulus": np.zeros(EXAMPLES, int), "pose_id": np.arange(EXAMPLES) // SLIDES}
 
 
-def _measured(case: Case, of_each: float) -> Json:
+def _measure_case(case: Case, of_each: float) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
     reader = Reader(lambda split: case.stored, case.size)
@@ -107,7 +107,7 @@ def _measured(case: Case, of_each: float) -> Json:
         reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put
     )
     there = next(stream)
-    step, first = step_of(case.task, training)
+    step, first = make_timed_step(case.task, training)
     state = [first]
     lowered = jax.jit(step, donate_argnums=0).lower(state[0], there)
     programs: list[jax.stages.Compiled] = []

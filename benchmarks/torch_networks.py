@@ -1,6 +1,6 @@
 """The same networks and the same training step in PyTorch, to be timed beside ours. Needs the extra `torch`.
 
-    twin = channels_last(Twin(net))
+    twin = use_channels_last(TorchUnshearNet(net))
     twin.load(variables)                       # of `unshearnet.init`
     step = training_step(twin, training)       # step(canonical, sheared) -> loss
 
@@ -46,7 +46,7 @@ def _up(before: int, width: int) -> nn.Module:
     )
 
 
-class Twin(nn.Module):
+class TorchUnshearNet(nn.Module):
     """`unshearnet.Network`, images (B, 1, S, S) in [0, 1]."""
 
     def __init__(self, net: UnshearNet) -> None:
@@ -91,14 +91,14 @@ class Twin(nn.Module):
                 ups = tuple(f"Up_{i}" for i in range(len(self.net.widths) - 1))
                 _load_layers(list(getattr(self, name))[:-1], params[name], stats[name], ups, True)
                 last, ours = getattr(self, name)[-1], params[name]["Last_0"]
-                _set(last.weight, _transposed(ours["kernel"]))
+                _set(last.weight, _transpose_kernel(ours["kernel"]))
                 _set(last.bias, ours["bias"])
         for name in ("pose", "shear"):
             if name in params:
                 _load_layer(getattr(self, name), params[name], stats[name], False)
 
 
-class PoseTwin(nn.Module):
+class TorchPoseNet(nn.Module):
     """`posenet.Network`, images (B, 1, S, S) in [0, 1] -> (B, outputs)."""
 
     def __init__(self, net: PoseNet, outputs: int) -> None:
@@ -142,10 +142,10 @@ class PoseTwin(nn.Module):
             _set(dense.bias, params[name]["bias"])
 
 
-Twinned = TypeVar("Twinned", bound=nn.Module)
+TorchModule = TypeVar("TorchModule", bound=nn.Module)
 
 
-def channels_last(twin: Twinned) -> Twinned:
+def use_channels_last(twin: TorchModule) -> TorchModule:
     """The layout in which PyTorch's convolutions are fastest on a CPU."""
     return twin.to(memory_format=torch.channels_last)
 
@@ -165,14 +165,17 @@ def _load_layer(
     layer: nn.Sequential, params: Variables, stats: Variables, transposed: bool
 ) -> None:
     kernel = params["kernel"]
-    _set(layer[0].weight, _transposed(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)))
+    _set(
+        layer[0].weight,
+        _transpose_kernel(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)),
+    )
     _set(layer[1].weight, params["norm"]["scale"])
     _set(layer[1].bias, params["norm"]["bias"])
     _set(layer[1].running_mean, stats["norm"]["mean"])
     _set(layer[1].running_var, stats["norm"]["var"])
 
 
-def _transposed(kernel: ArrayLike) -> np.ndarray:
+def _transpose_kernel(kernel: ArrayLike) -> np.ndarray:
     """Flax' transposed convolutions correlate where PyTorch's convolve."""
     return np.transpose(np.asarray(kernel)[::-1, ::-1], (2, 3, 0, 1))
 
@@ -182,7 +185,9 @@ def _set(tensor: Tensor, value: ArrayLike) -> None:
         tensor.copy_(torch.from_numpy(np.array(value, np.float32)))
 
 
-def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -> Tensor:
+def compute_losses(
+    twin: TorchUnshearNet, training: Training, canonical: Tensor, sheared: Tensor
+) -> Tensor:
     """The sum that is minimised, of images (B, 1, S, S) in [0, 1]."""
     logits, again = twin(sheared)
     image = torch.sigmoid(logits)
@@ -219,7 +224,7 @@ def _coverage(images: int, size: int, training: Training, device: torch.device) 
 
 
 def training_step(
-    twin: Twin, training: Training, compiled: bool = False
+    twin: TorchUnshearNet, training: Training, compiled: bool = False
 ) -> Callable[[Tensor, Tensor], Tensor]:
     """A step of Adam with moving averages of weights and statistics, on images (B, 1, S, S) uint8 of {0, 255}."""
     kept = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
@@ -227,7 +232,7 @@ def training_step(
     adam = torch.optim.Adam(
         twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True
     )
-    loss_of = torch.compile(losses, dynamic=False) if compiled else losses
+    loss_of = torch.compile(compute_losses, dynamic=False) if compiled else compute_losses
 
     def step(canonical: Tensor, sheared: Tensor) -> Tensor:
         canonical, sheared = (_unit(images) for images in (canonical, sheared))
