@@ -23,7 +23,7 @@ from jaxunshear.cli import (
     sweep,
     unshear,
 )
-from jaxunshear.cli.fields import help_on, split_question
+from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
 from jaxunshear.environment import check_environment, check_links
 from jaxunshear.owners import check_apart
@@ -65,7 +65,7 @@ GROUPS = {  # of `jaxunshear --help`
     ),
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
 }
-CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
+RESUMABLE = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1;
 --help-fields train (or another group) says what each takes and means, with its value in FILE:
@@ -75,7 +75,7 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 2 after an error that the user can fix (one line), 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    return report_errors(lambda: _run(argv), continued=bool(argv) and argv[0] in CONTINUED)
+    return report_errors(lambda: _run(argv), continued=bool(argv) and argv[0] in RESUMABLE)
 
 
 class _Parser(Parser):
@@ -163,10 +163,12 @@ def _run(argv: list[str]) -> int:
     words = argv
     parser = _parser()
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
-        question = split_question(argv)
+        question = split_help_request(argv)
         words, fields = _split(parser, question[1] if question else argv)
         if question:
-            print(help_on(question[0], read_base(question[1]) if len(words) > 1 else None))
+            print(
+                format_field_help(question[0], read_base(question[1]) if len(words) > 1 else None)
+            )
             return 0
     arguments = parse(parser, words)
     if arguments is None:

@@ -4,7 +4,7 @@ import argparse
 import importlib.util
 import socket
 
-from jaxunshear.cli.options import Commands, add_like, add_model, new_parser, stimuli_of
+from jaxunshear.cli.options import Commands, add_like, add_model, new_parser, parse_stimuli
 from jaxunshear.errors import UserError
 
 COMMANDS = ("explore",)
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.folders import load_settings, model_folder
     from jaxunshear.scene.stimuli import make_stimulus
 
-    own = tuple(map(make_stimulus, stimuli_of(arguments.stimulus))) if arguments.stimulus else ()
+    own = tuple(map(make_stimulus, parse_stimuli(arguments.stimulus))) if arguments.stimulus else ()
     folder = model_folder(arguments.model)
     explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
     explorer.warm()

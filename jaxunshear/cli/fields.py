@@ -22,7 +22,7 @@ FLAG = "--help-fields"
 WIDTH = 100
 
 
-def split_question(argv: list[str]) -> tuple[str, list[str]] | None:
+def split_help_request(argv: list[str]) -> tuple[str, list[str]] | None:
     """Return the group that a command line asks about, and its other words; or None."""
     for place, word in enumerate(argv):
         name, equals, value = word.partition("=")
@@ -33,7 +33,7 @@ def split_question(argv: list[str]) -> tuple[str, list[str]] | None:
     return None
 
 
-def help_on(group: str, experiment: Experiment | None = None) -> str:
+def format_field_help(group: str, experiment: Experiment | None = None) -> str:
     """Say of each field of a group its value, what it takes and what it means.
 
     Values are those of `experiment`, or the usual ones. Raises UserError for a group that there is
@@ -78,7 +78,7 @@ def _groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
 class _Entry(NamedTuple):
     name: str
     value: str
-    takes: str
+    accepted: str
     meaning: str
     kind: str  # of settings that have this field
 
@@ -107,7 +107,7 @@ def _text(entries: list[_Entry]) -> str:
         )
     else:
         meaning = entries[0].meaning
-    text = f"{entries[0].takes}. {meaning}".rstrip()
+    text = f"{entries[0].accepted}. {meaning}".rstrip()
     lines = wrap(text, WIDTH, initial_indent=" " * 4, subsequent_indent=" " * 4)
     return "\n".join([f"--{entries[0].name} {values}", *lines])
 

@@ -15,7 +15,7 @@ DEFAULT, SKIN = (
     Path("standard"),
     Path("skin"),
 )  # of the released weights, for simulated touches and for recorded ones
-RAY_CORES = 2  # for each row or chunk
+DEFAULT_RAY_CORES = 2  # for each row or chunk
 ROWS = "the rows, with command, machine and versions"  # what `--json` writes, of commands that measure in rows
 
 
@@ -26,15 +26,15 @@ def new_parser(
 
 
 def add_json(
-    parser: argparse.ArgumentParser, what: str = "what was measured, with machine and versions"
+    parser: argparse.ArgumentParser, content: str = "what was measured, with machine and versions"
 ) -> None:
-    parser.add_argument("--json", metavar="FILE", type=Path, help=f"write {what}")
+    parser.add_argument("--json", metavar="FILE", type=Path, help=f"write {content}")
 
 
-def add_results(parser: argparse.ArgumentParser, out: str, what: str = ROWS) -> None:
+def add_results(parser: argparse.ArgumentParser, out: str, content: str = ROWS) -> None:
     """A folder and a file; `out` says for what in the folder."""
     parser.add_argument("--out", metavar="DIR", type=Path, help=out)
-    add_json(parser, what)
+    add_json(parser, content)
 
 
 def add_data(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +75,7 @@ def add_stimulus(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def stimuli_of(text: str) -> tuple[StimulusSetting, ...]:
+def parse_stimuli(text: str) -> tuple[StimulusSetting, ...]:
     """The objects that --stimulus names. Raises UserError."""
     from jaxunshear.scene.stimuli import SHAPES, get_closed_stimulus
 
@@ -101,7 +101,7 @@ def choose_exit_code(used: float, left_out: float) -> int:
 
 
 def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
-    """Who does the pieces of a command; `engine_asked` reads it."""
+    """Who does the pieces of a command; `read_engine_options` reads it."""
     text = f"one {piece} after the other, or all over a Ray cluster (serial)"
     parser.add_argument("--engine", choices=("serial", "ray"), default="serial", help=text)
     parser.add_argument(
@@ -111,15 +111,15 @@ def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
         "--ray-cores",
         metavar="N",
         type=int,
-        help=f"cores that a {piece} takes of the cluster ({RAY_CORES})",
+        help=f"cores that a {piece} takes of the cluster ({DEFAULT_RAY_CORES})",
     )
 
 
-def engine_asked(arguments: argparse.Namespace) -> tuple[str | None, int] | None:
+def read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int] | None:
     """Address and cores of `--engine ray`; None for the serial one. Raises UserError."""
     address, cores = arguments.ray_address, arguments.ray_cores
     if arguments.engine != "ray" and (address is not None or cores is not None):
         raise UserError("--ray-address and --ray-cores go with --engine ray")
     if cores is not None and cores < 1:
         raise UserError(f"--ray-cores {cores}: use at least 1")
-    return (address, cores or RAY_CORES) if arguments.engine == "ray" else None
+    return (address, cores or DEFAULT_RAY_CORES) if arguments.engine == "ray" else None

@@ -10,7 +10,7 @@ from jaxunshear.cli.options import (
     add_results,
     add_stimulus,
     new_parser,
-    stimuli_of,
+    parse_stimuli,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     require_simulated(
         experiment, "reconstruct"
     )  # before walks are missed that such a model cannot have made
-    asked = list(list_stimulus_names(stimuli_of(arguments.stimulus)))
+    asked = list(list_stimulus_names(parse_stimuli(arguments.stimulus)))
     if arguments.stimulus == "all":  # of outlines of one's own, too
         asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
     names = [name for name in asked if (out / f"{name}.npz").is_file()]

@@ -10,7 +10,7 @@ from jaxunshear.cli.options import (
     add_results,
     add_stimulus,
     new_parser,
-    stimuli_of,
+    parse_stimuli,
 )
 from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
 
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
-    stimuli = stimuli_of(arguments.stimulus)
+    stimuli = parse_stimuli(arguments.stimulus)
     courses = [
         ServoTask(touched, arguments.starts, arguments.depth, seed=arguments.seed)
         for touched in stimuli

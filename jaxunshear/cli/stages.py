@@ -10,8 +10,8 @@ from jaxunshear.cli.options import (
     add_data,
     add_engine,
     add_json,
-    engine_asked,
     new_parser,
+    read_engine_options,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
@@ -84,12 +84,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns the exit code."""
     from jaxunshear.folders import model_folder
 
-    asked = engine_asked(arguments) if arguments.command in SIMULATING else None
+    asked = read_engine_options(arguments) if arguments.command in SIMULATING else None
     if arguments.command == "fit":
-        experiment = _fitted(arguments)
+        experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
         arguments.file = folder
-        experiment = _finished(arguments)
+        experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
             _score(experiment, arguments, command)
             return 0
@@ -164,7 +164,7 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
     return experiment
 
 
-def _fitted(arguments: argparse.Namespace) -> Experiment:
+def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """The experiment that `fit` writes beside its results."""
     from jaxunshear.fit import BASE, with_recordings, write_experiment
     from jaxunshear.settings.fields import override_fields
@@ -182,7 +182,7 @@ def _fitted(arguments: argparse.Namespace) -> Experiment:
     return experiment
 
 
-def _finished(arguments: argparse.Namespace) -> Experiment:
+def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
     """The experiment of a finished run, which is named by its folder."""
     from dataclasses import replace
 

@@ -12,8 +12,8 @@ from jaxunshear.cli.options import (
     add_data,
     add_engine,
     add_json,
-    engine_asked,
     new_parser,
+    read_engine_options,
 )
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experime
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
-    asked = engine_asked(arguments)
+    asked = read_engine_options(arguments)
     from jaxunshear.settings.sweep import check_sweep, parse_seeds
 
     sweep = _read(arguments, arguments.fields)
