@@ -28,10 +28,15 @@ from jaxunshear.sweep.scores import RowScores, has_same_contacts, read_tests
 from jaxunshear.sweep.summary import compute_differences, compute_metrics
 from jaxunshear.table import plain_table
 
-NAMES = ("name", "claim", "paired.config", "pose.config")  # settings that change no score
-LIKENESS = ("ms_ssim", "swap", "pins", "pin_error")  # tables of scores of images, or of pins
-WITHIN = "difference"  # table of the networks of one run, which its report has
-LONGEST = 100  # letters of a page's name
+NAME_SETTINGS = ("name", "claim", "paired.config", "pose.config")  # settings that change no score
+SIMILARITY_TABLES = (
+    "ms_ssim",
+    "swap",
+    "pins",
+    "pin_error",
+)  # tables of scores of images, or of pins
+WITHIN_RUN_TABLE = "difference"  # table of the networks of one run, which its report has
+MAX_NAME_LENGTH = 100  # letters of a page's name
 NONE = "\u2013"
 CAVEAT = (
     "Brackets: 95 % bootstrap intervals over test poses of one training each. They do not cover "
@@ -71,7 +76,7 @@ class Comparison(NamedTuple):
     notes: list[str]  # what hinders the comparison
 
 
-def compare(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
+def write_comparison(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
     """Write out/<first>-<second>....html; return text for a terminal and the page's path.
 
     Raises UserError where a run is not finished, damaged or named twice.
@@ -80,7 +85,7 @@ def compare(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
     check_apart(out, "--out")
     runs = read_runs(folders)
     found = Comparison(runs, compare_settings(runs), compare_scores(runs), note_obstacles(runs))
-    name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(run.name for run in runs))[:LONGEST]
+    name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(run.name for run in runs))[:MAX_NAME_LENGTH]
     path = out / f"{name}.html"
     write_text(path, make_page(found))
     return make_text(found), path
@@ -118,7 +123,7 @@ def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
     """Give each setting that is not the same in all runs, by dotted name: its value in each."""
     held = [run.results.settings for run in runs]
     names = {name for other in held[1:] for name in differing_fields(dict(held[0]), dict(other))}
-    differing = sorted(names - {*NAMES})
+    differing = sorted(names - {*NAME_SETTINGS})
     return {name: [_show_setting(settings, name) for settings in held] for name in differing}
 
 
@@ -144,17 +149,19 @@ def compare_scores(runs: Sequence[Run]) -> list[Score]:
     )
     for run, change in zip(runs, changes, strict=True):
         for name in list(change):
-            likeness = table_of(name) in LIKENESS and not _same_inputs(run, runs[0])
+            likeness = find_table_name(name) in SIMILARITY_TABLES and not _same_inputs(run, runs[0])
             if run is runs[0] or likeness or not _same_test(run, runs[0]):
                 del change[name]
     scores = []
-    for name in dict.fromkeys(name for each in values for name in each if table_of(name) != WITHIN):
+    for name in dict.fromkeys(
+        name for each in values for name in each if find_table_name(name) != WITHIN_RUN_TABLE
+    ):
         columns = (tuple(each.get(name) for each in part) for part in (values, changes))
         scores.append(Score(name, *columns))
     return scores
 
 
-def table_of(name: str) -> str:
+def find_table_name(name: str) -> str:
     """Return the table of results that a score belongs to."""
     return name.rpartition(": ")[2].partition("/")[0]
 

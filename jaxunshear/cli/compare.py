@@ -19,9 +19,9 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.compare import compare
+    from jaxunshear.compare import write_comparison
 
-    text, path = compare(arguments.runs, arguments.out)
+    text, path = write_comparison(arguments.runs, arguments.out)
     print(text)
     print(f"page: {path}")
     return 0
