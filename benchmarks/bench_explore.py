@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.explore.explorer import Explorer, make_explorer
 from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.errors import UserError
-from jaxunshear.folders import load_settings, model_folder
-from jaxunshear.memory import keep_freed_memory
+from jaxunshear.files import Json
+from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import get_stimulus
 from jaxunshear.settings.data import Ranges
-from jaxunshear.storage import Json
 
 STIMULI = ("disk", "clover", "edge", "surface")
 PICTURES = 100  # of each
@@ -32,7 +32,7 @@ def bench_explore(
 ) -> list[Json]:
     """A row a stimulus: pictures that came, those refused (with a line), ms a picture: median, 95 % and most."""
     keep_freed_memory()
-    folder = model_folder(Path("standard"))
+    folder = find_model_folder(Path("standard"))
     explorer = make_explorer(folder, load_settings(folder))
     if warm:
         explorer.warm()

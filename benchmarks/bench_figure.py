@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.bench_sim import OWN_SOLVER
-from jaxunshear.storage import Json
-from jaxunshear.style import FAINT, INK, LABEL, STYLE, png_of
+from jaxunshear.files import Json
+from jaxunshear.style import FAINT, INK, LABEL, STYLE, encode_png
 from verification.paper import KINDS
 
 COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9a6700")
@@ -27,7 +27,7 @@ def plot_work_precision(rows: Sequence[Json]) -> bytes:
             _panel(axes, [row for row in rows if row["kind"] == kind])
             axes.set_title(f"{kind}s")
         panels[0].set_ylabel("rms pin error (px of 256); bar: up to the 95th percentile")
-        return png_of(figure)
+        return encode_png(figure)
 
 
 def choose_series(row: Json) -> str:

@@ -18,12 +18,13 @@ import numpy as np
 
 from benchmarks.multiplications import TARGETS, count_multiplications, count_posenet_multiplications
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
+from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.export.parts import ExportedModel, ExportedNetwork
 from jaxunshear.apps.robot.stream import make_perceive_function
-from jaxunshear.errors import UserError, first_line
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.inference.perception import make_forward
-from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import compiled_kernels
 from jaxunshear.model.inference import jit_for_inference
@@ -32,7 +33,6 @@ from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET
 from jaxunshear.settings.targets import list_target_names
 from jaxunshear.settings.training import Training
-from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import SIZE, make_matrix_product, time_call
 
@@ -288,7 +288,7 @@ def _compare_sides(
         except Exception as crash:
             if name == "jaxunshear":
                 raise
-            rows[name]["failed"] = f"{type(crash).__name__}: {first_line(crash)}"
+            rows[name]["failed"] = f"{type(crash).__name__}: {get_first_line(crash)}"
     times: dict[str, list[float]] = {name: [] for name in ready}
     product, yard = make_matrix_product(), []
     for _ in range(rounds[0]):

@@ -16,8 +16,9 @@ import jax
 import numpy as np
 
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
+from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.evaluation.network_outputs import make_image_run
-from jaxunshear.memory import keep_freed_memory
+from jaxunshear.files import Json
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import compiled_kernels
 from jaxunshear.model.weights import Variables
@@ -27,7 +28,6 @@ from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.training import Training
-from jaxunshear.storage import Json
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import time_call
 

@@ -16,8 +16,9 @@ import numpy as np
 from jax import Array
 
 from benchmarks.training_steps import make_timed_step
+from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.files import Json
 from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import layer_choice, pin_networks
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
@@ -26,7 +27,6 @@ from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from verification.clock import time_call
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from jaxunshear.dataset.simulated_contacts import simulate_contacts
+from jaxunshear.files import Json
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_detection import detect_pins
 from jaxunshear.image.pin_tracking import fit_motion_prior, track_pins
@@ -20,7 +21,6 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import PAIRED, get_config_sensor
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Nuisance
-from jaxunshear.storage import Json
 
 CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
 SIZES = (128, 256)

@@ -18,12 +18,12 @@ from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact import systems
 from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.contact.level import LEVELS, Level, without_omissions
-from jaxunshear.errors import UserError, first_line
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import Json
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import RING_MM, compute_ring_spacing, set_ring_spacing
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import Json
 from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error
@@ -196,7 +196,7 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
         first = time_call(work)
         spent = time_repeats(work, product, effort.repeats, effort.budget_s)
     except Exception as crash:
-        return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
+        return {**row, "failed": f"crashed: {type(crash).__name__}: {get_first_line(crash)}"}
     planned = min(
         time_call(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2)
     )

@@ -10,7 +10,7 @@ from jaxunshear.cli.options import ROWS, add_json, new_parser
 from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 Found = tuple[list[Json], str]  # rows, and what is printed of them
 COMMANDS = {
@@ -76,7 +76,7 @@ def _run(arguments: argparse.Namespace, keep: Keep) -> int:
 
 def _sim(arguments: argparse.Namespace, keep: Keep) -> Found:
     from benchmarks import bench_figure, bench_sim
-    from jaxunshear.storage import write_bytes
+    from jaxunshear.files import write_bytes
 
     rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
     text = bench_sim.table(rows)
@@ -117,18 +117,18 @@ def _needs(arguments: argparse.Namespace, keep: Keep) -> Found:
 
 def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
     from benchmarks import bench_pins
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     if arguments.size is not None and not 64 <= arguments.size <= 1024:
         raise UserError(f"--size {arguments.size}: use 64 to 1024 px")
     rows = bench_pins.bench_pins(arguments.size, arguments.seed)
-    return rows, plain_table(rows, bench_pins.COLUMNS)
+    return rows, format_text_table(rows, bench_pins.COLUMNS)
 
 
 def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     """Measure what takes no option."""
     from benchmarks import bench_data, bench_explore, bench_input_pipeline, bench_pin_networks
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     kinds: dict[str, tuple[Callable[[], list[Json]], tuple[str, ...]]] = {
         "data": (bench_data.bench_data, bench_data.COLUMNS),
@@ -138,7 +138,7 @@ def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     }
     measure, columns = kinds[arguments.command]
     rows = measure()
-    return rows, plain_table(rows, columns)
+    return rows, format_text_table(rows, columns)
 
 
 _MEASURES: dict[str, Callable[[argparse.Namespace, Keep], Found]] = {

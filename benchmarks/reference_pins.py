@@ -13,11 +13,11 @@ import numpy as np
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.simulate import simulate
 from jaxunshear.errors import UserError
+from jaxunshear.files import BROKEN_NPZ, cache_folder, read_npz, write_npz
 from jaxunshear.metrics.machine import list_versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, cache_folder, read_npz, write_npz
 
 
 def solve_reference_pins(

@@ -16,12 +16,12 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from jaxunshear.files import Json
 from jaxunshear.model.fast.norm import EPSILON
 from jaxunshear.model.layers import MOMENTUM
 from jaxunshear.model.unshearnet import Variables
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
-from jaxunshear.storage import Json
 
 
 def _norm(width: int) -> nn.Module:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from docs.provenance import RESULTS, sources
 from jaxunshear.errors import UserError
-from jaxunshear.storage import SEAL, Json, read_object, write_json
+from jaxunshear.files import CHECKSUM_FIELD, Json, read_object, write_json
 
 PLACE = re.compile(r"(?:^|[\s'=])/\w[\w.-]*/")
 
@@ -32,9 +32,9 @@ def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
 
 def _publishable(path: Path) -> Json:
     held = read_object(path)
-    if SEAL not in json.loads(path.read_text()):
+    if CHECKSUM_FIELD not in json.loads(path.read_text()):
         raise UserError(
-            f"{path} bears no {SEAL}: it was edited, or is older than checksums; make it again"
+            f"{path} bears no {CHECKSUM_FIELD}: it was edited, or is older than checksums; make it again"
         )
     made = sources(held)
     if not made or any(source.commit is None or not source.clean for source in made):

@@ -11,9 +11,9 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from jaxunshear.files import add_checksum, write_text
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.plain import plain
-from jaxunshear.storage import sealed, write_text
+from jaxunshear.serialization import to_builtins
 from jaxunshear.style import DPI, LABEL, STYLE
 
 RESULTS = Path(__file__).parent / "results"
@@ -95,6 +95,6 @@ if __name__ == "__main__":
     run = Path(sys.argv[1])
     rows = curves(run)
     made = describe_provenance(shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]]))
-    held = sealed(plain(made | {"network": NETWORK, "rows": rows}))
+    held = add_checksum(to_builtins(made | {"network": NETWORK, "rows": rows}))
     write_text(RESULTS / f"{run.name}_curves.json", json.dumps(held) + "\n")
     picture(rows, RESULTS / f"{run.name}_curves.png")

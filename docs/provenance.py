@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxunshear.cli import read_base
-from jaxunshear.plain import plain
+from jaxunshear.files import Json
 from jaxunshear.results.measurement import Source
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.serialization import to_json
-from jaxunshear.storage import Json
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -217,8 +217,8 @@ def differences(name: str) -> dict[str, tuple[object, object]]:
         return {}
     words = [_today(word) for word in shlex.split(held["command"])[1:]]
     experiment = read_base(words)
-    now = _flat(plain(to_json(experiment)))
-    then = _flat(plain(_defaults(experiment))) | _flat(stored)
+    now = _flat(to_builtins(to_json(experiment)))
+    then = _flat(to_builtins(_defaults(experiment))) | _flat(stored)
     gone = {field: IDLE.get(_last(field)) for field in then.keys() - now.keys()}
     return {
         field: (then[field], value)

@@ -6,9 +6,9 @@ from statistics import fmean
 from typing import Any
 
 from docs.provenance import read_result
+from jaxunshear.files import Json
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
-from jaxunshear.storage import Json
 
 USED: list[str] = []  # results that were taken since it was emptied
 

@@ -14,7 +14,7 @@ unsheared, .25 and 3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
@@ -23,9 +23,9 @@ sweep = Sweep(
     name="few_labels",
     claim="Errors over the share of slides with labels, without and with slides that have none.",
     base=replace(
-        BASE,
+        BASE_EXPERIMENT,
         name="few_labels",
-        unshear=replace(BASE.unshear, input="pins"),
+        unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone: many rows
         train_pins=replace(PIN_TRAINING, epochs=40),
     ),

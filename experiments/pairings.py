@@ -12,7 +12,7 @@ Its rows took 14 minutes in all, on two cores of an AMD EPYC.
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
@@ -21,7 +21,7 @@ sweep = Sweep(
     name="pairings",
     claim="Which partner a recorded slide should have.",
     base=replace(
-        BASE, name="pairings", pins=PinNet(), train_pins=PIN_TRAINING
+        BASE_EXPERIMENT, name="pairings", pins=PinNet(), train_pins=PIN_TRAINING
     ),  # dense layers alone: many rows
     grid=(("paired.pairing", ("rendered", "nearest")),),
     seeds=(0, 1, 2),

@@ -15,7 +15,7 @@ Expected: docs/results/parted_skin.json. For a full table
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
@@ -33,9 +33,9 @@ sweep = Sweep(
     name="parted_skin",
     claim="Codes over pins of a real sensor are disentangled.",
     base=replace(
-        BASE,
+        BASE_EXPERIMENT,
         name="parted_skin",
-        unshear=replace(BASE.unshear, input="pins"),
+        unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone, as in parted.py
         train_pins=replace(PIN_TRAINING, epochs=40),
     ),

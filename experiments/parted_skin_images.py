@@ -11,7 +11,7 @@ Expected: docs/results/parted_skin_images.json; 20 minutes per row on a core.
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.sweep import Sweep
 
 CODES = ("unshear.apart", "unshear.pose_channels", "unshear.shear_channels")
@@ -26,7 +26,7 @@ ROWS = {
 sweep = Sweep(
     name="parted_skin_images",
     claim="Codes over images of a real sensor are disentangled.",
-    base=replace(BASE, name="parted_skin_images"),
+    base=replace(BASE_EXPERIMENT, name="parted_skin_images"),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
     networks=("disentangled", "posenet"),

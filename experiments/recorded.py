@@ -16,6 +16,6 @@ A surface instead of an edge is a matter of the targets:
     jaxunshear run experiments/recorded.py --recordings DIR --targets z_mm,Rx_deg,Ry_deg --name surface
 """
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 
-experiment = BASE
+experiment = BASE_EXPERIMENT

@@ -37,11 +37,11 @@ two hours on a core of an AMD EPYC, beside other work.
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
-CHANNELS = BASE.pins.convolved
+CHANNELS = BASE_EXPERIMENT.pins.convolved
 CONVOLVING = (("pins.convolved", "pins.direct_convolved"), (CHANNELS, CHANNELS))
 RENDERED = ("paired.direct_taps", "rendered")
 ROWS = {
@@ -56,9 +56,9 @@ sweep = Sweep(
     name="rivals",
     claim="Unsheared and directly learnt poses of slides, by networks of the same make.",
     base=replace(
-        BASE,
+        BASE_EXPERIMENT,
         name="rivals",
-        unshear=replace(BASE.unshear, input="pins"),
+        unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
         pins=PinNet(),
     ),
     rows=tuple(ROWS.values()),

@@ -19,7 +19,7 @@ docs/results/recorded_images.json: .31 mm in y, where unsheared slides are at .2
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.settings.sweep import Sweep
 
@@ -39,7 +39,7 @@ ROWS = {
 sweep = Sweep(
     name="rivals_images",
     claim="What keeps a PoseNet that learns slides directly from overfitting, over images.",
-    base=replace(BASE, name="rivals_images"),
+    base=replace(BASE_EXPERIMENT, name="rivals_images"),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
     networks=(POSENET_SHEARED,),

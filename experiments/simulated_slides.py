@@ -13,7 +13,7 @@ AMD EPYC.
 
 from dataclasses import replace
 
-from jaxunshear.fit import BASE
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.settings.experiment import PIN_TRAINING
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
@@ -22,9 +22,9 @@ sweep = Sweep(
     name="simulated_slides",
     claim="What simulated slides to recorded taps are worth, beside recorded slides.",
     base=replace(
-        BASE,
+        BASE_EXPERIMENT,
         name="simulated_slides",
-        unshear=replace(BASE.unshear, input="pins"),
+        unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
         pins=PinNet(),  # dense layers alone: many rows
         train_pins=replace(PIN_TRAINING, epochs=40),
     ),

@@ -25,7 +25,6 @@ from jaxunshear.downstream.object_reconstruction import ReconstructionResult, re
 from jaxunshear.downstream.servo import ServoTask
 from jaxunshear.downstream.servo_scores import ServoResult, servo
 from jaxunshear.errors import Note, UserError
-from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.sensor_check import NO_MINIMUM
 from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_frame, load_perceiver
@@ -35,6 +34,7 @@ from jaxunshear.model.dispatch import encode
 from jaxunshear.model.inference import jit_for_inference
 from jaxunshear.model.posenet import unscale_outputs
 from jaxunshear.model.weights import Tree
+from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import Targets
@@ -73,7 +73,7 @@ class Model:
     perceiver: Perceiver
     # what networks read -> both codes; None where nothing unshears
     encoder: Callable[[np.ndarray], tuple[Array, Array | None]] | None
-    slides: Targets = ()  # what the shear code says of the slide
+    slide_targets: Targets = ()  # what the shear code says of the slide
 
     @property
     def size(self) -> int:
@@ -131,14 +131,15 @@ class Model:
         """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the simulated sensor feels it that the
         network learnt from, or as the recordings were labelled. Of what has slipped, which cannot be seen, it is what is likely.
         Raises UserError."""
-        shear = self.codes(images).shear if self.slides else None
+        shear = self.codes(images).shear if self.slide_targets else None
         if shear is None:
             raise UserError(
                 f"{self.folder}: its shear code was not taught the slide, or was left out: train with slide_weight"
             )
-        outputs = jnp.asarray((shear[:, : len(self.slides)] + 1) / 2)
+        outputs = jnp.asarray((shear[:, : len(self.slide_targets)] + 1) / 2)
         return {
-            name: np.asarray(value) for name, value in unscale_outputs(outputs, self.slides).items()
+            name: np.asarray(value)
+            for name, value in unscale_outputs(outputs, self.slide_targets).items()
         }
 
     def _answers(self, images: np.ndarray) -> Predictions:
@@ -173,7 +174,7 @@ def load_model(name: str | Path, like: str | Path | None = None, force: bool = F
     are. Other networks do not use it. `force` also answers images that are not of the model's
     sensor. Raises UserError.
     """
-    folder = model_folder(Path(name))
+    folder = find_model_folder(Path(name))
     experiment = load_settings(folder)
     frame = None if like is None else find_pin_frame(Path(like), experiment)
     encoder = None

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_bytes
 from jaxunshear.scene.pin_layout import compute_pin_tips
 from jaxunshear.scene.stimuli import (
     STIMULI,
@@ -21,17 +22,16 @@ from jaxunshear.scene.stimuli import (
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.outlines import parse_stimulus
 from jaxunshear.settings.sensor import SENSORS, Sensor, get_sensor
-from jaxunshear.storage import write_bytes
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
 
-def names(kind: str) -> list[str]:
-    """`kind` is "sensors" or "stimuli"."""
-    return list(SENSORS) if kind == "sensors" else list(STIMULI)
+def list_names(catalogue: str) -> list[str]:
+    """`catalogue` is "sensors" or "stimuli"."""
+    return list(SENSORS) if catalogue == "sensors" else list(STIMULI)
 
 
-def listing(kind: str) -> str:
+def format_listing(kind: str) -> str:
     """One line for each sensor or stimulus."""
     if kind == "sensors":
         return "\n".join(

@@ -1,8 +1,8 @@
 """Calls done here, one after the other, or spread over a Ray cluster: its workers may die and its nodes be lost. Imports neither Ray
 nor JAX.
 
->>> for name, made in over_ray("10.0.0.1:6379", 2)([Call(a, work, (1,)), Call(b, work, (2,), needs=(a,))]):
-...     ...  # what `work` returned, or `Died`
+>>> for name, made in make_ray_runner("10.0.0.1:6379", 2)([Call(a, work, (1,)), Call(b, work, (2,), needs=(a,))]):
+...     ...  # what `work` returned, or `WorkerDied`
 """
 
 import functools
@@ -16,14 +16,14 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxunshear.environment import check_variables, cores
+from jaxunshear.environment import check_variables, count_cores
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
     import ray
 
 RETRIES = 5  # of a call whose worker died
-AHEAD = 1000  # calls that wait at the cluster: enough for its workers, little memory however many calls there are
+MAX_WAITING = 1000  # calls that wait at the cluster: enough for its workers, little memory however many calls there are
 
 
 class Call(NamedTuple):
@@ -35,24 +35,24 @@ class Call(NamedTuple):
     needs: tuple[Path, ...] = ()  # names of earlier calls that end before this one starts
 
 
-class Died(NamedTuple):
+class WorkerDied(NamedTuple):
     """In the place of what a call returns: each of its workers died."""
 
     reason: str
 
 
-Ended = tuple[Path, Any]  # the name of a call, and what it returned
-Spread = Callable[[Iterable[Call]], Iterator[Ended]]
+FinishedCall = tuple[Path, Any]  # the name of a call, and what it returned
+CallRunner = Callable[[Iterable[Call]], Iterator[FinishedCall]]
 
 
-def here(calls: Iterable[Call]) -> Iterator[Ended]:
+def run_locally(calls: Iterable[Call]) -> Iterator[FinishedCall]:
     """In this process, in their order: the name of each and what it returned."""
     for call in calls:
         yield call.name, call.function(*call.arguments)
 
 
-def over_ray(address: str | None, each: int) -> Spread:
-    """The same as they end, on the cluster at `address`, or on one made on this machine; `each` takes so many cores.
+def make_ray_runner(address: str | None, cores_per_call: int) -> CallRunner:
+    """The same as they end, on the cluster at `address`, or on one made on this machine; `cores_per_call` takes so many cores.
 
     Where the cluster has GPUs, a call gets one. An error that a call raises is raised here.
     Raises `UserError` at once where Ray is missing or nothing listens at the address.
@@ -69,10 +69,10 @@ def over_ray(address: str | None, each: int) -> Spread:
             raise UserError(
                 f"--ray-address {address}: no cluster answers there ({error})"
             ) from error
-    return functools.partial(_over_ray, address, each)
+    return functools.partial(_over_ray, address, cores_per_call)
 
 
-def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator[Ended]:
+def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator[FinishedCall]:
     calls = iter(calls)
     following = next(calls, None)
     if following is None:
@@ -87,7 +87,7 @@ def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator
         remote = ray.remote(num_cpus=min(each, largest), num_gpus=gpus, max_retries=RETRIES)(_after)
         doing: dict[Path, ray.ObjectRef] = {}
         while following or doing:
-            while following and len(doing) < AHEAD:
+            while following and len(doing) < MAX_WAITING:
                 needs = [doing[name] for name in following.needs if name in doing]
                 work = ray.cloudpickle.dumps((following.function, following.arguments))
                 doing[following.name] = remote.remote(work, *needs)
@@ -95,7 +95,7 @@ def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator
             (ended,), _ = ray.wait(list(doing.values()), num_returns=1)
             name = next(name for name, reference in doing.items() if reference == ended)
             del doing[name]
-            yield name, _made(ended)
+            yield name, _fetch_result(ended)
     finally:
         ray.shutdown()
 
@@ -107,7 +107,7 @@ def _connect(address: str | None) -> None:
     import ray
 
     # Ray would give BLAS as many threads as a call has cores, and the order of its sums goes by their number
-    threads = os.environ.get("OMP_NUM_THREADS") or str(cores())
+    threads = os.environ.get("OMP_NUM_THREADS") or str(count_cores())
     try:
         # it starts processes, after JAX threads
         with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
@@ -125,8 +125,8 @@ def _connect(address: str | None) -> None:
         ) from error
 
 
-def _made(reference: "ray.ObjectRef[object]") -> object:
-    """What a call returned, or `Died`. Raises what the call raised."""
+def _fetch_result(reference: "ray.ObjectRef[object]") -> object:
+    """What a call returned, or `WorkerDied`. Raises what the call raised."""
     import ray
 
     try:
@@ -135,7 +135,7 @@ def _made(reference: "ray.ObjectRef[object]") -> object:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
         if not isinstance(cause, ray.exceptions.RayError):  # not the worker's: a full disk, a bug
             raise cause from error
-        return Died(f"its Ray worker died too often: {type(cause).__name__}")
+        return WorkerDied(f"its Ray worker died too often: {type(cause).__name__}")
 
 
 def _after(work: bytes, *_: object) -> object:

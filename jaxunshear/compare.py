@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.folders import names_apart
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_folder
-from jaxunshear.progress import duration
+from jaxunshear.files import read_object_if_sound, write_text
+from jaxunshear.model_folders import make_distinct_names
+from jaxunshear.output_checks import check_new_folder
+from jaxunshear.progress import format_duration
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.report import html, labels
 from jaxunshear.report.training_sections import RETRAIN_REMEDY
 from jaxunshear.results.measurement import TrainingSummary
@@ -23,10 +24,9 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.sweep import Figure, Outcome
 from jaxunshear.settings.configs import list_differences as differing_fields
-from jaxunshear.storage import read_object_if_sound, write_text
 from jaxunshear.sweep.scores import RowScores, has_same_contacts, read_tests
 from jaxunshear.sweep.summary import compute_differences, compute_metrics
-from jaxunshear.table import plain_table
+from jaxunshear.text_table import format_text_table
 
 NAME_SETTINGS = ("name", "claim", "paired.config", "pose.config")  # settings that change no score
 SIMILARITY_TABLES = (
@@ -82,7 +82,7 @@ def write_comparison(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
     Raises UserError where a run is not finished, damaged or named twice.
     """
     check_new_folder(out)
-    check_apart(out, "--out")
+    check_outside(out, "--out")
     runs = read_runs(folders)
     found = Comparison(runs, compare_settings(runs), compare_scores(runs), note_obstacles(runs))
     name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(run.name for run in runs))[:MAX_NAME_LENGTH]
@@ -100,7 +100,7 @@ def read_runs(folders: Sequence[Path]) -> list[Run]:
         if other := seen.get(os.path.realpath(folder)):
             raise UserError(f"{other} and {folder} are the same run: name each run once")
         seen[os.path.realpath(folder)] = folder
-    return list(map(_read_run, names_apart(folders), folders))
+    return list(map(_read_run, make_distinct_names(folders), folders))
 
 
 def _read_run(name: str, folder: Path) -> Run:
@@ -223,7 +223,10 @@ def _show_figure(figure: Figure | None, sign: str = "") -> str:
 def _show_times(runs: Sequence[Run]) -> list[list[str]]:
     rows = []
     for network in dict.fromkeys(network for run in runs for network in run.seconds):
-        times = [duration(run.seconds[network]) if network in run.seconds else NONE for run in runs]
+        times = [
+            format_duration(run.seconds[network]) if network in run.seconds else NONE
+            for run in runs
+        ]
         rows.append([f"training of {network}", *times])
     return rows
 
@@ -237,7 +240,7 @@ def make_text(found: Comparison) -> str:
     """Write what fits a terminal: the main scores, training times and settings that differ."""
     head = _head(found.runs)
     rows = [*map(_show_score, choose_main(found)), *_show_times(found.runs)]
-    table = plain_table([dict(zip(head, row, strict=False)) for row in rows], head)
+    table = format_text_table([dict(zip(head, row, strict=False)) for row in rows], head)
     settings = [f"{name} {' | '.join(values)}" for name, values in found.settings.items()]
     more = f" and {len(settings) - 6} more" if len(settings) > 6 else ""
     differ = f"settings that differ: {'; '.join(settings[:6]) or 'none'}{more}"

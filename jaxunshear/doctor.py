@@ -18,17 +18,17 @@ from jaxunshear.dataset.preprocessing import MIN_FRAMES
 from jaxunshear.dataset.recorded_contacts import LARGEST_PX, MIN_MOVE
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.evenly import evenly
+from jaxunshear.files import Json
 from jaxunshear.image.grey import check_frame, to_grey
 from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
 from jaxunshear.image.pin_detection import detect_pins
 from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.image.preprocess import combine_views, find_view, prepare_frame
 from jaxunshear.progress import Progress
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS
-from jaxunshear.storage import Json
 
 LAYOUTS = (TACTIP_331, TACTIP_127)
 INSPECTED_IMAGES = 40  # frames whose pins are found, shared by the folders
@@ -137,7 +137,7 @@ def _check_folder(
             problems.append(Problem.at(files[row], text))
             left_out[OTHER_SIZE] += 1
     alike = [files[row] for row in rows if sizes.get(row) == (width, height)]
-    pins = _check_pins([alike[i] for i in evenly(len(alike), share)])
+    pins = _check_pins([alike[i] for i in select_evenly(len(alike), share)])
     name = _name_folder(recordings.path, files[rows[0]].parent)
     labels = _check_labels(recordings, rows)
     return FolderCheck(name, len(rows), dict(left_out), (width, height), pins, labels)

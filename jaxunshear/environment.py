@@ -8,18 +8,20 @@ from collections.abc import Iterable
 from functools import cache
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import cache_folder
+from jaxunshear.files import cache_folder
 
 # Of JAX's variables those of devices, caches and messages; others decide keys, number types or what is allowed
-HEEDED = (
+RESPECTED_VARIABLES = (
     *("JAX_PLATFORM", "JAX_CUDA_", "JAX_ROCM_", "JAX_COMPILATION_CACHE_", "JAX_PERSISTENT_CACHE_"),
     *("JAX_ENABLE_COMPILATION_CACHE", "JAX_LOG", "JAX_DEBUG_LOG_", "JAX_TRACEBACK_", "JAX_DUMP_"),
 )
-DEVICES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
+DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
-KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/layer_choice.py`
-KERNEL_WAYS = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
+KERNELS_VARIABLE = (
+    "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/layer_choice.py`
+)
+KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `training/devices.py`
 SECONDS = 120  # a GPU on a busy machine needs some
 
@@ -29,7 +31,7 @@ def check_variables() -> None:
     found = [
         f"{name}={value}"
         for name, value in sorted(os.environ.items())
-        if name.startswith("JAX_") and not name.startswith(HEEDED)
+        if name.startswith("JAX_") and not name.startswith(RESPECTED_VARIABLES)
     ]
     if found:
         raise UserError(
@@ -37,7 +39,7 @@ def check_variables() -> None:
         )
 
 
-def cores() -> int:
+def count_cores() -> int:
     """That this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -47,8 +49,8 @@ def check_environment() -> None:
     variables or flags that would change results, or layers or a number of devices that there cannot be."""
     check_variables()
     cache_folder()
-    kernels_asked()
-    devices_asked()
+    read_kernels_choice()
+    read_device_count()
     flags = os.environ.get("XLA_FLAGS", "").split()
     for flag in flags:
         if any(word in flag for word in ROUNDING):
@@ -56,7 +58,9 @@ def check_environment() -> None:
                 f"XLA_FLAGS: {flag} would give other results under the same name: leave it out"
             )
     asked = {
-        name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")
+        name: os.environ[name]
+        for name in DEVICE_VARIABLES
+        if os.environ.get(name, "") not in ("", "cpu")
     }
     reported = ", ".join(f"{name}={value}" for name, value in asked.items())
     if asked and not _starts(reported):
@@ -65,15 +69,17 @@ def check_environment() -> None:
         )
 
 
-def kernels_asked() -> str:
+def read_kernels_choice() -> str:
     """Of KERNEL_WAYS. Raises UserError."""
-    way = os.environ.get(KERNELS) or AUTO
-    if way not in KERNEL_WAYS:
-        raise UserError(f"{KERNELS}={way} is unknown: use one of {', '.join(KERNEL_WAYS)}")
+    way = os.environ.get(KERNELS_VARIABLE) or AUTO
+    if way not in KERNEL_CHOICES:
+        raise UserError(
+            f"{KERNELS_VARIABLE}={way} is unknown: use one of {', '.join(KERNEL_CHOICES)}"
+        )
     return way
 
 
-def devices_asked() -> int | None:
+def read_device_count() -> int | None:
     """1 unless asked; None for all that there are. Raises UserError."""
     word = os.environ.get(DEVICE_COUNT) or "1"
     if word != "all" and not (word.isdecimal() and int(word) >= 1):

@@ -9,6 +9,6 @@ class Note(UserWarning):
     """What works, but not as well as it could, in one line."""
 
 
-def first_line(error: BaseException) -> str:
+def get_first_line(error: BaseException) -> str:
     """What an error of another library says, in one line of at most 200 characters; its kind where it says nothing."""
     return (str(error).strip() or type(error).__name__).splitlines()[0][:200]

@@ -1,6 +1,6 @@
 """A laboratory's recordings -> an experiment about them: which networks these allow, which sensor they are of.
 
->>> experiment = with_recordings(BASE, taps="recordings/tap", slides="recordings/slide")
+>>> experiment = set_recordings(BASE, taps="recordings/tap", slides="recordings/slide")
 """
 
 import dataclasses
@@ -10,15 +10,15 @@ from pathlib import Path
 from jaxunshear.dataset.digests import compute_digest
 from jaxunshear.dataset.recorded_contacts import identify_sensor, read_contacts
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_text
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Value
-from jaxunshear.storage import write_text
 
-BASE = Experiment(
+BASE_EXPERIMENT = Experiment(
     name="recorded",
     claim="A network that learnt from a sensor's own taps and slides takes the slide out of its images.",
     networks=(DISENTANGLED, POSENET, POSENET_SHEARED),
@@ -48,7 +48,7 @@ BASE = Experiment(
 )
 
 
-def with_recordings(
+def set_recordings(
     experiment: Experiment, taps: str = "", slides: str = "", pairs: str = ""
 ) -> Experiment:
     """`experiment` about the taps and slides in these folders, which may be one. Networks that they do not allow are left out: without
@@ -69,7 +69,7 @@ def with_recordings(
     if recorded.direct_taps != "none" and not tapped:
         asked = f"--paired.direct_taps {recorded.direct_taps}"
         raise UserError(f"{asked}: these recordings hold no taps: leave it at none")
-    networks = allowed(experiment.networks, tapped, dragged)
+    networks = select_networks(experiment.networks, tapped, dragged)
     if not networks:
         raise UserError(
             f"networks: none of {', '.join(experiment.networks)} can learn from these recordings"
@@ -78,7 +78,7 @@ def with_recordings(
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 
-def allowed(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Network, ...]:
+def select_networks(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Network, ...]:
     """Those that can learn where there are `taps`, or `slides`, or both; of slides alone, poses."""
     if taps and slides:
         return networks
@@ -87,10 +87,10 @@ def allowed(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Ne
     return (POSENET_SHEARED,) if set(networks) & set(POSENETS) else ()
 
 
-def as_python(experiment: Experiment) -> str:
+def format_experiment(experiment: Experiment) -> str:
     """The source of an experiment file: every field that is not at its default."""
     modules: dict[str, set[str]] = {}
-    body = _constructed(experiment, modules, 0)
+    body = _format_dataclass(experiment, modules, 0)
     imports = "\n".join(
         f"from {module} import {', '.join(sorted(names))}"
         for module, names in sorted(modules.items())
@@ -98,7 +98,7 @@ def as_python(experiment: Experiment) -> str:
     return f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""\n\n{imports}\n\nexperiment = {body}\n'
 
 
-def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
+def _format_dataclass(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
     """The source of a dataclass of settings; `modules` gains the name of each that it takes, by the module that has it."""
     kind = type(thing).__name__
     modules.setdefault(type(thing).__module__, set()).add(kind)
@@ -108,7 +108,7 @@ def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default:
             inner = (
-                _constructed(value, modules, depth + 1)
+                _format_dataclass(value, modules, depth + 1)
                 if dataclasses.is_dataclass(value)
                 else repr(value)
             )
@@ -118,7 +118,7 @@ def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
 
 def write_experiment(experiment: Experiment, file: Path) -> None:
     """The experiment as a file to run again, and to change. Raises UserError where another one is there."""
-    source = as_python(experiment)
+    source = format_experiment(experiment)
     if file.exists() and file.read_text() != source:
         raise UserError(
             f"{file} is there, and is not what these options ask for: `jaxunshear run {file}` runs it; else give another --name"

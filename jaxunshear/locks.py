@@ -6,11 +6,11 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from jaxunshear.storage import os_error
+from jaxunshear.files import explain_os_error
 
 
 @contextlib.contextmanager
-def locked(path: Path, wait: bool) -> Iterator[bool]:
+def hold_lock(path: Path, wait: bool) -> Iterator[bool]:
     """Holds the lock file `path` while open, for no other process to hold it; yields whether it could be had.
 
     `wait`: until it can. The system frees it when the process dies, however it dies; the empty file stays.
@@ -24,5 +24,5 @@ def locked(path: Path, wait: bool) -> Iterator[bool]:
         except Timeout:
             free = False
         except OSError as error:
-            raise os_error(path, error) from error
+            raise explain_os_error(path, error) from error
         yield free

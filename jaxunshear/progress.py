@@ -64,9 +64,9 @@ class Progress:
         rate = (self.done - self._from) / seconds if seconds > 0 else 0.0
         text = f"{self.label}: {self.done:.10g}/{self.total:.10g} {self.unit}, {rate:.3g} {self.unit}/s"
         if self.done < self.total and rate > 0:
-            text += f", {duration((self.total - self.done) / rate)} left"
+            text += f", {format_duration((self.total - self.done) / rate)} left"
         elif self.done >= self.total:
-            text += f", done in {duration(seconds)}"
+            text += f", done in {format_duration(seconds)}"
         return text
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -100,7 +100,7 @@ def _console(stream: TextIO) -> Console:
     return Console(file=stream, force_terminal=True)
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """`45 s`, `2 min 05 s`, `3 h 10 min`."""
     full = round(seconds)
     if full < 60:

@@ -9,18 +9,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
+from jaxunshear.files import read_object, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.stimuli import list_stimulus_names
 from jaxunshear.settings.targets import to_json
-from jaxunshear.storage import read_object, write_json, write_text
 
-PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
-ORIGINS = ("origin", "data", "start")  # what they learnt from goes with the weights
-NEEDED = (DISENTANGLED, POSENET)
+RELEASED_PARTS = {
+    name: kind.released for name, kind in REGISTRY.items() if kind.released is not None
+}
+ORIGIN_FIELDS = ("origin", "data", "start")  # what they learnt from goes with the weights
+REQUIRED_NETWORKS = (DISENTANGLED, POSENET)
 CARD = "README.md"
 
 
@@ -50,17 +52,17 @@ def release(run_dir: Path, out: Path) -> Path:
         )  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    needed = NEEDED if results.simulated else ()
-    names = [name for name in PARTS if name in needed or has_model(run_dir / name)]
+    needed = REQUIRED_NETWORKS if results.simulated else ()
+    names = [name for name in RELEASED_PARTS if name in needed or has_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     _, variables, targets = load_networks(run_dir, names)
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name in names:
-        write_weights(part / name, variables[name], PARTS[name])
+        write_weights(part / name, variables[name], RELEASED_PARTS[name])
         model = read_object(run_dir / name / MODEL)
-        origins = {key: model[key] for key in ORIGINS if key in model}
+        origins = {key: model[key] for key in ORIGIN_FIELDS if key in model}
         reported = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
         write_json(part / name / MODEL, reported | origins)
     if not results.simulated:
@@ -103,14 +105,14 @@ def make_card(results: Results, name: str) -> str:
         *tests,
         *(f"Trained on: {machine}" for machine in sorted(trained)),
         f"Machine: {_show(results.machine)}",
-        *sorted({f"Code: {json.dumps(plain(source))}" for source in sources if source}),
+        *sorted({f"Code: {json.dumps(to_builtins(source))}" for source in sources if source}),
         f"Versions: {json.dumps(results.versions)}",
     ]
     return "\n\n".join(paragraphs) + "\n"
 
 
 def _show(machine: Machine) -> str:
-    return json.dumps(plain(replace(machine, kernels=None)))
+    return json.dumps(to_builtins(replace(machine, kernels=None)))
 
 
 def _describe_simulated(results: Results) -> str:

@@ -10,16 +10,16 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from jaxunshear.cluster import Spread, here
+from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.errors import UserError
-from jaxunshear.locks import locked
+from jaxunshear.files import Json, read_object, write_json
+from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, get_recorded, get_training
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.serialization import from_json, to_json, with_version
-from jaxunshear.storage import Json, read_object, write_json
 from jaxunshear.training.data_origin import check_origin, describe_origin
 from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
 
@@ -33,9 +33,9 @@ def run_stages(
     out: Path,
     data: Path,
     command: str,
-    spread: Spread = here,
+    run_calls: CallRunner = run_locally,
 ) -> Results | None:
-    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>. `spread`: who simulates.
+    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>. `run_calls`: who simulates.
 
     Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can fix, and
     where another process is at work in that folder.
@@ -44,13 +44,13 @@ def run_stages(
         if network in stages:
             start_folder(experiment, network)  # refused before data are made in vain
     folder = Path(out) / experiment.name
-    with locked(folder / LOCK, wait=False) as free:
+    with hold_lock(folder / LOCK, wait=False) as free:
         if not free:
             raise UserError(
                 f"another run is at work in {folder}: wait for it, stop it, or give another --out"
             )
         _keep_settings(experiment, folder)
-        return _run(experiment, stages, folder, data, command, spread)
+        return _run(experiment, stages, folder, data, command, run_calls)
 
 
 def _run(
@@ -59,7 +59,7 @@ def _run(
     folder: Path,
     data: Path,
     command: str,
-    spread: Spread,
+    spread: CallRunner,
 ) -> Results | None:
     results = None
     for stage in stages:
@@ -111,7 +111,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     write_json(path, with_version(wanted))
 
 
-def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
+def _make_data(experiment: Experiment, data: Path, spread: CallRunner) -> bool:
     from jaxunshear.dataset.chunks import make_engine
     from jaxunshear.dataset.generation import make_sets
 
@@ -228,7 +228,7 @@ def print_summary(results: Results, folder: Path) -> None:
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
     from jaxunshear.report import labels
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     likeness, errors, name = results.ms_ssim, results.pose_mae, str(results.metric["ms_ssim"])
     rows = [
@@ -240,7 +240,7 @@ def print_summary(results: Results, folder: Path) -> None:
         for kind in labels.KINDS
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
-    print(plain_table(rows, ("", name, *labels.list_targets(results))))
+    print(format_text_table(rows, ("", name, *labels.list_targets(results))))
     for row in build_measurements(replace(results, tests={})).rows:
         if row.bar is not None:
             met = "met" if row.ok else "MISSED"

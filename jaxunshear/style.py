@@ -50,12 +50,12 @@ ABREAST, PANEL_IN, DPI = 3, 3.5, 110
 HEAD, LABEL = 9, 8  # points: of titles, and of all that is smaller
 
 
-def headed(text: str, columns: int) -> str:
+def wrap_title(text: str, columns: int) -> str:
     """A title over `columns` panels, in as many lines as it takes."""
     return "\n".join(wrap(text, 48 * columns))
 
 
-def png_of(figure: "Figure") -> bytes:
+def encode_png(figure: "Figure") -> bytes:
     """A PNG without the name and version of Matplotlib: the same drawing gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})

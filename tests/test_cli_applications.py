@@ -9,9 +9,9 @@ from PIL import Image
 
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
-from jaxunshear.plain import plain
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
@@ -32,9 +32,9 @@ def experiment(size):
 
 def run_of(folder, size, seed=0):
     """A run with networks that have learnt nothing."""
+    from jaxunshear.files import write_json
     from jaxunshear.model import posenet, unshearnet
     from jaxunshear.settings.serialization import to_json
-    from jaxunshear.storage import write_json
 
     small, run = experiment(size), folder / "small"
     write_json(run / "experiment.json", to_json(small))
@@ -113,7 +113,7 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert answer.code == 0, answer.err
     held = json.loads((tmp_path / "rows.json").read_text())
     rows = convert_record(held, TrajectoryScores, "rows.json", "walk again").rows
-    assert held["schema"] == SCHEMA and held["rows"] == plain(rows)
+    assert held["schema"] == SCHEMA and held["rows"] == to_builtins(rows)
     rows = held["rows"]
     assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]
     assert all(

@@ -9,8 +9,8 @@ import pytest
 
 from jaxunshear.compare import compare_scores, compare_settings, note_obstacles, read_runs
 from jaxunshear.evaluation.evaluate import encode_scores
-from jaxunshear.progress import duration
-from jaxunshear.storage import write_json
+from jaxunshear.files import write_json
+from jaxunshear.progress import format_duration
 from tests.report.conftest import Reader, made_up_gathered, make_run
 
 GAIN = "pose/disentangled/edge_mm"
@@ -105,7 +105,9 @@ def test_the_page_and_the_text(pair, command, tmp_path):
     assert len(answer.out.splitlines()) <= 14
     assert answer.out.splitlines()[-1] == f"page: {tmp_path}/out/first-second.html"
     assert "settings that differ: train.learning_rate 0.001 | 0.01" in answer.out
-    assert re.search(f"training of disentangled +{duration(168)} +{duration(168)}", answer.out)
+    assert re.search(
+        f"training of disentangled +{format_duration(168)} +{format_duration(168)}", answer.out
+    )
     html = (tmp_path / "out" / "first-second.html").read_text()
     reader = Reader()
     reader.feed(html)

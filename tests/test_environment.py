@@ -10,7 +10,7 @@ import pytest
 
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
-from jaxunshear.storage import cache_folder
+from jaxunshear.files import cache_folder
 from jaxunshear.sweep.tasks import TaskOrder
 from jaxunshear.sweep.worker import run_order
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.owners import check_apart, owner_of
+from jaxunshear.protected_folders import check_outside, find_owner
 
 ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "jaxunshear" / "weights" / "standard"
@@ -30,15 +30,15 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
     stored = place(tmp_path / "set" / "1.0.0", "shards.json", {})
     other = place(tmp_path / "other", "experiment.json", {"a": "stranger's"})
     (tmp_path / "link").symlink_to(run)
-    assert [owner_of(p / "a" / "b.json")[0] for p in (run, sweep, stored, WEIGHTS)] == [
+    assert [find_owner(p / "a" / "b.json")[0] for p in (run, sweep, stored, WEIGHTS)] == [
         run,
         sweep,
         stored,
         WEIGHTS,
     ]
-    assert owner_of(tmp_path / "link" / "new.json")[0] == owner_of(run)[0] == run
-    assert owner_of(other / "a.json") is owner_of(run.parent) is None
-    check_apart(run.parent / "rows.json", "--json")
+    assert find_owner(tmp_path / "link" / "new.json")[0] == find_owner(run)[0] == run
+    assert find_owner(other / "a.json") is find_owner(run.parent) is None
+    check_outside(run.parent / "rows.json", "--json")
 
 
 @pytest.mark.parametrize(

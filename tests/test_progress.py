@@ -7,7 +7,7 @@ from contextlib import redirect_stderr
 
 import pytest
 
-from jaxunshear.progress import Progress, duration
+from jaxunshear.progress import Progress, format_duration
 
 
 class Clock:
@@ -103,4 +103,4 @@ def test_an_interrupted_line_is_ended():
     [(0.4, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (11430, "3 h 10 min")],
 )
 def test_duration(seconds, text):
-    assert duration(seconds) == text
+    assert format_duration(seconds) == text

@@ -24,7 +24,7 @@ from docs.provenance import (
     sources,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.storage import SEAL, read_json, write_json
+from jaxunshear.files import CHECKSUM_FIELD, read_json, write_json
 
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "results").glob("*.json"))
 KEPT = [name for name in NAMES if sources(read_result(name))]
@@ -41,7 +41,7 @@ def test_results_are_as_a_program_wrote_them(name):
     """Their checksum holds, so that neither a figure nor a command was edited; and their code was
     committed.
     """
-    assert SEAL in read_result(name), (
+    assert CHECKSUM_FIELD in read_result(name), (
         f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
     )
     read_json(ROOT / "docs" / "results" / f"{name}.json")

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import folders
+from jaxunshear import model_folders
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_json, write_json
 from jaxunshear.inference import infer
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.release import make_card, release
@@ -25,7 +26,6 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.serialization import from_json, to_json
-from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 
@@ -222,10 +222,10 @@ def test_weights_of_another_network_under_a_true_digest_are_reported_apart(run, 
 def test_an_unknown_name_lists_those_there_are():
     names = ", ".join(folder.name for folder in RELEASED)
     with pytest.raises(UserError, match=rf"released weights \({names}\)"):
-        folders.load_settings(folders.model_folder(Path("yours")))
+        model_folders.load_settings(model_folders.find_model_folder(Path("yours")))
 
 
-RELEASED = sorted(path.parent for path in folders.RELEASED.glob("*/experiment.json"))
+RELEASED = sorted(path.parent for path in model_folders.RELEASED.glob("*/experiment.json"))
 
 
 @pytest.mark.parametrize("folder", RELEASED, ids=lambda folder: folder.name)
@@ -242,5 +242,6 @@ def test_what_is_released_with_the_package_can_be_used(folder):
 
 def test_all_released_weights_are_small():
     assert (
-        sum(path.stat().st_size for path in folders.RELEASED.rglob("*") if path.is_file()) <= 20e6
+        sum(path.stat().st_size for path in model_folders.RELEASED.rglob("*") if path.is_file())
+        <= 20e6
     )

@@ -23,10 +23,10 @@ from jaxunshear import run
 from jaxunshear.dataset import generation
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import select_reproducible
-from jaxunshear.locks import locked
+from jaxunshear.files import read_json, write_json
+from jaxunshear.locks import hold_lock
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
 from tests.golden import make_runs
@@ -384,12 +384,14 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock)
 
 def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
     folder = tmp_path / "small"
-    with locked(folder / run.LOCK, wait=False) as free:
+    with hold_lock(folder / run.LOCK, wait=False) as free:
         assert free
         with pytest.raises(UserError, match=f"another run is at work in {folder}"):
             run.run_stages(SMALL, ("posenet",), tmp_path, tmp_path, "none")
         assert [path.name for path in folder.iterdir()] == [run.LOCK]
-    with locked(folder / tasks.LOCK, wait=False) as free:  # as the worker of a sweep's row holds it
+    with hold_lock(
+        folder / tasks.LOCK, wait=False
+    ) as free:  # as the worker of a sweep's row holds it
         assert free and stage(1, "finish") == {"posenet": 1}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear import __version__, source
+from jaxunshear import __version__, code_version
 
 
 def git(folder, *words):
@@ -38,9 +38,9 @@ def checkout(tmp_path):
 def test_a_commit_and_whether_the_code_is_as_committed(checkout):
     commit = git(checkout, "rev-parse", "HEAD")
     (checkout / "README.md").write_text("other words\n")  # decides no result
-    assert source.committed(checkout) == (commit, True)
+    assert code_version.read_commit(checkout) == (commit, True)
     (checkout / "jaxunshear" / "b.py").write_text("b = 1\n")
-    assert source.committed(checkout) == (commit, False)
+    assert code_version.read_commit(checkout) == (commit, False)
 
 
 def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
@@ -52,7 +52,7 @@ def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
     monkeypatch.chdir(other)
     monkeypatch.setenv("GIT_DIR", str(other / ".git"))
     assert (
-        source.committed(checkout)[0]
+        code_version.read_commit(checkout)[0]
         == subprocess.run(
             ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"],
             capture_output=True,
@@ -64,7 +64,7 @@ def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
 def test_an_environment_inside_a_checkout_is_not_the_checkout(checkout):
     packages = checkout / ".venv" / "site-packages"
     packages.mkdir(parents=True)
-    assert source.committed(packages) == (None, None)
+    assert code_version.read_commit(packages) == (None, None)
 
 
 @pytest.mark.parametrize("fault", ["no git", "no commit", "broken"])
@@ -76,26 +76,28 @@ def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeyp
         git(checkout, "init", "-q")
     else:
         (checkout / ".git" / "HEAD").write_text("nothing")
-    assert source.committed(checkout) == (None, None)
+    assert code_version.read_commit(checkout) == (None, None)
     assert capfd.readouterr() == ("", "")
 
 
 def test_git_is_asked_once():
-    assert source.read_source() is source.read_source()
+    assert code_version.read_source() is code_version.read_source()
     assert (
-        source.read_source().version == __version__
-        and Path(__file__).resolve().parents[1] == source.ROOT
+        code_version.read_source().version == __version__
+        and Path(__file__).resolve().parents[1] == code_version.ROOT
     )
 
 
 def test_an_installed_package_has_its_version_alone(tmp_path):
     """Also if it is started in a checkout."""
-    shutil.copytree(source.ROOT / "jaxunshear" / "results", tmp_path / "jaxunshear" / "results")
-    for name in ("__init__.py", "version.py", "source.py"):
-        shutil.copy(source.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
-    asked = "from jaxunshear.source import read_source as read; print(read().version, read().commit, read().clean)"
+    shutil.copytree(
+        code_version.ROOT / "jaxunshear" / "results", tmp_path / "jaxunshear" / "results"
+    )
+    for name in ("__init__.py", "version.py", "code_version.py"):
+        shutil.copy(code_version.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
+    asked = "from jaxunshear.code_version import read_source as read; print(read().version, read().commit, read().clean)"
     words, here = [sys.executable, "-P", "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
-        words, env=here, cwd=source.ROOT, capture_output=True, text=True, check=True
+        words, env=here, cwd=code_version.ROOT, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == [__version__, "None", "None"]

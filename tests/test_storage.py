@@ -11,38 +11,38 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import storage
+from jaxunshear import files
 from jaxunshear.errors import UserError
-from jaxunshear.places import check_new_file
+from jaxunshear.output_checks import check_new_file
 
 
 def test_json_round_trip_of_arrays_paths_and_nan(tmp_path):
     path = tmp_path / "deep" / "results.json"
-    storage.write_json(
+    files.write_json(
         path, {"a": np.float32(0.5), "b": np.arange(3), "c": (float("nan"), np.inf), "d": Path("x")}
     )
-    assert storage.read_json(path) == {"a": 0.5, "b": [0, 1, 2], "c": [None, None], "d": "x"}
+    assert files.read_json(path) == {"a": 0.5, "b": [0, 1, 2], "c": [None, None], "d": "x"}
     assert os.listdir(path.parent) == ["results.json"]
 
 
 def test_what_is_not_json_is_refused_and_leaves_the_old_file(tmp_path):
     path = tmp_path / "results.json"
-    storage.write_json(path, 1)
+    files.write_json(path, 1)
     with pytest.raises(TypeError, match="object"):
-        storage.write_json(path, object())
-    assert storage.read_json(path) == 1
+        files.write_json(path, object())
+    assert files.read_json(path) == 1
 
 
 def test_full_disk_keeps_the_old_file_and_names_the_new(tmp_path, monkeypatch):
     path = tmp_path / "results.json"
-    storage.write_text(path, "old")
+    files.write_text(path, "old")
 
     def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(UserError, match=r"results\.json: the disk is full"):
-        storage.write_text(path, "new")
+        files.write_text(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["results.json"]
 
@@ -50,7 +50,7 @@ def test_full_disk_keeps_the_old_file_and_names_the_new(tmp_path, monkeypatch):
 def test_a_file_where_a_folder_should_be(tmp_path):
     (tmp_path / "runs").write_text("")
     with pytest.raises(UserError, match="runs"):
-        storage.write_text(tmp_path / "runs" / "a", "x")
+        files.write_text(tmp_path / "runs" / "a", "x")
 
 
 @pytest.fixture
@@ -69,9 +69,9 @@ def test_a_pipe_is_written_into_and_stays(tmp_path, pipe, linked):
     link = tmp_path / "link"
     link.symlink_to(path)
     check_new_file(link if linked else path)
-    storage.write_json(link if linked else path, {"a": 1})
+    files.write_json(link if linked else path, {"a": 1})
     assert path.is_fifo() and link.is_symlink() and len(os.listdir(tmp_path)) == 2
-    assert storage.unsealed(json.loads(written())) == {"a": 1}
+    assert files.check_and_remove_checksum(json.loads(written())) == {"a": 1}
 
 
 def test_a_command_writes_its_rows_into_a_pipe(command, tmp_path, pipe):
@@ -88,7 +88,7 @@ def test_links_are_followed_and_stay(tmp_path, there):
     path.symlink_to(far)
     if there:
         far.write_text("old")
-    storage.write_json(path, 1)
+    files.write_json(path, 1)
     assert path.is_symlink() and far.read_text() == "1\n"
     assert os.listdir(far.parent) == ["results.json"] and len(os.listdir(tmp_path)) == 2
 
@@ -98,12 +98,12 @@ def test_corrupt_json_names_file_and_remedy(tmp_path, content):
     path = tmp_path / "results.json"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"results\.json .*make it again"):
-        storage.read_json(path)
+        files.read_json(path)
 
 
 def test_missing_json_names_file(tmp_path):
     with pytest.raises(UserError, match=r"none\.json: No such file"):
-        storage.read_json(tmp_path / "none.json")
+        files.read_json(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize(
@@ -122,25 +122,25 @@ def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
     wrapped.__cause__ = error
     for each in (error, wrapped):
         with pytest.raises(UserError, match=line):
-            storage.blame_the_machine(Path("runs"), each)
+            files.raise_machine_error(Path("runs"), each)
 
 
 @pytest.mark.parametrize(
     "error", [ValueError("bad header"), FileNotFoundError(errno.ENOENT, "No such file")]
 )
 def test_what_may_be_damage_is_left_to_be_called_so(error):
-    storage.blame_the_machine(Path("runs"), error)
+    files.raise_machine_error(Path("runs"), error)
 
 
 def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     path = tmp_path / "times.json"
-    assert storage.read_object_if_sound(path) is None
+    assert files.read_object_if_sound(path) is None
     path.write_text("{")
-    assert storage.read_object_if_sound(path) is None
+    assert files.read_object_if_sound(path) is None
     path.write_text("[1]")
-    assert storage.read_object_if_sound(path) is None
-    storage.write_json(path, {"data": 1.0})
-    assert storage.read_object_if_sound(path) == {"data": 1.0}
+    assert files.read_object_if_sound(path) is None
+    files.write_json(path, {"data": 1.0})
+    assert files.read_object_if_sound(path) == {"data": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -150,20 +150,20 @@ def test_what_is_no_object_is_refused_where_one_is_read(tmp_path, text, kind):
     path = tmp_path / "experiment.json"
     path.write_text(text)
     with pytest.raises(UserError, match=f"experiment.json holds no JSON object but a {kind}"):
-        storage.read_object(path)
+        files.read_object(path)
 
 
 def test_a_flipped_bit_is_never_another_figure(tmp_path):
     """Every bit of a file: a digit that became another, a name that did, the seal's own."""
     path, held = tmp_path / "results.json", {"edge_mm": 0.125, "ok": True, "of": [1, None]}
-    storage.write_json(path, held)
+    files.write_json(path, held)
     sound, refused = path.read_bytes(), 0
     for bit in range(8 * len(sound)):
         damaged = bytearray(sound)
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
         try:
-            assert storage.read_json(path) == held
+            assert files.read_json(path) == held
         except UserError as error:
             refused += "results.json" in str(error) and "make it again" in str(error)
     assert refused > 0.8 * 8 * len(sound)
@@ -172,15 +172,15 @@ def test_a_flipped_bit_is_never_another_figure(tmp_path):
 def test_what_bears_no_seal_is_read_and_what_is_written_again_is_sealed_anew(tmp_path):
     path = tmp_path / "results.json"
     path.write_text(json.dumps({"a": 1}))
-    assert storage.read_json(path) == {"a": 1}
-    storage.write_json(path, storage.read_json(path) | {"b": [0.5, float("nan")]})
-    storage.write_json(path, json.loads(path.read_text()) | {"c": 2})  # with the old seal in it
-    assert storage.read_json(path) == {"a": 1, "b": [0.5, None], "c": 2}
+    assert files.read_json(path) == {"a": 1}
+    files.write_json(path, files.read_json(path) | {"b": [0.5, float("nan")]})
+    files.write_json(path, json.loads(path.read_text()) | {"c": 2})  # with the old seal in it
+    assert files.read_json(path) == {"a": 1, "b": [0.5, None], "c": 2}
     path.write_text(path.read_text().replace("0.5", "0.7"))
     with pytest.raises(
         UserError, match=r"its checksum differs.*by hand, delete its line 'checksum'"
     ):
-        storage.read_json(path)
+        files.read_json(path)
 
 
 def test_no_bit_of_an_npz_turns_over_unseen():
@@ -193,8 +193,8 @@ def test_no_bit_of_an_npz_turns_over_unseen():
         8 * 200
     ):  # the headers of zip and numpy; np.load alone reads another array after some of these
         stored[bit // 8] ^= 1 << bit % 8
-        with contextlib.suppress(*storage.BROKEN_NPZ):
-            read = storage.read_npz(io.BytesIO(stored))
+        with contextlib.suppress(*files.BROKEN_NPZ):
+            read = files.read_npz(io.BytesIO(stored))
             unseen += [bit] * (read.keys() != {"image"} or not np.array_equal(read["image"], image))
         stored[bit // 8] ^= 1 << bit % 8
-    assert unseen == [] and np.array_equal(storage.read_npz(io.BytesIO(stored))["image"], image)
+    assert unseen == [] and np.array_equal(files.read_npz(io.BytesIO(stored))["image"], image)

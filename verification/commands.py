@@ -9,7 +9,7 @@ from jaxunshear.cli.options import ROWS, add_json, new_parser
 from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 COMMANDS = {
     "verify": "compare the simulator with closed forms, conservation laws and independent solvers",

@@ -18,13 +18,13 @@ from jaxunshear.contact.level import OMISSIONS, Level
 from jaxunshear.contact.obstacle import Obstacles, sample_distances
 from jaxunshear.contact.scheduler import ContactBatch
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, make_paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import make_stimulus
 from jaxunshear.settings.outlines import parse_stimulus as named
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import Json
 from verification.clock import time_call
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error

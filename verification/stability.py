@@ -21,8 +21,8 @@ import numpy as np
 from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.storage import Json
 from verification import stability_networks
 from verification.contact_cases import Case, list_cases
 from verification.network_trainings import list_training_cases

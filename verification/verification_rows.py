@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 WIDTH = 76  # of the problems' column
 

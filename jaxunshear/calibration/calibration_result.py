@@ -8,9 +8,9 @@ from pathlib import Path
 
 from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json, read_object
 from jaxunshear.settings.image import FITTED_CAMERA, Camera
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
-from jaxunshear.storage import Json, read_object
 
 
 @dataclass(frozen=True)

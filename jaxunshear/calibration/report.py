@@ -20,9 +20,9 @@ from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import render_images
 from jaxunshear.calibration.sampling import RecordedImages
+from jaxunshear.files import Json
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import Json
-from jaxunshear.style import png_of
+from jaxunshear.style import encode_png
 
 RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
@@ -179,7 +179,7 @@ def plot_curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]
         for axes, (name, image) in zip(panels[1], pictures, strict=False):
             axes.imshow(image, cmap="gray", interpolation="nearest")
             axes.set_title(name if len(name) <= LONGEST else f"...{name[3 - LONGEST :]}")
-        return png_of(figure)
+        return encode_png(figure)
 
 
 def _rings(axes: Axes, by_name: ValuesByName) -> None:

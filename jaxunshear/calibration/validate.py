@@ -33,8 +33,8 @@ from jaxunshear.calibration.validation import (
     fit_positions,
 )
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json, write_bytes, write_text
 from jaxunshear.progress import Progress
-from jaxunshear.storage import Json, write_bytes, write_text
 
 CONTACTS_PER_FOLDER = 400  # contacts of a folder
 CHUNK = 50  # contacts between two steps of the progress
@@ -99,7 +99,7 @@ def validate(
 
 def format_table(rows: list[Row]) -> str:
     """Print a line for taps, slides and each ring of them."""
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     lines: dict[str, Json] = {}
     for row in rows:
@@ -116,7 +116,7 @@ def format_table(rows: list[Row]) -> str:
         "residual_mm",
         "motion_px",
     )
-    return plain_table(list(lines.values()), columns)
+    return format_text_table(list(lines.values()), columns)
 
 
 def _list_calibration_images(

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.calibration.validation import ComparedFolder, compute_r2, compute_rms, split_by_kind
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.style import COLOURS, FAINT, INK, STYLE, png_of
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE, encode_png
 
 PIN = 22  # points squared
 AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
@@ -32,7 +32,7 @@ def validate_figure(parts: list[ComparedFolder]) -> bytes:
             row[0].set_title(f"{kind}s: recorded motion, each pin less its mean")
             row[1].set_title(f"{kind}s: left over; lines: its main direction, x {AXIS_PX:g}")
             _rings(row[2], kind, chosen)
-        return png_of(figure)
+        return encode_png(figure)
 
 
 def _map(axes: Axes, part: ComparedFolder, values: np.ndarray, most: float) -> PathCollection:

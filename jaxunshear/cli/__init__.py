@@ -25,11 +25,11 @@ from jaxunshear.cli import (
 )
 from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
+from jaxunshear.code_version import read_source
 from jaxunshear.environment import check_environment, check_links
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_folder
+from jaxunshear.output_checks import check_new_folder
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.source import read_source
 
 MODULES: tuple[ModuleType, ...] = (
     stages,
@@ -194,4 +194,4 @@ def _check_places(arguments: argparse.Namespace) -> None:
         *sweep.COMMANDS,
         *applications.COMMANDS,
     ):  # these have folders of their own
-        check_apart(out, "--out")
+        check_outside(out, "--out")

@@ -7,8 +7,8 @@ from types import ModuleType
 
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
 from jaxunshear.cli.options import Commands, Model, choose_exit_code
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_folder
+from jaxunshear.output_checks import check_new_folder
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.results.applications import StreamResult
 from jaxunshear.results.folders import find_results_folder
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     Results of a finished run's networks go to its own folder, where its report finds them, unless --out says otherwise.
     """
-    from jaxunshear.memory import keep_freed_memory
+    from jaxunshear.allocator import keep_freed_memory
 
     keep_freed_memory()
     model = _model(arguments) if arguments.model else None
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     out = home if arguments.command == "stream" else arguments.out or home
     check_new_folder(out)
     if out.resolve() != home.resolve():
-        check_apart(out, "--out")
+        check_outside(out, "--out")
     found = WORK[arguments.command].run(arguments, out, model)
     from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.results.record_files import write_record
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _model(arguments: argparse.Namespace) -> Model:
-    from jaxunshear.folders import load_settings, model_folder
+    from jaxunshear.model_folders import find_model_folder, load_settings
 
-    folder = model_folder(arguments.model)
+    folder = find_model_folder(arguments.model)
     return folder, load_settings(folder)

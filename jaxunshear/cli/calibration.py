@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxunshear.cli.options import Commands, add_results, new_parser
 from jaxunshear.errors import UserError
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 COMMANDS = ("calibrate", "validate")
 
@@ -48,12 +48,12 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns 0."""
+    from jaxunshear.files import write_json
     from jaxunshear.metrics.machine import describe_provenance
-    from jaxunshear.places import check_beside
-    from jaxunshear.storage import write_json
+    from jaxunshear.output_checks import check_not_among
 
     if arguments.out is not None:
-        check_beside(arguments.recordings, arguments.out, "--out")
+        check_not_among(arguments.recordings, arguments.out, "--out")
     found = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
     if arguments.json is not None:
         write_json(arguments.json, describe_provenance(command) | found)

@@ -30,10 +30,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             raise UserError(
                 f"`list` takes nothing more; to draw: jaxunshear {arguments.command} draw NAME --out FILE"
             )
-        print(catalogue.listing(arguments.command))
+        print(catalogue.format_listing(arguments.command))
         return 0
     if not arguments.name:
-        raise UserError(f"name what to draw: {', '.join(catalogue.names(arguments.command))}")
+        raise UserError(f"name what to draw: {', '.join(catalogue.list_names(arguments.command))}")
     out = arguments.out or Path(f"{arguments.name}.png")
     catalogue.draw(arguments.command, arguments.name, out)
     print(out)

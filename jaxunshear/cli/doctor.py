@@ -24,8 +24,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     diagnosis = check_recordings(arguments.path)
     print("\n".join(describe(diagnosis)))
     if arguments.json:
+        from jaxunshear.files import write_json
         from jaxunshear.metrics.machine import describe_provenance
-        from jaxunshear.storage import write_json
 
         write_json(arguments.json, describe_provenance(command) | to_json(diagnosis))
     return 0 if diagnosis.usable else 1

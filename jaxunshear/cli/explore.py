@@ -29,11 +29,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         )
     _check_port(arguments.port)
     from jaxunshear.apps.explore.explorer import make_explorer
-    from jaxunshear.folders import load_settings, model_folder
+    from jaxunshear.model_folders import find_model_folder, load_settings
     from jaxunshear.scene.stimuli import make_stimulus
 
     own = tuple(map(make_stimulus, parse_stimuli(arguments.stimulus))) if arguments.stimulus else ()
-    folder = model_folder(arguments.model)
+    folder = find_model_folder(arguments.model)
     explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
     explorer.warm()
     from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone

@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_parser
-from jaxunshear.places import check_beside
-from jaxunshear.plain import plain
+from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import GeometryScores
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.experiment import require_simulated
 
 
@@ -32,16 +32,16 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.downstream.geometry import INVERSE
     from jaxunshear.downstream.geometry_scores import score_geometry
+    from jaxunshear.files import write_bytes
     from jaxunshear.report import geometry_figure
     from jaxunshear.settings.image import Preprocess
-    from jaxunshear.storage import write_bytes
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:
         read_recordings(
             arguments.path, Preprocess()
         )  # refuses a place without images before there is work to lose
-        check_beside(arguments.path, out, "--out")
+        check_not_among(arguments.path, out, "--out")
     folder, experiment = model
     paired, _ = require_simulated(experiment, "geometry")
     felt = score_geometry(folder, experiment, arguments.contacts)
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         "largest_mm",
         "ms_per_image",
     )
-    print(plain_table([plain(row) for row in felt.table.rows], columns))
+    print(format_text_table([to_builtins(row) for row in felt.table.rows], columns))
     print(out / "geometry.png")
     if arguments.path is not None:
         from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.errors import UserError
-from jaxunshear.places import check_beside
+from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import PinScores
 from jaxunshear.settings.experiment import require_simulated
 
@@ -48,17 +48,17 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
 
     from jaxunshear.dataset.recorded_pins import find_pins, summary
     from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.files import write_bytes, write_npz, write_text
     from jaxunshear.image.lattice import Lattice
     from jaxunshear.image.lattice_fitting import MarkerLayout, make_layout, read_layout
-    from jaxunshear.plain import csv_text, plain
+    from jaxunshear.serialization import format_csv, to_builtins
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.settings.sensor import get_sensor
-    from jaxunshear.storage import write_bytes, write_npz, write_text
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
     for recordings in (arguments.path, *([arguments.rest] if arguments.rest else [])):
-        check_beside(recordings, out, "--out")
+        check_not_among(recordings, out, "--out")
         read_recordings(
             recordings, Preprocess()
         )  # refuses a place without images before there is work to lose
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
         "undeformed_px": found.lattice.rest.astype(np.float32),
     }
     write_npz(out / "pins.npz", arrays, compressed=True)
-    write_text(out / "pins.csv", csv_text(plain(found.table.rows)))
+    write_text(out / "pins.csv", format_csv(to_builtins(found.table.rows)))
     write_bytes(out / "pins.png", plot_pins(found.lattice, found.shown))
     print(summary(found.table))
     print(out / "pins.png")

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from jaxunshear.cli.options import Commands
+from jaxunshear.code_version import read_source
 from jaxunshear.environment import check_environment, check_links
 from jaxunshear.errors import Note, UserError
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_file, check_new_folder
-from jaxunshear.source import read_source
-from jaxunshear.storage import Json, disk_is_full
+from jaxunshear.files import Json, is_disk_full
+from jaxunshear.output_checks import check_new_file, check_new_folder
+from jaxunshear.protected_folders import check_outside
 
 AGAIN = "the same command begins anew"
 Keep = Callable[[list[Json]], None]
@@ -61,7 +61,7 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
         return 141
     except Exception as error:
-        if disk_is_full(error):
+        if is_disk_full(error):
             return _complain("the disk is full; free some space, then run the same command")
         if isinstance(error, OSError) and error.filename is not None:
             return _complain(f"{error.filename}: {error.strerror}")
@@ -98,7 +98,7 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace | None:
 def check_json(arguments: argparse.Namespace) -> None:
     """Refuse, before any work, a file for results that would replace what others live on."""
     json = arguments.json if "json" in arguments else None
-    check_apart(json, "--json")
+    check_outside(json, "--json")
     check_new_file(json)
     for option, value in vars(arguments).items():
         if (
@@ -130,7 +130,7 @@ def run_tool(
     check_json(arguments)
     if "out" in arguments:
         check_new_folder(arguments.out)
-        check_apart(arguments.out, "--out")
+        check_outside(arguments.out, "--out")
     check_environment()
     read_source()  # as the code is now; it may be changed while this works
     command = shlex.join([*parser.prog.split(), *words])
@@ -141,7 +141,7 @@ def _write_rows(file: Path | None, rows: list[Json], command: str, packages: Seq
     """Write rows into `file`, if there is one, in the place of those written before."""
     if file is None:
         return
+    from jaxunshear.files import write_json
     from jaxunshear.metrics.machine import describe_provenance
-    from jaxunshear.storage import write_json
 
     write_json(file, describe_provenance(command, *packages) | {"rows": rows})

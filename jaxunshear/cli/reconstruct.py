@@ -30,9 +30,9 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.downstream.object_reconstruction import reconstruct
     from jaxunshear.downstream.servo import load_trajectories
+    from jaxunshear.files import write_bytes
     from jaxunshear.report.object_figure import PICTURES, plot_objects
-    from jaxunshear.storage import write_bytes
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     folder, experiment = model
     require_simulated(
@@ -70,6 +70,6 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
             "hausdorff_mm",
             "height_rms_mm",
         )
-        print(plain_table([vars(row) for row in found.scores], columns))
+        print(format_text_table([vars(row) for row in found.scores], columns))
     print(out)
     return ObjectScores(rows)

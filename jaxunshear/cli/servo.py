@@ -37,9 +37,9 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectoryScores:
     from jaxunshear.downstream.servo import ServoTask
     from jaxunshear.downstream.servo_scores import servo
+    from jaxunshear.files import write_bytes
     from jaxunshear.report.trajectory_figure import plot_trajectories
-    from jaxunshear.storage import write_bytes
-    from jaxunshear.table import plain_table
+    from jaxunshear.text_table import format_text_table
 
     stimuli = parse_stimuli(arguments.stimulus)
     courses = [
@@ -53,6 +53,6 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
         rows += found.scores
         write_bytes(out / f"{name}.png", plot_trajectories(found.walks, found.line, name))
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
-        print(plain_table([vars(row) for row in found.scores], columns))
+        print(format_text_table([vars(row) for row in found.scores], columns))
     print(out)
     return TrajectoryScores(rows)

@@ -14,7 +14,7 @@ from jaxunshear.cli.options import (
     read_engine_options,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.owners import check_apart
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.settings.experiment import Experiment, get_recorded, list_trained_networks
 
 NETWORKS = "networks"  # stands for those of the experiment
@@ -82,12 +82,12 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns the exit code."""
-    from jaxunshear.folders import model_folder
+    from jaxunshear.model_folders import find_model_folder
 
     asked = read_engine_options(arguments) if arguments.command in SIMULATING else None
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
-    elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
+    elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
@@ -102,25 +102,25 @@ def run(arguments: argparse.Namespace, command: str) -> int:
                 f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}"
             )
         networks = (arguments.network,)
-    check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
+    check_outside(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
     stages = [
         name
         for stage in STAGES[arguments.command]
         for name in (networks if stage == NETWORKS else (stage,))
     ]
-    from jaxunshear.cluster import here, over_ray
-    from jaxunshear.memory import keep_freed_memory
+    from jaxunshear.allocator import keep_freed_memory
+    from jaxunshear.cluster import make_ray_runner, run_locally
     from jaxunshear.run import run_stages
 
     keep_freed_memory()
-    spread = over_ray(*asked) if asked else here
+    spread = make_ray_runner(*asked) if asked else run_locally
     results = run_stages(
         experiment,
         tuple(stages),
         out=arguments.out,
         data=arguments.data,
         command=command,
-        spread=spread,
+        run_calls=spread,
     )
     if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import build_measurements
@@ -132,14 +132,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
     """Return the experiment of FILE with what the command line changes in it, before it is checked or finds recordings."""
-    from jaxunshear.fit import BASE
-    from jaxunshear.folders import load_settings, model_folder
+    from jaxunshear.fit import BASE_EXPERIMENT
+    from jaxunshear.model_folders import find_model_folder, load_settings
     from jaxunshear.settings.fields import override_fields
     from jaxunshear.settings.load import load_experiment
 
     if arguments.command == "fit":
-        return override_fields(BASE, fields)
-    if arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
+        return override_fields(BASE_EXPERIMENT, fields)
+    if arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
         return load_settings(folder)
     experiment = load_experiment(arguments.file)
     if arguments.sensor_from:
@@ -155,9 +155,9 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
 
     experiment = read_base(arguments, arguments.fields)
     if arguments.recordings:
-        from jaxunshear.fit import with_recordings
+        from jaxunshear.fit import set_recordings
 
-        experiment = with_recordings(
+        experiment = set_recordings(
             experiment, str(arguments.recordings), str(arguments.recordings)
         )
     validate(experiment)
@@ -166,15 +166,15 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """The experiment that `fit` writes beside its results."""
-    from jaxunshear.fit import BASE, with_recordings, write_experiment
+    from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
     from jaxunshear.settings.fields import override_fields
     from jaxunshear.settings.rules import validate
 
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
-    experiment = override_fields(BASE, ["--name", "fit", *arguments.fields])
+    experiment = override_fields(BASE_EXPERIMENT, ["--name", "fit", *arguments.fields])
     words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
-    experiment = with_recordings(experiment, *words)
+    experiment = set_recordings(experiment, *words)
     validate(experiment)
     file = arguments.out / f"{experiment.name}.py"
     write_experiment(experiment, file)
@@ -186,7 +186,7 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
     """The experiment of a finished run, which is named by its folder."""
     from dataclasses import replace
 
-    from jaxunshear.folders import load_settings
+    from jaxunshear.model_folders import load_settings
 
     if arguments.fields or arguments.sensor_from:
         asked = arguments.fields[0] if arguments.fields else "--sensor-from"

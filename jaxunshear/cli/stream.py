@@ -18,10 +18,10 @@ from jaxunshear.cli.options import (
     new_parser,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_beside, check_new_file, check_new_folder
+from jaxunshear.files import explain_os_error
+from jaxunshear.output_checks import check_new_file, check_new_folder, check_not_among
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.results.applications import StreamResult
-from jaxunshear.storage import os_error
 
 
 def add_parser(commands: Commands) -> None:
@@ -62,11 +62,11 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
     if arguments.images is not None and Path(arguments.source).exists():
-        check_beside(Path(arguments.source), arguments.images, "--images")
+        check_not_among(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
     check_new_folder(arguments.images, "--images")
-    check_apart(arguments.lines, "--lines")
-    check_apart(arguments.images, "--images")
+    check_outside(arguments.lines, "--lines")
+    check_outside(arguments.images, "--images")
     folder, experiment = model
     source = Path(arguments.source)
     like = arguments.like or (source if source.is_dir() else None)
@@ -105,4 +105,4 @@ def _lines(path: Path | None) -> Iterator[TextIO]:
     except OSError as error:
         if error.filename not in (None, str(path)):
             raise
-        raise os_error(path, error) from error
+        raise explain_os_error(path, error) from error

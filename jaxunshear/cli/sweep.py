@@ -79,19 +79,19 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
     if arguments.recordings is not None:
-        from jaxunshear.fit import with_recordings
+        from jaxunshear.fit import set_recordings
 
         words = (str(arguments.recordings), str(arguments.recordings))
-        sweep = dataclasses.replace(sweep, base=with_recordings(sweep.base, *words))
+        sweep = dataclasses.replace(sweep, base=set_recordings(sweep.base, *words))
     check_sweep(sweep, str(arguments.file))
 
-    from jaxunshear.owners import check_apart
+    from jaxunshear.protected_folders import check_outside
     from jaxunshear.results.record_files import write_record
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
     from jaxunshear.sweep.summary_table import format_table
 
-    check_apart(arguments.json, "--json", home=arguments.out / sweep.name)
+    check_outside(arguments.json, "--json", home=arguments.out / sweep.name)
     engine: engines.Engine = engines.make_ray_engine(*asked) if asked else engines.run_serially
     summary = run_sweep(
         sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed

@@ -48,13 +48,13 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             like=arguments.like,
         )
     else:
-        measured = infer.pose_of_recordings(
+        measured = infer.predict_recordings(
             arguments.path, arguments.model, force=arguments.force, like=arguments.like
         )
     if arguments.json:
         from dataclasses import replace
 
-        from jaxunshear.storage import write_json
+        from jaxunshear.files import write_json
 
         write_json(arguments.json, replace(measured, command=command))
     counts = {row.name: row.value or 0 for row in measured.rows}

@@ -27,11 +27,11 @@ from jaxunshear.contact.elasticity import (
 )
 from jaxunshear.contact.mesh import make_dome_mesh
 from jaxunshear.errors import UserError
+from jaxunshear.files import cache_folder
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.settings.reach import RING_MM, compute_ring_arcs, compute_ring_spacing
 from jaxunshear.settings.sensor import Sensor, check_sensor
-from jaxunshear.storage import cache_folder
 
 VERSION = 5  # of what a cache file means: to be raised with every change of the model
 MESH_MM = 1.0  # of elements, where rings are RING_MM apart

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax import Array
 
-from jaxunshear.cluster import Call, Died, Spread, here
+from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.dataset.sampling import ContactSamples
 from jaxunshear.errors import UserError
+from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.image.png import encode_png
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
@@ -23,7 +24,6 @@ from jaxunshear.settings.configs import compute_config_name, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 PNG_LEVEL = 4
 RENDER_BATCH = 16  # images rendered at once: one shape to compile, little memory
@@ -37,10 +37,10 @@ class SimulationEngine(NamedTuple):
     render: Callable[
         ..., tuple[np.ndarray, np.ndarray]
     ]  # (settings, sensor, tips, number, age) -> images, pins in px
-    run_calls: Spread = here  # who makes the chunks
+    run_calls: CallRunner = run_locally  # who makes the chunks
 
 
-def make_engine(spread: Spread = here) -> SimulationEngine:
+def make_engine(spread: CallRunner = run_locally) -> SimulationEngine:
     """The real one."""
     from jaxunshear.contact import simulate
 
@@ -84,7 +84,7 @@ def simulate_chunks(
         label, total, unit="contacts", done=total - sum(map(len, left.values()))
     ) as progress:
         for path, chunk in engine.run_calls(calls):
-            if isinstance(chunk, Died):
+            if isinstance(chunk, WorkerDied):
                 hint = (
                     "fewer at once (--ray-cores) have more memory each; then run the same command"
                 )

@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxunshear.dataset.chunks import encode_stored_png, iterate_usable_rows, load_chunk
 from jaxunshear.dataset.sampling import ContactSamples
+from jaxunshear.files import Json
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import Json
 
 
 def summarise_set(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from jaxunshear.dataset.chunks import SimulationEngine
 from jaxunshear.dataset.sampling import check_settings
-from jaxunshear.errors import UserError, first_line
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import compute_checksum, explain_os_error, raise_machine_error, read_object
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, list_further_tests, takes_taps
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import blame_the_machine, checksum, os_error, read_object
 
 
 def format_remedy(folder: Path) -> str:
@@ -35,9 +35,9 @@ def read_metadata(settings: configs.DataSettings, sensor: Sensor, data_dir: Path
             read_object(folder / configs.MANIFEST),
         )
     except UserError as error:
-        blame_the_machine(folder, error)
-        raise make_damage_error(folder, first_line(error)) from error
-    intact = sums.get(configs.METADATA) in (None, checksum(metadata)) and isinstance(
+        raise_machine_error(folder, error)
+        raise make_damage_error(folder, get_first_line(error)) from error
+    intact = sums.get(configs.METADATA) in (None, compute_checksum(metadata)) and isinstance(
         metadata.get("counts"), dict
     )
     if not intact:
@@ -70,7 +70,7 @@ def make_set(
         try:
             _make(settings, sensor, folder.parents[2], engine)
         except OSError as error:
-            raise os_error(folder, error) from error
+            raise explain_os_error(folder, error) from error
     metadata = read_metadata(settings, sensor, data_dir)
     shutil.rmtree(
         configs.get_unfinished_folder(settings, sensor, data_dir), ignore_errors=True

@@ -22,15 +22,15 @@ from jaxunshear.dataset.recorded_contacts import (
     select_probes,
 )
 from jaxunshear.dataset.recordings import Recordings, read_image
-from jaxunshear.environment import cores
+from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
-from jaxunshear.evenly import evenly
+from jaxunshear.files import write_npz
 from jaxunshear.progress import Progress
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import write_npz
 
 if TYPE_CHECKING:
     from jaxunshear.image.lattice import Lattice
@@ -117,7 +117,7 @@ def find_files_frame(
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.sensor_check import invert_image
 
-    rows = evenly(len(files), LATTICE_FRAMES)
+    rows = select_evenly(len(files), LATTICE_FRAMES)
     found = []
     for row in rows:
         try:
@@ -170,7 +170,7 @@ Done = TypeVar("Done")
 
 def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
     """`work(*job)` of each job, in order: in processes of their own where there is work enough for two."""
-    workers = min(cores(), len(jobs))
+    workers = min(count_cores(), len(jobs))
     if workers < 2:
         yield from (work(*job) for job in jobs)
         return

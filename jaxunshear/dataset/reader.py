@@ -24,12 +24,12 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.dataset.chunks import pack_bits, unpack_bits
 from jaxunshear.dataset.generation import format_remedy, make_damage_error, read_metadata
 from jaxunshear.dataset.pose_groups import group_by_pose
-from jaxunshear.errors import UserError, first_line
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import raise_machine_error, read_object
 from jaxunshear.settings.configs import MANIFEST, DataSettings, get_set_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import blame_the_machine, read_object
 
 MAX_MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared", "other", "swapped")  # the last two as in `factorial`
@@ -153,8 +153,8 @@ class SetReader(Reader):
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
-            blame_the_machine(self.folder, error)
-            raise make_damage_error(self.folder, first_line(error)) from error
+            raise_machine_error(self.folder, error)
+            raise make_damage_error(self.folder, get_first_line(error)) from error
 
 
 def open_set(
@@ -225,7 +225,7 @@ def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
     try:
         sums = read_object(folder / MANIFEST)
     except UserError as error:
-        blame_the_machine(folder / MANIFEST, error)
+        raise_machine_error(folder / MANIFEST, error)
         raise make_damage_error(folder, MANIFEST) from error
     shards = sorted(name for name in sums if f"-{split}." in name)
     for name in shards:

@@ -18,7 +18,7 @@ from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.pose_block import cut_block
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.evenly import evenly
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import SENSORS, Sensor
@@ -112,7 +112,7 @@ def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Senso
 def select_probes(contacts: RecordedContacts) -> np.ndarray:
     """Rows of up to PROBES training contacts, evenly spaced: what a camera's frames have in common is found from these alone."""
     rows = np.flatnonzero(contacts.split == SPLITS.index("train"))
-    return rows[evenly(len(rows), PROBES)]
+    return rows[select_evenly(len(rows), PROBES)]
 
 
 def find_common_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":

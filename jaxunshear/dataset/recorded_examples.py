@@ -13,10 +13,10 @@ from jaxunshear.dataset.chunks import encode_stored_png, iterate_usable_rows, lo
 from jaxunshear.dataset.preprocessing import SensorFrame, find_sensor_frame, prepare_chunks
 from jaxunshear.dataset.recorded_contacts import RecordedContacts, read_contacts
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import Json
 
 MAX_NAMED = 20  # frames left out that metadata name, at most
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.image.pin_detection import DetectedPins, detect_pins
@@ -21,6 +20,7 @@ from jaxunshear.image.pin_tracking import track_all
 from jaxunshear.image.preprocess import View
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinScore, PinScores
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.image import Preprocess
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
@@ -98,7 +98,7 @@ def _found(
     """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
     found: list[DetectedPins] = []
     names: list[str] = []
-    wanted = set(evenly(len(recordings), DRAWN).tolist())
+    wanted = set(select_evenly(len(recordings), DRAWN).tolist())
     drawn: dict[int, np.ndarray] = {}
     spent, seen = 0.0, 0
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:

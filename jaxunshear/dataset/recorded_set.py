@@ -17,6 +17,7 @@ from jaxunshear.dataset.reader import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_contacts import RecordedContacts
 from jaxunshear.dataset.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.settings.data import RENDERED_PAIRINGS, Recorded
@@ -28,7 +29,6 @@ from jaxunshear.settings.targets import (
     make_label_targets,
     make_move_targets,
 )
-from jaxunshear.storage import Json
 
 TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)

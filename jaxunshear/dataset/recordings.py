@@ -34,7 +34,7 @@ from jaxunshear.dataset.labels import (
     read_table,
     read_targets,
 )
-from jaxunshear.errors import UserError, first_line
+from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.settings.image import Preprocess
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ def read_image(file: Path | bytes) -> np.ndarray:
     except UserError:
         raise
     except Exception as error:  # decoders meet broken files with errors of every kind
-        raise UserError(f"no readable image ({first_line(error)})") from None
+        raise UserError(f"no readable image ({get_first_line(error)})") from None
     return _convert_unsigned(raw, tags)
 
 
@@ -212,7 +212,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
                     f"{folder} has images of its own, so those below it, such as in {hidden}, are not read"
                 )
     except OSError as error:
-        raise UserError(f"{path} cannot be searched: {first_line(error)}") from None
+        raise UserError(f"{path} cannot be searched: {get_first_line(error)}") from None
     if not files:
         raise UserError(
             f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings"
@@ -286,7 +286,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
         try:
             json.loads(file.read_text(encoding="utf-8"))
         except (ValueError, OSError, RecursionError) as error:
-            text = f"this JSON is broken ({first_line(error)}); it is not needed, so the reading goes on without it"
+            text = f"this JSON is broken ({get_first_line(error)}); it is not needed, so the reading goes on without it"
             notes.append(Problem.at(file, text))
 
 

@@ -25,6 +25,7 @@ from jaxunshear.downstream.geometry import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import compute_intervals
+from jaxunshear.files import Json
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference.perception import (
@@ -35,7 +36,6 @@ from jaxunshear.inference.perception import (
 )
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 from jaxunshear.settings.experiment import Experiment, require_simulated
-from jaxunshear.storage import Json
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact

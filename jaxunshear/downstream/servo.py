@@ -26,6 +26,7 @@ from jaxunshear.dataset.chunks import RENDER_BATCH, pack_bits, render_images
 from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_positions
 from jaxunshear.downstream.controller import ControllerGains, ControllerState, control
 from jaxunshear.errors import UserError
+from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.inference.perception import EdgeEstimator
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
@@ -35,7 +36,6 @@ from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline, StimulusSetting
-from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 MAX_EDGE_DISTANCE_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.evenly import evenly
+from jaxunshear.selection import select_evenly
 
 MAX_TAPS = 2000  # of the training split are searched, evenly chosen
 MAX_SHIFT = 0.25  # of the image's side: how far a translation may go
@@ -25,7 +25,7 @@ def collect_training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.nda
         ):
             taps.setdefault((int(stimulus), int(pose)), tap)
     every = list(taps.values())
-    return np.stack([every[index] for index in evenly(len(every), MAX_TAPS)])
+    return np.stack([every[index] for index in select_evenly(len(every), MAX_TAPS)])
 
 
 def make_baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:

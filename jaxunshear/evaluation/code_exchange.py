@@ -18,15 +18,15 @@ from jaxunshear.dataset.reader import Reader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
 from jaxunshear.evaluation.pin_errors import compute_half_pitch
 from jaxunshear.evaluation.slide_estimation import is_slipping
-from jaxunshear.evenly import evenly
+from jaxunshear.files import Json
 from jaxunshear.image.png import to_uint8
 from jaxunshear.metrics.pin_error import measure_pin_error
 from jaxunshear.model import pin_networks, unshearnet
 from jaxunshear.model.weights import Net, Variables
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 
@@ -112,7 +112,7 @@ def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> J
     if not isinstance(reader, FactorialReader):
         return None
     road = _make_modality(net)
-    rows = evenly(reader.length("test"), MOST)
+    rows = select_evenly(reader.length("test"), MOST)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
     compared = partial(_decode_exchanged, road, variables, reader, (rows, others, swapped))

@@ -17,6 +17,7 @@ from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_intervals, n
 from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
 from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, get_cell_target, make_cell_metrics
+from jaxunshear.files import Json, write_json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
@@ -24,7 +25,6 @@ from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples

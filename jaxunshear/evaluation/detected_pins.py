@@ -13,9 +13,9 @@ import numpy as np
 
 from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.evaluation.score_collection import IMAGES, PINS
-from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import track_images
+from jaxunshear.selection import select_evenly
 
 DETECTED = "found"  # the name of this test
 MAX_PAIRS = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
@@ -34,7 +34,7 @@ class DetectedPairs(NamedTuple):
 def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> DetectedPairs | None:
     """None where no pair can be followed, as in images too small to show pins."""
     count = reader.length("test")
-    rows = evenly(count, MAX_PAIRS)
+    rows = select_evenly(count, MAX_PAIRS)
     batch = reader.take("test", rows, fields)
     reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}

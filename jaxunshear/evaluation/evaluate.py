@@ -57,6 +57,7 @@ from jaxunshear.evaluation.unambiguous_edges import (
     mark_smooth,
     score_edge_angles,
 )
+from jaxunshear.files import write_bytes
 from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
@@ -75,7 +76,6 @@ from jaxunshear.settings.experiment import (
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import make_range_targets, read_true_values
-from jaxunshear.storage import write_bytes
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples, open_recorded_set

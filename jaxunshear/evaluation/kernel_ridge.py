@@ -13,7 +13,7 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.metrics.pairwise import euclidean_distances
 from sklearn.model_selection import GridSearchCV, PredefinedSplit
 
-from jaxunshear.evenly import evenly
+from jaxunshear.selection import select_evenly
 
 FEWEST = 10  # examples
 TRIED_ON = 1000  # examples at most, by which kernel and ridge are chosen
@@ -39,7 +39,7 @@ def fitted(features: np.ndarray, outputs: np.ndarray) -> Ridge:
     known = features - middle
     scale = float(np.sqrt(np.mean(np.sum(known**2, axis=1)))) or 1.0
     known /= scale
-    some = evenly(len(known), TRIED_ON)
+    some = select_evenly(len(known), TRIED_ON)
     model = _chosen(known[some], outputs[some])
     mean = outputs.mean(axis=0)
     return Ridge(middle, scale, model.fit(known, outputs - mean), mean)

@@ -30,12 +30,12 @@ from jaxunshear.evaluation.probe_data import (
 )
 from jaxunshear.evaluation.probes import FAMILIES
 from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
+from jaxunshear.files import Json, write_json
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import Examples, open_examples

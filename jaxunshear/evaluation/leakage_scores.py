@@ -6,10 +6,10 @@ import numpy as np
 
 from jaxunshear.evaluation.probe_data import ProbeSplit
 from jaxunshear.evaluation.probes import fit_whitening
-from jaxunshear.evenly import evenly
+from jaxunshear.files import Json
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.independence import compute_hsic
-from jaxunshear.storage import Json
+from jaxunshear.selection import select_evenly
 
 SEED = 0
 MOST_COMPARED = 500  # poses, in the criterion of independence
@@ -26,7 +26,7 @@ def measure_independence(
     nothing by a large p.
     """
     first = np.unique(test.poses, return_index=True)[1]
-    chosen = first[evenly(len(first), MOST_COMPARED)]
+    chosen = first[select_evenly(len(first), MOST_COMPARED)]
     shuffled = np.random.default_rng(SEED).permutation(chosen)
     found = []
     for row in rows:

@@ -1,6 +1,6 @@
 """What `leakage` found, for sweeps and for people."""
 
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of what DS draws, over images and over pins
 DECODED_UNITS = (*UNITS, "missed_per_image")

@@ -5,10 +5,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from jaxunshear.plain import plain
+from jaxunshear.files import Json
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.results.run import CodeSwapScore, Results, Table
-from jaxunshear.storage import Json
+from jaxunshear.serialization import to_builtins
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),
@@ -80,7 +80,7 @@ def _rows(
 def select_reproducible(results: Results) -> Json:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
     places = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
-    return {name: value for name, value in plain(results).items() if name not in places}
+    return {name: value for name, value in to_builtins(results).items() if name not in places}
 
 
 def _row(name: str, value: float | None, unit: str, metric: str) -> Measurement:

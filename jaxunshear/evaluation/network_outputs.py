@@ -12,13 +12,13 @@ from jax import Array
 from jaxunshear.evaluation.baselines import make_baseline_images
 from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
+from jaxunshear.files import Json
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.dispatch import unshear
 from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.settings.targets import Targets
-from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from jaxunshear.training.examples import PinLayout
 

@@ -20,13 +20,13 @@ from jaxunshear.evaluation import recorded_evaluation
 from jaxunshear.evaluation.conformal import compute_coverage
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.recorded_descriptions import describe_test
+from jaxunshear.files import read_object
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results, Table
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, get_recorded
-from jaxunshear.storage import read_object
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.initial_weights import check_unseen

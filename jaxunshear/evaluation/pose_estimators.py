@@ -20,10 +20,10 @@ import numpy as np
 from jaxunshear.dataset.reader import Reader
 from jaxunshear.evaluation.kernel_ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, score_poses
-from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.model.posenet import scale_poses, unscale_outputs
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.registry import POSENET, UNSHEARING
 from jaxunshear.settings.targets import Targets, list_label_fields
@@ -67,7 +67,7 @@ def fit_estimator(
     name: str, taps: Reader, targets: Targets, max_taps: int = MAX_TAPS
 ) -> RidgeEstimator | None:
     """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
-    rows = evenly(taps.length("train"), max_taps)
+    rows = select_evenly(taps.length("train"), max_taps)
     fields = list_label_fields(targets)
     batch = taps.take("train", rows, (INPUT_FIELDS[name], *fields))
     return fit_to_features(

@@ -9,7 +9,7 @@ from jaxunshear.dataset.reader import Batch, Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
-from jaxunshear.evenly import evenly
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.settings.targets import (
@@ -71,7 +71,7 @@ def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int)
         raise UserError(
             f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
         )
-    rows = rows[evenly(len(rows), most)]
+    rows = rows[select_evenly(len(rows), most)]
     more = () if get_recorded(experiment) else ("felt", "edge", "stuck", "slipping")
     images = () if uses_pins(experiment) else ("sheared",)
     return reader.take(split, rows, (PINS, *images, *LABELS, *more))

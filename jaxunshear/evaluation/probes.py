@@ -27,7 +27,7 @@ from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.evaluation import kernel_ridge
-from jaxunshear.evenly import evenly
+from jaxunshear.selection import select_evenly
 
 HIDDEN, LAYERS = 128, 2
 STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
@@ -99,7 +99,7 @@ def fit_kernel_ridge(
     data = _prepare(codes, targets, test_codes, groups)
     choices = ((data.x, data.others), (np.asarray(codes, np.float64), test_codes))
     learnt = np.flatnonzero(~data.held_out)
-    some, judged = learnt[evenly(len(learnt), kernel_ridge.TRIED_ON)], data.held_out
+    some, judged = learnt[select_evenly(len(learnt), kernel_ridge.TRIED_ON)], data.held_out
 
     def error(features: tuple[np.ndarray, np.ndarray]) -> float:
         model = kernel_ridge.fitted(features[0][some], data.y[some])

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, compute_differences, score_poses
-from jaxunshear.evenly import evenly
 from jaxunshear.image.png import to_uint8
 from jaxunshear.progress import Progress
+from jaxunshear.selection import select_evenly
 from jaxunshear.settings.targets import Targets, read_true_values
 
 BATCH = 32  # contacts that are scored at once
@@ -60,7 +60,7 @@ def collect_scores(
     Shorter batches are filled up to BATCH by repeating their first contact, so `run` compiles once for all that it is fed; the surplus
     is dropped.
     """
-    kept = evenly(total, keep)
+    kept = select_evenly(total, keep)
     scores: list[dict[str, np.ndarray]] = []
     labels: list[dict[str, np.ndarray]] = []
     images: list[dict[str, np.ndarray]] = []

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxunshear.evaluation.bootstrap import LEVEL, compute_interval, resample_means
 from jaxunshear.evaluation.probes import fit_gaussian
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 MIN_SLIP_SHARE = (
     0.99  # share of the touching skin that slips, from which on a slide counts as slipped

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.folders import load_settings, model_folder
+from jaxunshear.files import Json, write_bytes, write_text
 from jaxunshear.image.png import encode_png, to_uint8
 from jaxunshear.inference.inference_stats import (
     LabelErrors,
@@ -24,13 +24,13 @@ from jaxunshear.inference.inference_stats import (
     make_row,
 )
 from jaxunshear.inference.suitability import learnt_note
-from jaxunshear.places import check_beside
-from jaxunshear.plain import csv_text
+from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.output_checks import check_not_among
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
+from jaxunshear.serialization import format_csv
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.storage import Json, write_bytes, write_text
 
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
@@ -57,9 +57,9 @@ def unshear_recordings(
     Raises `UserError` where the model or every image cannot be read, where `out` lies among the recordings, or where the images are not
     of the model's sensor, unless `force`d.
     """
-    model = model_folder(model)
+    model = find_model_folder(model)
     experiment = _settings_for(path, model)
-    check_beside(path, out, "--out")
+    check_not_among(path, out, "--out")
     network = _perceiver(
         model,
         experiment,
@@ -90,8 +90,8 @@ def unshear_recordings(
                 quantity: _format_cell(values[i])
                 for quantity, values in answers.poses.get("unsheared", {}).items()
             }
-            table.append(image | poses | _recorded(recordings, row) | {"left_out": why})
-    write_text(out / "poses.csv", csv_text(table))
+            table.append(image | poses | _format_labels(recordings, row) | {"left_out": why})
+    write_text(out / "poses.csv", format_csv(table))
     notes = list(recordings.notes)
     if not network.names:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
@@ -105,7 +105,7 @@ def unshear_recordings(
     left_out.report(print)
     errors.report(print)
     _print_summary([*notes, note], print)
-    return _measured(
+    return _add_provenance(
         [
             *count_rows("unshear", used, recordings),
             make_row("unshear.time_per_image", float(np.median(seconds)), "s"),
@@ -114,7 +114,7 @@ def unshear_recordings(
     )
 
 
-def pose_of_recordings(
+def predict_recordings(
     path: Path, model: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
     """Prints, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
@@ -122,7 +122,7 @@ def pose_of_recordings(
     Notes and errors against the labels go to stderr, so that the CSV can be piped on. Returns the same as rows. Raises as
     `unshear_recordings`.
     """
-    model = model_folder(model)
+    model = find_model_folder(model)
     experiment = _settings_for(path, model)
     network = _perceiver(model, experiment, True, like or path)
     if not network.names:
@@ -147,15 +147,15 @@ def pose_of_recordings(
                         measured.append(
                             make_row(f"{name}.{way}.{quantity}", float(values[i]), unit)
                         )
-            table.append(line | _recorded(recordings, row) | {"left_out": why})
-    print(csv_text(table).rstrip("\n"))
+            table.append(line | _format_labels(recordings, row) | {"left_out": why})
+    print(format_csv(table).rstrip("\n"))
     note = partial(print, file=sys.stderr)
     used = len(table) - left_out.count
     note(f"poses of {used} images, {len(recordings) - used} left out")
     left_out.report(note)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
-    return _measured([*measured, *count_rows("pose", used, recordings), *errors.rows()])
+    return _add_provenance([*measured, *count_rows("pose", used, recordings), *errors.rows()])
 
 
 def _perceiver(model: Path, experiment: Experiment, recorded_too: bool, like: Path) -> "Perceiver":
@@ -210,7 +210,7 @@ def _answers(
         progress.advance(len(recordings) - seen)  # left out at the end
 
 
-def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
+def _format_labels(recordings: "Recordings", row: int) -> dict[str, str]:
     """The labels that came with an image; empty cells where this one has none."""
     cells = {}
     for kind, values in (("pose", recordings.poses), ("move", recordings.moves)):
@@ -231,8 +231,8 @@ def _print_summary(notes: list[str], log: Log) -> None:
         log(f"note: and {len(notes) - 10} more")
 
 
-def _measured(rows: list[Measurement]) -> Measured:
+def _add_provenance(rows: list[Measurement]) -> Measured:
+    from jaxunshear.code_version import read_source
     from jaxunshear.metrics.machine import describe_machine, list_versions
-    from jaxunshear.source import read_source
 
     return Measured(rows, describe_machine(), list_versions(), read_source())

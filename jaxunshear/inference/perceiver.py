@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
+from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.dataset.preprocessing import (
     LIKE_REMEDY,
@@ -28,6 +29,7 @@ from jaxunshear.dataset.preprocessing import (
 from jaxunshear.dataset.recorded_set import parse_frame
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json, read_object
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.pin_tracking import track_images
@@ -41,7 +43,6 @@ from jaxunshear.image.sensor_check import (
     measure_sensor_appearance,
 )
 from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
-from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
 from jaxunshear.model.dispatch import predict, unshear
 from jaxunshear.model.inference import jit_for_inference
@@ -51,7 +52,6 @@ from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import list_target_names
-from jaxunshear.storage import Json, read_object
 from jaxunshear.training.checkpoint import has_model
 from jaxunshear.training.examples import FRAME
 

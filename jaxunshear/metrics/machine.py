@@ -5,10 +5,10 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
-from jaxunshear.environment import cores
+from jaxunshear.code_version import read_source
+from jaxunshear.environment import count_cores
+from jaxunshear.files import Json
 from jaxunshear.results.measurement import Machine
-from jaxunshear.source import read_source
-from jaxunshear.storage import Json
 
 PACKAGES = (
     *("jaxunshear", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint"),
@@ -33,7 +33,7 @@ def describe_machine() -> Machine:
     device = jax.devices()[0]
     return Machine(
         processor=_processor(),
-        cores=cores(),
+        cores=count_cores(),
         memory_gib=_memory_gib(),
         system=f"{platform.system()} {platform.machine()}",
         device=f"{device.platform}: {device.device_kind}",

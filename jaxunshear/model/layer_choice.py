@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import jax
 
-from jaxunshear.environment import AUTO, FAST, PLAIN, kernels_asked
+from jaxunshear.environment import AUTO, FAST, PLAIN, read_kernels_choice
 from jaxunshear.model.fast import compiled_kernels
 
 T = TypeVar("T")
@@ -21,7 +21,7 @@ _asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", d
 
 def choose_layers() -> str:
     """PLAIN or FAST. Raises UserError for another value of the variable."""
-    way = _asked.get() or kernels_asked()
+    way = _asked.get() or read_kernels_choice()
     if way != AUTO:
         return way
     return FAST if jax.default_backend() in ("cpu", "gpu") else PLAIN

@@ -6,12 +6,12 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json, read_object
 from jaxunshear.report import html
 from jaxunshear.report.html import address_of, format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
 from jaxunshear.results.folders import find_results_folder
-from jaxunshear.storage import Json, read_object
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: METHOD_TITLES[name] for name in METHOD_TITLES if "unsheared" in METHOD_TITLES[name]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.results.sweep import CellResult, SweepResult
 from jaxunshear.settings.registry import DISENTANGLED, TEACHER
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -141,7 +141,7 @@ def plot_frontier(summary: SweepResult) -> bytes | None:
             f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none"
         )
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
-        return png_of(figure)
+        return encode_png(figure)
 
 
 def plot_panel(

@@ -7,7 +7,7 @@ from jaxunshear.dataset.simulated_contacts import SimulatedContacts
 from jaxunshear.downstream.geometry import HEIGHT_METHODS, INVERSE, interpolate_surface
 from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, compute_correlation
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
+from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, encode_png
 
 CELLS, WIDTH = 48, 2.7
 TRUTH = "true indentation"
@@ -89,4 +89,4 @@ def _surfaces(
             axes.set_title(title, fontsize=size)
             if column == 0:
                 axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=size)
-    return png_of(figure)
+    return encode_png(figure)

@@ -4,7 +4,7 @@ from markupsafe import Markup
 
 from jaxunshear.evaluation.measurements import build_measurements
 from jaxunshear.evaluation.score import choose_main_kind
-from jaxunshear.progress import duration
+from jaxunshear.progress import format_duration
 from jaxunshear.report import html, labels
 from jaxunshear.report.html import format_number
 from jaxunshear.results.run import Results, Table
@@ -113,7 +113,7 @@ def _error(value: float | None, quantity: str) -> str:
 
 
 def _run_total(results: Results) -> Markup:
-    machine, total = results.machine, duration(sum(results.time_s.values()))
+    machine, total = results.machine, format_duration(sum(results.time_s.values()))
     return html.card(
         "Entire run",
         "",

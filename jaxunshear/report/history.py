@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.errors import Note
-from jaxunshear.storage import Json, unsealed
+from jaxunshear.files import Json, check_and_remove_checksum
 
 
 class History(NamedTuple):
@@ -28,7 +28,7 @@ def read_lines(path: Path) -> list[Json]:
     rows, lines = text.splitlines(), []
     for line in rows:
         try:
-            lines.append(unsealed(json.loads(line)))
+            lines.append(check_and_remove_checksum(json.loads(line)))
         except ValueError:
             continue
     kept = [

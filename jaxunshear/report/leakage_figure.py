@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxunshear.storage import Json
-from jaxunshear.style import png_of
+from jaxunshear.files import Json
+from jaxunshear.style import encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
@@ -32,7 +32,7 @@ def plot_leakage(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
     _bars(parts[0], results)
     if exchanged is not None:
         _matrix(parts[1], exchanged)
-    return png_of(figure)
+    return encode_png(figure)
 
 
 def _bars(figure: "FigureBase", results: Json) -> None:

@@ -11,10 +11,10 @@ from PIL import Image
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
+from jaxunshear.files import BROKEN_NPZ, read_npz
 from jaxunshear.report import html, labels
 from jaxunshear.results.run import Results
-from jaxunshear.storage import BROKEN_NPZ, read_npz
-from jaxunshear.style import png_of
+from jaxunshear.style import encode_png
 
 MISSING, SURPLUS = (
     (255, 122, 26),
@@ -106,7 +106,7 @@ def plot_montage(shown: MontageImages, results: Results) -> bytes:
             va="center",
             fontsize=8,
         )
-    return png_of(figure)
+    return encode_png(figure)
 
 
 def select_typical(shown: MontageImages) -> tuple[list[int], list[int]]:

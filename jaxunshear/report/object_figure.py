@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from jaxunshear.downstream.object_reconstruction import ReconstructedObject
 from jaxunshear.downstream.shape_estimators import SKIN, VORONOI
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
-from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
+from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, encode_png, wrap_title
 
 PICTURES = {  # by maker: the end of a file's name, and what is shown
     SKIN: ("skin", "how high the skin stands, red above the level of the object's edge"),
@@ -62,5 +62,5 @@ def plot_objects(stimulus: str, solids: dict[str, ReconstructedObject], shown: s
                 low, high = line[felt.min(axis=0)], line[felt.max(axis=0)]
                 axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]))
     text = f"{stimulus}: {shown}, and the shape made of it (simulated), mm"
-    figure.suptitle(headed(text, columns), fontsize=HEAD + 1)
-    return png_of(figure)
+    figure.suptitle(wrap_title(text, columns), fontsize=HEAD + 1)
+    return encode_png(figure)

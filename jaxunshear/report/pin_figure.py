@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pin_track import PinTrack
-from jaxunshear.style import png_of
+from jaxunshear.style import encode_png
 
 COLUMNS = 4
 
@@ -36,7 +36,7 @@ def plot_pins(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -
         "Lines lead from where each pin stands untouched to where it is; circled: not found",
         fontsize=9,
     )
-    return png_of(figure)
+    return encode_png(figure)
 
 
 def _words(lattice: Lattice, track: PinTrack) -> str:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.results.sweep import CellResult, Failure, Figures, SweepResult
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png
 
 SHOWN_METRICS = (  # in this order; a metric that is the same in all cells says nothing and is left out
     "ms_ssim/*",
@@ -50,7 +50,7 @@ def plot_sweep(summary: SweepResult) -> bytes | None:
         figure.suptitle(
             f"{summary.sweep}: means over {len(summary.seeds)} seeds and the test contacts"
         )
-        return png_of(figure)
+        return encode_png(figure)
 
 
 def select_metrics(summary: SweepResult) -> list[str]:

@@ -8,12 +8,12 @@ from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.plain import plain
-from jaxunshear.progress import duration
+from jaxunshear.progress import format_duration
 from jaxunshear.report import html, labels
 from jaxunshear.report.history import History
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.run import Results
+from jaxunshear.serialization import to_builtins
 from jaxunshear.style import COLOURS, INK, STYLE
 
 RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
@@ -32,7 +32,7 @@ def build_training_section(
             f"{summary.parameters:,}",
             str(summary.steps),
             f"{summary.images_per_second:.3g}",
-            duration(summary.train_seconds),
+            format_duration(summary.train_seconds),
             str(summary.best_step),
         ]
         for name, summary in summaries.items()
@@ -120,9 +120,9 @@ def build_contacts_section(results: Results) -> Markup:
 def build_provenance_section(results: Results) -> Markup:
     held = (
         results.seeds,
-        plain(results.machine),
+        to_builtins(results.machine),
         results.versions,
-        plain(results.source) if results.source else {},
+        to_builtins(results.source) if results.source else {},
     )
     parts = (html.table(("", ""), list(part.items())) for part in held if part)
     settings = html.code(json.dumps(results.settings, indent=2))

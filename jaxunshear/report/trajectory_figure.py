@@ -7,7 +7,7 @@ from matplotlib.patches import Polygon
 from jaxunshear.downstream.contour import Contour
 from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
-from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
+from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, encode_png, wrap_title
 
 METHOD_TITLES = {
     "true": "true pose",
@@ -45,6 +45,6 @@ def plot_trajectories(walks: Trajectories, line: Contour, stimulus: str) -> byte
         axes.set_aspect("equal")
         axes.tick_params(labelsize=LABEL)
     figure.suptitle(
-        headed(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1
+        wrap_title(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1
     )
-    return png_of(figure)
+    return encode_png(figure)

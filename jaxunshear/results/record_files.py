@@ -11,8 +11,8 @@ from typing import TypeVar
 import msgspec
 
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.files import read_json, write_json
+from jaxunshear.serialization import to_builtins
 
 SCHEMA = 1  # of all records; a file that names none is of this first one
 Record = TypeVar("Record")
@@ -20,7 +20,7 @@ Record = TypeVar("Record")
 
 def write_record(path: Path, record: object) -> None:
     """Replaces `path` in one step."""
-    write_json(path, {"schema": SCHEMA} | plain(record))
+    write_json(path, {"schema": SCHEMA} | to_builtins(record))
 
 
 def read_record(path: Path, kind: type[Record], remedy: str) -> Record:

@@ -4,7 +4,7 @@ import warnings
 from pathlib import Path
 
 from jaxunshear.errors import Note, UserError
-from jaxunshear.storage import read_object
+from jaxunshear.files import read_object
 
 TIMES = "times.json"
 

@@ -5,9 +5,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.results.measurement import Machine, TrainingSummary
 from jaxunshear.results.record_files import read_record
-from jaxunshear.storage import Json
 
 
 def read_training_facts(run_dir: Path, networks: Iterable[str]) -> Json:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.settings.sensor import (
@@ -17,7 +18,6 @@ from jaxunshear.settings.sensor import (
     TACTIP_331_FLUSH,
     Sensor,
 )
-from jaxunshear.storage import Json
 
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"

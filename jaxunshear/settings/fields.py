@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.outlines import parse_stimulus
 from jaxunshear.settings.sensor import Sensor, get_sensor
@@ -24,7 +25,6 @@ from jaxunshear.settings.types import (
     list_groups,
     list_hints,
 )
-from jaxunshear.storage import Json
 
 NOT_SETTABLE = ("config", "digest")
 

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_json
 from jaxunshear.settings.stimuli import (
     ABS_FRICTION,
     Outline,
@@ -22,7 +23,6 @@ from jaxunshear.settings.stimuli import (
     StimulusSetting,
     Target,
 )
-from jaxunshear.storage import read_json
 
 FILES = (".svg", ".csv", ".json")
 MM = {"mm": 1.0, "cm": 10.0, "in": 25.4}

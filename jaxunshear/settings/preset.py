@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_json
 from jaxunshear.settings.experiment import Experiment, require_simulated
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.serialization import build_value
-from jaxunshear.storage import read_json
 
 
 @dataclass(frozen=True)

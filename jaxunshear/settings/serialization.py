@@ -5,6 +5,7 @@ import typing
 from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.types import (
     Hint,
@@ -14,7 +15,6 @@ from jaxunshear.settings.types import (
     list_groups,
     list_hints,
 )
-from jaxunshear.storage import Json
 from jaxunshear.version import __version__
 
 VERSION = "version"  # of the package that wrote the settings beside it

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.data import Ranges
-from jaxunshear.storage import Json
 
 RANGE, CIRCLE = "range", "circle"
 SIMULATED_FIELDS = {  # name: the field of a simulated set and its column

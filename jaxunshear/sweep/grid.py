@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.settings.configs import VERSION, convert_to_floats
 from jaxunshear.settings.data import PairingMethod, PoseData, Recorded
 from jaxunshear.settings.experiment import (
@@ -42,7 +43,6 @@ from jaxunshear.settings.registry import (
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
-from jaxunshear.storage import Json
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it

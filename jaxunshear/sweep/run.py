@@ -10,7 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.locks import locked
+from jaxunshear.files import write_bytes
+from jaxunshear.locks import hold_lock
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import plot_frontier
 from jaxunshear.report.sweep_figure import plot_sweep
@@ -18,7 +19,6 @@ from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.experiment import list_trained_networks
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.storage import write_bytes
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, run_serially
 from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows
@@ -46,7 +46,7 @@ def run_sweep(
     cells = list_cells(sweep)
     rows, reference = list_rows(sweep, cells), find_reference(sweep, cells)
     folder = Path(out).absolute() / sweep.name
-    with locked(folder / LOCK, wait=False) as free:
+    with hold_lock(folder / LOCK, wait=False) as free:
         if not free:
             raise UserError(
                 f"another sweep is at work in {folder}: wait for it, stop it, or give another --out"

@@ -9,10 +9,10 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.unambiguous_edges import SMOOTH
+from jaxunshear.files import BROKEN_NPZ, explain_os_error, read_npz
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.stimuli import list_stimulus_names
-from jaxunshear.storage import BROKEN_NPZ, os_error, read_npz
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
@@ -45,7 +45,7 @@ def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         return read_npz(path)
     except OSError as error:
-        raise os_error(path, error, "read") from error
+        raise explain_os_error(path, error, "read") from error
     except BROKEN_NPZ as error:
         raise UserError(f"{path} is damaged ({error}): {remedy}") from error
 

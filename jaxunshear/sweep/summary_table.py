@@ -3,7 +3,7 @@
 from jaxunshear.report.frontier_figure import list_ranked
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.settings.registry import POSENET_SHEARED
-from jaxunshear.table import plain_table
+from jaxunshear.text_table import format_text_table
 
 DIRECT_KIND = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
 
@@ -31,7 +31,7 @@ def format_table(summary: SweepResult) -> str:
             *_costs(cell),
         ]
         rows.append(dict(zip(head, line, strict=True)))
-    text = [plain_table(rows, head)]
+    text = [format_text_table(rows, head)]
     text.append(f"brackets: 95 % intervals over {summary.spread['over']}")
     if summary.reference:
         text.append("* what sweep.json has the differences from")

@@ -15,18 +15,18 @@ import traceback
 from dataclasses import replace
 from pathlib import Path
 
+from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.code_version import read_source
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
-from jaxunshear.locks import locked
-from jaxunshear.memory import keep_freed_memory
+from jaxunshear.files import is_disk_full
+from jaxunshear.locks import hold_lock
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
 from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.serialization import from_json
-from jaxunshear.source import read_source
-from jaxunshear.storage import disk_is_full
 from jaxunshear.sweep.tasks import (
     DISK_FULL,
     LOCK,
@@ -47,7 +47,7 @@ def main(folder: Path, parent: int) -> int:
     exit_with_parent(parent)
     read_source()  # as the code is now; it may be changed while this works
     keep_freed_memory()
-    with locked(
+    with hold_lock(
         folder / LOCK, wait=True
     ):  # one left over from a killed sweep may still be at its end
         order = read_order(folder)
@@ -56,7 +56,7 @@ def main(folder: Path, parent: int) -> int:
             try:
                 write_record(outcome, run_order(order, folder))
             except Exception as error:
-                if disk_is_full(error):
+                if is_disk_full(error):
                     print(f"{type(error).__name__}: {error}", file=sys.stderr)
                     return DISK_FULL
                 raise
@@ -79,13 +79,13 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
         made = {"data": _data, "training": _training, "row": _row}[order.kind](order, folder)
         outcome = copy_order_fields(order, made)
     except UserError as error:
-        if disk_is_full(error):
+        if is_disk_full(error):
             raise
         outcome = make_failure(
             order, str(error) if order.kind == "data" else _to_retry(str(error)), folder
         )
     except Exception as error:  # also a MemoryError, and what XLA makes of one
-        if disk_is_full(error):
+        if is_disk_full(error):
             raise
         traceback.print_exc()
         outcome = make_failure(order, f"{type(error).__name__}: {error}"[:500], folder)

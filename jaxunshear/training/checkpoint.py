@@ -23,8 +23,9 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
-from jaxunshear import storage
-from jaxunshear.errors import UserError, first_line
+from jaxunshear import files
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import Json
 from jaxunshear.model.weights import Net, Variables, list_leaves
 from jaxunshear.settings.networks import (
     PinPoseNet,
@@ -36,7 +37,6 @@ from jaxunshear.settings.networks import (
 )
 from jaxunshear.settings.serialization import OTHERS, with_version, without_version
 from jaxunshear.settings.targets import Targets, from_json
-from jaxunshear.storage import Json
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
@@ -66,14 +66,14 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as writer:
             writer.save((part / "state").absolute(), arrays)
         digests = {DIGEST: _digest(arrays), FILES: _digest_of_files(part / "state")}
-        storage.write_json(part / "record.json", record | {"step": step} | digests)
+        files.write_json(part / "record.json", record | {"step": step} | digests)
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
     except UserError:
         raise
     except Exception as error:  # a full disk reaches us as many types
         raise UserError(
-            f"cannot write checkpoint {target} ({first_line(error)}): is the disk full?"
+            f"cannot write checkpoint {target} ({get_first_line(error)}): is the disk full?"
         ) from error
     for path in target.parent.iterdir():
         if path not in (target, _path(folder, record["best_step"])):
@@ -128,7 +128,7 @@ def check_finished(folder: Path) -> None:
             f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`"
         )
     if (folder / SUMMARY).exists():
-        storage.read_object(folder / SUMMARY)
+        files.read_object(folder / SUMMARY)
 
 
 def load_best(folder: Path) -> Json:
@@ -166,19 +166,19 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
         for name, leaf in list_leaves(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
-    storage.write_npz(
+    files.write_npz(
         Path(folder) / WEIGHTS, {DIGEST: np.array(_digest(arrays))} | arrays, compressed=True
     )
 
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
     try:
-        arrays = storage.read_npz(path)
+        arrays = files.read_npz(path)
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
-    except storage.BROKEN_NPZ as error:
-        storage.blame_the_machine(path, error)
+    except files.BROKEN_NPZ as error:
+        files.raise_machine_error(path, error)
         raise UserError(
-            f"{path} is damaged ({first_line(error)}): install or copy these weights again"
+            f"{path} is damaged ({get_first_line(error)}): install or copy these weights again"
         ) from error
     if not intact:
         raise UserError(
@@ -204,8 +204,8 @@ def write_settings(folder: Path, settings: Json) -> None:
     settings."""
     path = Path(folder) / MODEL
     if not path.exists():
-        return storage.write_json(path, with_version(settings))
-    old, new = _flat(_read_model(path)), _flat(storage.plain(settings))
+        return files.write_json(path, with_version(settings))
+    old, new = _flat(_read_model(path)), _flat(files.to_builtins(settings))
     for name in old | new:
         if old.get(name) != new.get(name):
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
@@ -239,19 +239,19 @@ def read_net(folder: Path) -> Net:
 
 def _read_model(path: Path) -> Json:
     """Read model.json without its version. Raises UserError if another version wrote it."""
-    return without_version(storage.read_object(path), path)
+    return without_version(files.read_object(path), path)
 
 
 def read_slides(folder: Path) -> Targets:
     """What the shear code of the network in `folder` says of the slide; nothing where it was not taught. Raises UserError."""
     path = Path(folder) / MODEL
-    return from_json(storage.read_object(path).get("slides", []), str(path))
+    return from_json(files.read_object(path).get("slides", []), str(path))
 
 
 def read_targets(folder: Path) -> Targets:
     """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
     path = Path(folder) / MODEL
-    stored = storage.read_object(path)
+    stored = files.read_object(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
         return ()
     return from_json(
@@ -270,9 +270,9 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
             arrays = reader.restore((path / "state").absolute())
         intact = _digest(arrays) == record[DIGEST]
     except Exception as error:  # whatever a damaged file makes of itself
-        storage.blame_the_machine(path, error)
+        files.raise_machine_error(path, error)
         raise UserError(
-            f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}"
+            f"checkpoint {path} is damaged ({get_first_line(error)}): {_remedy(folder, path)}"
         ) from error
     if not intact:
         raise UserError(
@@ -284,14 +284,14 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
 def _record(folder: Path, step: int) -> Json:
     path = _path(folder, step)
     try:
-        record = storage.read_object(path / "record.json")
+        record = files.read_object(path / "record.json")
         if not {"best_step", DIGEST, "history"} <= record.keys():
             raise UserError("its record is incomplete")
         return record
     except (UserError, AttributeError) as error:
-        storage.blame_the_machine(path, error)
+        files.raise_machine_error(path, error)
         raise UserError(
-            f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}"
+            f"checkpoint {path} is damaged ({get_first_line(error)}): {_remedy(folder, path)}"
         ) from error
 
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxunshear.environment import DEVICE_COUNT, devices_asked
+from jaxunshear.environment import DEVICE_COUNT, read_device_count
 from jaxunshear.errors import UserError
 
 State = TypeVar("State")
@@ -46,7 +46,7 @@ class Devices(NamedTuple):
 def get_devices(batch: int) -> Devices:
     """Those that the environment asks for. Raises UserError where there are fewer, or where `batch` cannot be split over them."""
     there = jax.devices()
-    count = devices_asked() or len(there)
+    count = read_device_count() or len(there)
     if count > len(there):
         raise UserError(
             f"{DEVICE_COUNT}={count}: JAX sees {len(there)} here ({there[0].platform}): use at most so many"

@@ -23,6 +23,7 @@ from jaxunshear.dataset.recorded_set import (
     open_recorded,
 )
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.data import RENDERED_PAIRINGS, PairedData, PoseData
@@ -35,7 +36,6 @@ from jaxunshear.settings.targets import (
     make_range_targets,
     make_slide_targets,
 )
-from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 POSES_AT_ONCE = 1024

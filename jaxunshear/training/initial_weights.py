@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from jaxunshear.dataset.digests import parse_folder_digests
 from jaxunshear.errors import UserError
-from jaxunshear.folders import model_folder
+from jaxunshear.files import Json, read_object
+from jaxunshear.model_folders import find_model_folder
 from jaxunshear.settings.configs import compute_fingerprint
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import (
@@ -18,7 +19,6 @@ from jaxunshear.settings.experiment import (
     require_simulated,
 )
 from jaxunshear.settings.serialization import OTHERS
-from jaxunshear.storage import Json, read_object
 
 
 class InitialWeights(NamedTuple):
@@ -30,7 +30,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
     """Find the weights of `network` to begin from, if any. Raises UserError if they are missing or learnt the tests."""
     if not (model := get_training(experiment, network).start):
         return None
-    folder = model_folder(Path(model)) / network
+    folder = find_model_folder(Path(model)) / network
     if not (folder / "model.json").is_file():
         raise UserError(
             f"start: {folder.parent} holds no {network}: name a run or released weights that have it"

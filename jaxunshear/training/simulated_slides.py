@@ -23,10 +23,10 @@ from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.reader import Batch
 from jaxunshear.dataset.recorded_set import RecordedSet, SlideSimulator
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_npz
 from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import compute_config_name
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import write_npz
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip

@@ -11,6 +11,7 @@ from jax import Array
 
 from jaxunshear.dataset.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.model import pin_networks, posenet
 from jaxunshear.model.unshearnet import match_entangled_size
 from jaxunshear.model.weights import Net, Variables
@@ -46,7 +47,6 @@ from jaxunshear.settings.registry import (
 )
 from jaxunshear.settings.targets import Targets, list_label_fields
 from jaxunshear.settings.training import Training, uses_pose_labels
-from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import optax
 
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
 

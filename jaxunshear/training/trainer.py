@@ -22,9 +22,11 @@ import numpy as np
 import optax
 from jax import Array
 
-from jaxunshear import storage
+from jaxunshear import files
+from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.code_version import read_source
 from jaxunshear.errors import UserError
-from jaxunshear.memory import keep_freed_memory
+from jaxunshear.files import Json
 from jaxunshear.metrics.machine import describe_machine
 from jaxunshear.model import layer_choice
 from jaxunshear.model.fast import compiled_kernels
@@ -33,8 +35,6 @@ from jaxunshear.results import record_files
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
-from jaxunshear.source import read_source
-from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms
@@ -333,6 +333,7 @@ def _rank_loss(loss: float | None) -> float:
 
 def _write_log(folder: Path, history: list[Json]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
-    storage.write_text(
-        folder / "log.jsonl", "".join(json.dumps(storage.sealed(line)) + "\n" for line in history)
+    files.write_text(
+        folder / "log.jsonl",
+        "".join(json.dumps(files.add_checksum(line)) + "\n" for line in history),
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear import cluster
-from jaxunshear.cluster import Call, here
+from jaxunshear.cluster import Call, run_locally
 from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.errors import UserError
@@ -23,24 +23,24 @@ MARK = "FAKE_CLUSTER"  # in the environment of its processes: another test may h
 SCRIPT = """
 import runpy, sys
 from pathlib import Path
-from jaxunshear.cluster import over_ray
+from jaxunshear.cluster import make_ray_runner
 from jaxunshear.dataset.generation import make_set
 fake = runpy.run_path(sys.argv[1])
-make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(spread=over_ray(sys.argv[3], 1)))
+make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(spread=make_ray_runner(sys.argv[3], 1)))
 """
 
 
 def test_calls_are_done_here_in_their_order():
     calls = [Call(Path(name), str.upper, (name,)) for name in "ba"]
-    assert list(here(calls)) == [(Path("b"), "B"), (Path("a"), "A")]
+    assert list(run_locally(calls)) == [(Path("b"), "B"), (Path("a"), "A")]
     with pytest.raises(ZeroDivisionError):
-        list(here([Call(Path("c"), divmod, (1, 0))]))
+        list(run_locally([Call(Path("c"), divmod, (1, 0))]))
 
 
 def test_nothing_to_do_starts_no_cluster(monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
-    assert list(cluster.over_ray(None, 1)([])) == []
+    assert list(cluster.make_ray_runner(None, 1)([])) == []
     assert "RAY_USAGE_STATS_ENABLED" not in os.environ  # which it sets before it starts one
 
 
@@ -154,5 +154,7 @@ def test_the_error_of_a_call_is_raised_here_as_it_was(monkeypatch):
     faults = [ray.exceptions.RayTaskError("_after", "", UserError("the disk is full")), crash]
     monkeypatch.setattr(ray, "get", lambda reference: (_ for _ in ()).throw(faults.pop(0)))
     with pytest.raises(UserError, match="the disk is full"):
-        cluster._made(None)
-    assert cluster._made(None) == cluster.Died("its Ray worker died too often: WorkerCrashedError")
+        cluster._fetch_result(None)
+    assert cluster._fetch_result(None) == cluster.WorkerDied(
+        "its Ray worker died too often: WorkerCrashedError"
+    )

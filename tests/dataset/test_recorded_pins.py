@@ -11,10 +11,10 @@ from jaxunshear.api import find_pins
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import project, render_frame
 from jaxunshear.image.lattice_fitting import make_layout, read_layout
-from jaxunshear.plain import plain
 from jaxunshear.results.applications import PinScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.image import Camera, Nuisance
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
@@ -63,7 +63,7 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]
     assert (
-        plain(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
+        to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
         and held["schema"] == SCHEMA
     )
     assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [

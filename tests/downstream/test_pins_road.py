@@ -12,6 +12,7 @@ from jaxunshear.dataset.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
+from jaxunshear.files import write_json
 from jaxunshear.image.pin_drawing import draw_dots
 from jaxunshear.image.pin_tracking import measure_motions, track_images
 from jaxunshear.image.rest_positions import compute_rest_lattice
@@ -29,7 +30,6 @@ from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.settings.targets import to_json as targets_json
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))

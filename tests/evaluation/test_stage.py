@@ -11,13 +11,13 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import select_reproducible
-from jaxunshear.plain import plain
+from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import examples
 from jaxunshear.training.data_origin import describe_origin
 
@@ -105,7 +105,7 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
 def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):
     (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
     results = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert read_json(run_dir / "results.json") == {"schema": SCHEMA} | plain(results)
+    assert read_json(run_dir / "results.json") == {"schema": SCHEMA} | to_builtins(results)
     assert read_record(run_dir / "results.json", Results, "again") == results
     assert results.metric["ms_ssim"] == "ms_ssim@2"
     assert results.time_s["data"] == 12.5

@@ -63,9 +63,9 @@ def _parsed() -> argparse.Namespace:
 
 def _write(path: Path | None, rows: list[Row]) -> None:
     """Rows of another call that were not run again stay, each with its call and code."""
+    from jaxunshear.code_version import read_source
+    from jaxunshear.files import read_json, write_json
     from jaxunshear.metrics.machine import describe_provenance
-    from jaxunshear.source import read_source
-    from jaxunshear.storage import read_json, write_json
 
     if path is not None:
         before = read_json(path)["rows"] if path.exists() else []

@@ -15,18 +15,18 @@ from jaxunshear.dataset.generation import make_set
 from jaxunshear.dataset.reader import open_set
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
+from jaxunshear.files import read_json
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.configs import get_set_folder, get_set_name
 from jaxunshear.settings.data import PairedData, PoseData, Recorded
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.serialization import from_json
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim
 from tests.faults.outcome import Row, Size, attempt, commanded, digest
@@ -129,7 +129,7 @@ def _inputs(run: Path) -> Act:
 
 def _json(run: Path) -> Act:
     def act() -> object:
-        return {str(file): plain(read_json(file)) for file in sorted(run.rglob("*.json"))}
+        return {str(file): to_builtins(read_json(file)) for file in sorted(run.rglob("*.json"))}
 
     return act
 
@@ -167,7 +167,7 @@ def _model(weights: Path) -> Act:
         model = load_model(weights)
         folders = sorted(file.parent for file in weights.rglob("model.json"))
         parts = [(bits(load_best(one)), read_net(one), read_targets(one)) for one in folders]
-        return parts, plain(read_json(weights / "experiment.json")), type(model)
+        return parts, to_builtins(read_json(weights / "experiment.json")), type(model)
 
     return act
 
@@ -177,7 +177,7 @@ def _set(settings: PairedData | Recorded, experiment: object, data: Path) -> Act
 
     def act() -> object:
         reader = open_set(settings, data, sensor)
-        return [bits(reader.rows(split)) for split in SPLITS], plain(reader.metadata)
+        return [bits(reader.rows(split)) for split in SPLITS], to_builtins(reader.metadata)
 
     return act
 

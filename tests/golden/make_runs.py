@@ -125,13 +125,13 @@ def differences(golden: Any, found: Any, tolerance: float, path: str = "") -> It
 
 def describe_machine() -> dict[str, Any]:
     """Return what decides how sums are rounded."""
-    from jaxunshear.environment import cores
+    from jaxunshear.environment import count_cores
     from jaxunshear.metrics.machine import list_versions
     from jaxunshear.model import layer_choice
 
     return {
         "processor": _describe_processor(),
-        "cores": cores(),
+        "cores": count_cores(),
         "versions": {name: list_versions()[name] for name in ("jax", "jaxlib", "numpy", "scipy")},
         "XLA flags": os.environ.get("XLA_FLAGS", ""),
         "layers": layer_choice.describe_layers(),
@@ -153,8 +153,8 @@ def _describe_processor() -> str:
 
 def collect_run(folder: Path, data: Path) -> dict[str, Any]:
     """Return the first batch, losses and parameters of a run's networks, and the test scores."""
+    from jaxunshear.files import read_object
     from jaxunshear.settings.serialization import from_json
-    from jaxunshear.storage import read_object
 
     folder = Path(folder)
     experiment = from_json(read_object(folder / "experiment.json"))

@@ -15,6 +15,7 @@ from PIL import Image
 
 from jaxunshear import __version__
 from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.files import write_json
 from jaxunshear.inference import infer
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings import targets
@@ -23,7 +24,6 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.serialization import to_json
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 

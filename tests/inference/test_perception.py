@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_json
 from jaxunshear.inference.perception import (
     TRUE_POSE,
     confidence,
@@ -17,13 +18,12 @@ from jaxunshear.inference.perception import (
     make_edge_estimators,
 )
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.release import PARTS
+from jaxunshear.release import RELEASED_PARTS
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import UNSHEARING
 from jaxunshear.settings.targets import make_range_targets, to_json
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 
@@ -79,7 +79,9 @@ def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, way):
 
 def test_released_weights_perceive_as_the_run_does(model, images, tmp_path):
     for name in ("disentangled", "posenet"):
-        checkpoint.write_weights(tmp_path / name, checkpoint.load_best(model / name), PARTS[name])
+        checkpoint.write_weights(
+            tmp_path / name, checkpoint.load_best(model / name), RELEASED_PARTS[name]
+        )
         shutil.copy(model / name / "model.json", tmp_path / name)
     assert list_methods(tmp_path) == list_methods(model) == ("sheared", "disentangled")
     of_run = viewed(model, "disentangled", images)[1]

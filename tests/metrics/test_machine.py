@@ -4,9 +4,9 @@ import json
 import platform
 
 from jaxunshear.metrics.machine import describe_machine, list_versions
-from jaxunshear.plain import plain
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import convert_record
+from jaxunshear.serialization import to_builtins
 
 
 def test_machine_is_plain_and_says_something():
@@ -14,7 +14,9 @@ def test_machine_is_plain_and_says_something():
     assert found.cores >= 1
     assert found.processor
     assert found.device.count(":") >= 1
-    assert convert_record(json.loads(json.dumps(plain(found))), Machine, "it", "again") == found
+    assert (
+        convert_record(json.loads(json.dumps(to_builtins(found))), Machine, "it", "again") == found
+    )
 
 
 def test_versions_name_python_and_jax():

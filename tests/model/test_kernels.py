@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.environment import KERNELS, check_environment
+from jaxunshear.environment import KERNELS_VARIABLE, check_environment
 from jaxunshear.errors import UserError
 from jaxunshear.model import layer_choice, posenet, unet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
@@ -97,14 +97,14 @@ def test_they_are_the_same_function_in_double_precision(name):
 
 
 def test_the_switch_is_one_variable(monkeypatch):
-    monkeypatch.delenv(KERNELS, raising=False)
+    monkeypatch.delenv(KERNELS_VARIABLE, raising=False)
     assert layer_choice.choose_layers() == layer_choice.FAST
-    monkeypatch.setenv(KERNELS, "plain")
+    monkeypatch.setenv(KERNELS_VARIABLE, "plain")
     assert layer_choice.choose_layers() == layer_choice.PLAIN and layer_choice.pick_layer(1, 2) == 1
-    monkeypatch.setenv(KERNELS, "quick")
+    monkeypatch.setenv(KERNELS_VARIABLE, "quick")
     with pytest.raises(
         UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"
     ):
         layer_choice.choose_layers()
-    with pytest.raises(UserError, match=KERNELS):
+    with pytest.raises(UserError, match=KERNELS_VARIABLE):
         check_environment()

@@ -14,9 +14,9 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.dataset.digests import compute_digest
 from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.files import write_json
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
-from jaxunshear.storage import write_json
 from tests.golden import make_runs
 
 sys.path.insert(0, str(Path(__file__).parent))

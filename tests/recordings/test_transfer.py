@@ -15,6 +15,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import sim_to_real
 from jaxunshear.evaluation.other_recordings import format_table
 from jaxunshear.evaluation.sim_to_real import align_to_labels, choose_scored_labels, score_transfer
+from jaxunshear.files import write_json
 from jaxunshear.image.sensor_check import measure_sensor_appearance
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
@@ -25,8 +26,8 @@ from jaxunshear.inference.perceiver import (
     make_frame_transforms,
 )
 from jaxunshear.model import pin_networks, posenet
-from jaxunshear.plain import plain
 from jaxunshear.scene.pin_layout import compute_pin_lattice
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.experiment import Experiment
@@ -34,7 +35,6 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.settings.serialization import to_json
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
 RNG = np.random.default_rng(0)
@@ -158,7 +158,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
         and counts.test_poses == 40
         and counts.test_unsure == 0
     )
-    json.dumps(plain(results))
+    json.dumps(to_builtins(results))
 
 
 def test_too_few_taps_are_refused_by_name(tmp_path):

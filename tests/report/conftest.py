@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.evaluation.evaluate import build_results, encode_montage
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.score_collection import CollectedScores
-from jaxunshear.plain import plain
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.experiment import Experiment
 
 VOID = {"meta", "img", "br"}
@@ -107,7 +107,7 @@ def make_run(folder):
         name="made up",
         claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report.",
     )
-    results = plain(build_results(experiment, gathered)) | {
+    results = to_builtins(build_results(experiment, gathered)) | {
         "ms_per_image": {
             "disentangled": {"median": 4.2, "p95": 5.1},
             "posenet": {"median": 1.1, "p95": 1.3},

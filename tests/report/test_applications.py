@@ -3,10 +3,10 @@
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import write_bytes, write_json
 from jaxunshear.report import applications
 from jaxunshear.report.montage import png_address
 from jaxunshear.report.report import write_report
-from jaxunshear.storage import write_bytes, write_json
 
 GEOMETRY = {
     "way": "inverse",

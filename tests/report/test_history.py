@@ -5,15 +5,15 @@ import json
 import pytest
 
 from jaxunshear.errors import Note
+from jaxunshear.files import add_checksum, write_json
 from jaxunshear.report.history import read_history
 from jaxunshear.results.times import read_times
-from jaxunshear.storage import sealed, write_json
 
 
 def test_a_damaged_line_is_left_out_with_a_note(tmp_path):
     path = tmp_path / "log.jsonl"
     lines = [
-        json.dumps(sealed({"epoch": at, "train_seconds": 1.5, "train": {"loss": 0.25}}))
+        json.dumps(add_checksum({"epoch": at, "train_seconds": 1.5, "train": {"loss": 0.25}}))
         for at in (1, 2, 3)
     ]
     path.write_text("\n".join(lines) + "\n")

@@ -12,12 +12,12 @@ from jaxunshear.evaluation import recorded_evaluation
 from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.score_collection import CollectedScores
-from jaxunshear.fit import BASE
-from jaxunshear.plain import plain
+from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.targets import make_label_targets
 
@@ -91,11 +91,11 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
         tap_folder=FOLDER, slide_folder=FOLDER, digest="12ab", pairing=pairing or "rendered"
     )
     experiment = replace(
-        BASE,
+        BASE_EXPERIMENT,
         name="laboratory",
         paired=settings,
         networks=networks,
-        unshear=replace(BASE.unshear, input="pins" if over else "images"),
+        unshear=replace(BASE_EXPERIMENT.unshear, input="pins" if over else "images"),
     )
     slides = gathered(networks, pairing, over, True) if "posenet_sheared" in networks else None
     taps = gathered(networks, pairing, over, False) if "posenet" in networks else None
@@ -123,7 +123,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     readers = (reader if slides else None, reader if taps else None)
     test = recorded_evaluation.RecordedTest(*readers, bool(slides and pairing), "same session")
     results = round_values(
-        plain(recorded_evaluation.build_results(experiment, stored, targets, slides, taps, test))
+        to_builtins(
+            recorded_evaluation.build_results(experiment, stored, targets, slides, taps, test)
+        )
         | {
             "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
             "time_s": {"posenet": 341.0, "evaluate": 20.0},

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_json, write_json
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import SCHEMA, read_record, write_record
 from jaxunshear.results.run import Results, Tables
 from jaxunshear.results.sweep import Figure, SweepResult
-from jaxunshear.storage import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Results(

@@ -6,12 +6,12 @@ import pytest
 
 from jaxunshear import __version__
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_json, write_json
 from jaxunshear.run import run_stages
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
 from jaxunshear.settings.serialization import from_json, to_json, with_version
-from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.checkpoint import read_net, write_settings
 
 NOW = Experiment(name="now", claim="none")

@@ -16,19 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.code_version import read_source
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
+from jaxunshear.files import explain_os_error, read_json, write_json
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import Outcome
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.configs import describe_set
 from jaxunshear.settings.experiment import Experiment, get_training_data
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.serialization import to_json
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.source import read_source
-from jaxunshear.storage import os_error, read_json, write_json
 from jaxunshear.sweep import worker
 from jaxunshear.sweep.grid import select_training_part
 
@@ -87,7 +87,7 @@ def train(experiment, network, folder, data):
     record = TrainingSummary(
         steps=STEPS, parameters=1, best_step=STEPS, train_seconds=seconds, images_per_second=100.0
     )
-    write_json(place / "summary.json", state | plain(record))
+    write_json(place / "summary.json", state | to_builtins(record))
 
 
 def check_checkpoints(source):
@@ -104,7 +104,7 @@ def fail(learning_rate, place):
         os.kill(os.getpid(), signal.SIGKILL)
     if learning_rate == 1 / 16 and "STAND_IN_FULL" in os.environ:
         error = OSError(errno.ENOSPC, "No space left on device")
-        raise os_error(place, error) from error
+        raise explain_os_error(place, error) from error
     if learning_rate == 1 / 8:
         raise ZeroDivisionError("a bug\nof two lines")
 
@@ -131,7 +131,7 @@ def evaluate(experiment, folder):
             network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks
         },
     }
-    return convert_record(plain(found), Results, "made up", "again")
+    return convert_record(to_builtins(found), Results, "made up", "again")
 
 
 def ablate(experiment, folder, data, command):
@@ -170,7 +170,7 @@ def main():
         summary = run_sweep(
             failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more
         )
-        print(json.dumps(plain(summary)))
+        print(json.dumps(to_builtins(summary)))
         return 0
     for name, functions in {
         "ablation": (ablate,),

@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear import run
 from jaxunshear.errors import UserError
-from jaxunshear.fit import BASE as RECORDED
+from jaxunshear.fit import BASE_EXPERIMENT as RECORDED
 from jaxunshear.settings.experiment import Experiment, list_required_networks, list_trained_networks
 from jaxunshear.settings.fields import list_field_types, replace_field
 from jaxunshear.settings.networks import UnshearNet

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxunshear.code_version import read_source
 from jaxunshear.dataset.generation import list_sets
 from jaxunshear.errors import UserError
-from jaxunshear.locks import locked
-from jaxunshear.plain import plain
+from jaxunshear.files import read_json, write_json
+from jaxunshear.locks import hold_lock
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.results.sweep import SweepResult
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.serialization import from_json
-from jaxunshear.source import read_source
-from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
 from jaxunshear.sweep.summary import select_reproducible
@@ -45,7 +45,7 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
     summary = swept(stand_in.SWEEP)
     assert [len(cell.seeds) for cell in summary.cells] == [2, 2, 2, 2]
     assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(
-        json.dumps(plain(summary))
+        json.dumps(to_builtins(summary))
     )
     assert (tmp_path / "small" / "sweep.png").exists()
     assert {(found.version, found.date) for found in summary.sources} == {
@@ -301,7 +301,7 @@ def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
 
 
 def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
-    with locked(tmp_path / "small" / LOCK, wait=False) as free:
+    with hold_lock(tmp_path / "small" / LOCK, wait=False) as free:
         assert free
         with pytest.raises(UserError, match="another sweep is at work"):
             swept(stand_in.SWEEP)
@@ -315,7 +315,7 @@ def test_a_worker_waits_for_the_one_before_it_and_does_nothing_twice(
     (folder,) = (tmp_path / "small" / "rows").iterdir()
     (folder / "row.json").rename(tmp_path / "kept.json")
     done = steps()
-    with locked(folder / LOCK, wait=False) as free:
+    with hold_lock(folder / LOCK, wait=False) as free:
         assert free
         process = subprocess.Popen([*stand_in.WORKER, str(folder), str(os.getpid())])
         time.sleep(1)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.plain import plain
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
+from jaxunshear.serialization import to_builtins
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.sweep.crossed_bootstrap import compute_interval
@@ -268,7 +268,7 @@ def test_nothing_done_without_a_grid_is_a_summary_too():
 
 
 def test_it_is_json_and_costs_are_all_that_may_differ(summary):
-    again = json.loads(json.dumps(plain(summary)))
+    again = json.loads(json.dumps(to_builtins(summary)))
     assert again["axes"] == [
         {"name": "patch_weight", "fields": ["train.patch_weight"], "values": ["0.0", "0.1", "1.0"]}
     ]

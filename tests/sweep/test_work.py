@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import os_error
+from jaxunshear.files import explain_os_error
 from jaxunshear.sweep import worker
 from jaxunshear.sweep.tasks import TaskOrder
 
-FULL = os_error(Path("somewhere"), OSError(errno.ENOSPC, "No space left on device"))
+FULL = explain_os_error(Path("somewhere"), OSError(errno.ENOSPC, "No space left on device"))
 
 
 @pytest.fixture

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.folders import RELEASED, load_settings
+from jaxunshear.files import write_json
 from jaxunshear.model import unshearnet
+from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.settings.configs import compute_fingerprint
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment, list_further_tests
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
     InitialWeights,

@@ -13,14 +13,14 @@ import numpy as np
 
 from jaxunshear import __version__
 from jaxunshear.errors import UserError
-from jaxunshear.folders import load_settings, model_folder
+from jaxunshear.files import write_bytes
 from jaxunshear.inference.infer import FRAMES, OWN_FRAME
 from jaxunshear.inference.suitability import learnt_note
-from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_folder
+from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.output_checks import check_new_folder
+from jaxunshear.protected_folders import check_outside
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.storage import write_bytes
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.frames import ExportCamera
@@ -44,7 +44,7 @@ def export_model(
     """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
     as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
     _check(out, batch, preprocess)
-    folder = model_folder(model)
+    folder = find_model_folder(model)
     experiment = load_settings(folder)
     if preprocess is not None and uses_pins(experiment):
         raise UserError(
@@ -75,7 +75,7 @@ def _check(out: Path, batch: int | None, preprocess: Path | None) -> None:
     if out.is_dir():
         raise UserError(f"--out {out} is a folder: name a file")
     check_new_folder(out.parent)
-    check_apart(out, "--out")
+    check_outside(out, "--out")
     if batch is not None and not 1 <= batch <= 4096:
         raise UserError(f"--batch {batch}: use 1 to 4096, or any")
     if preprocess is not None and out.suffix != ONNX:
@@ -122,7 +122,7 @@ def _onnx(
     )
 
 
-def stablehlo_of(parts: "ExportedModel", batch: int | None) -> bytes:
+def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
     """`parts.make_exported_function` as `jax.export.deserialize` reads it. `batch`: None for any."""
     import jax
     from jax import export
@@ -147,7 +147,7 @@ def _stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]
 
     from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
-    data = stablehlo_of(parts, batch)
+    data = build_stablehlo(parts, batch)
     run = jax.jit(export.deserialize(bytearray(data)).call)
     return data, measure_difference(
         parts, lambda each: jax.device_get(run(each)), make_check_inputs(parts), batch

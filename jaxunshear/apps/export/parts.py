@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
 from jaxunshear.inference.perception import confidence, load_networks, scale_to_unit
 from jaxunshear.model import posenet
@@ -17,7 +18,6 @@ from jaxunshear.model.weights import Net, Variables
 from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
-from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import has_model
 
 Run = Callable[[np.ndarray], Json]

@@ -22,6 +22,7 @@ from jaxunshear.apps.robot.frame_sources import SourceFrame
 from jaxunshear.dataset.preprocessing import SensorFrame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json, write_bytes
 from jaxunshear.image.png import encode_png, to_uint8
 from jaxunshear.image.preprocess import View, combine_views, find_view, prepare_frame
 from jaxunshear.image.sensor_check import (
@@ -42,7 +43,6 @@ from jaxunshear.settings.experiment import Experiment, uses_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import list_target_names
-from jaxunshear.storage import Json, write_bytes
 
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 

@@ -23,10 +23,10 @@ from jaxunshear.dataset.chunks import SimulationEngine, make_engine, simulate_ch
 from jaxunshear.dataset.examples import summarise_set
 from jaxunshear.dataset.sampling import sample_contacts
 from jaxunshear.errors import UserError
+from jaxunshear.files import compute_checksum, write_json
 from jaxunshear.settings import configs
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import checksum, write_json
 
 if not hasattr(tfds, "core"):  # TFDS logs what its own import raised, and goes on without its parts
     raise UserError(
@@ -95,7 +95,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
         sums = {path.name: compute_sha256(path) for path in shards} | {
-            configs.METADATA: checksum(dict(self.info.metadata))
+            configs.METADATA: compute_checksum(dict(self.info.metadata))
         }
         write_json(folder / configs.MANIFEST, sums)
 

@@ -27,8 +27,8 @@ import jaxlib
 import numpy as np
 from jax import Array
 
-from jaxunshear.errors import Note, first_line
-from jaxunshear.storage import cache_folder
+from jaxunshear.errors import Note, get_first_line
+from jaxunshear.files import cache_folder
 
 SOURCES = sorted(Path(__file__).with_name("compiled").glob("*.[ch]*"))
 SYMBOLS = (
@@ -205,7 +205,7 @@ def _load() -> bool:
             )
     except (subprocess.SubprocessError, OSError, ValueError, RuntimeError) as error:
         said = (getattr(error, "stderr", None) or b"").decode(errors="replace").splitlines()
-        reason = next((line for line in said if "error" in line), first_line(error))
+        reason = next((line for line in said if "error" in line), get_first_line(error))
         warnings.warn(
             f"training takes its slower form (CXX=none: without this note): {reason}",
             Note,

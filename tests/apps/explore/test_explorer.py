@@ -28,7 +28,7 @@ from jaxunshear.apps.explore.touch import (
     simulate_touch,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.folders import RELEASED, load_settings
+from jaxunshear.model_folders import RELEASED, load_settings
 from jaxunshear.scene.stimuli import STIMULI, make_stimulus
 from jaxunshear.settings.reach import compute_max_depth_mm
 from jaxunshear.settings.sensor import SENSORS

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import load_model
-from jaxunshear.apps.export.export import stablehlo_of
+from jaxunshear.apps.export.export import build_stablehlo
 from jaxunshear.apps.export.frames import preprocess_frames, read_camera
 from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
 from jaxunshear.apps.export.parts import (
@@ -27,18 +27,18 @@ from jaxunshear.apps.export.parts import (
 )
 from jaxunshear.cli import main
 from jaxunshear.dataset.recordings import read_image
-from jaxunshear.folders import RELEASED
+from jaxunshear.files import write_json
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.inference.perception import load_forward
 from jaxunshear.model import pin_networks, posenet, unshearnet
 from jaxunshear.model.pin_grid import make_grid
+from jaxunshear.model_folders import RELEASED
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.settings.serialization import to_json
-from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -241,7 +241,7 @@ def test_stablehlo_is_read_by_jax_alone(run_dir, model, tmp_path, capsys):
 def test_stablehlo_of_one_batch(tmp_path):
     from jax import export
 
-    exported = export.deserialize(bytearray(stablehlo_of(pins(), 3)))
+    exported = export.deserialize(bytearray(build_stablehlo(pins(), 3)))
     assert exported.in_avals[0].shape == (3, *REST.shape)
     products = [
         line for line in exported.mlir_module().splitlines() if "stablehlo.dot_general" in line

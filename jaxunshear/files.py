@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
+from jaxunshear.serialization import to_builtins
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
 
 
-SEAL = "checksum"  # of an object of JSON, beside its fields
+CHECKSUM_FIELD = "checksum"  # of an object of JSON, beside its fields
 
 
 def cache_folder() -> Path:
@@ -45,7 +45,7 @@ def cache_folder() -> Path:
         ) from None
 
 
-def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
+def explain_os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     """The line for people that an `OSError` at `path` deserves."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return UserError(
@@ -54,7 +54,7 @@ def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
-OF_THE_MACHINE = (
+MACHINE_ERRORS = (
     "EACCES",
     "EPERM",
     "EMFILE",
@@ -68,22 +68,22 @@ OF_THE_MACHINE = (
 )
 
 
-def blame_the_machine(path: Path, error: BaseException) -> None:
+def raise_machine_error(path: Path, error: BaseException) -> None:
     """Raises a `UserError` where `error`, met in reading `path`, says nothing about the file: no memory, no right, no place.
 
     Also when a library wrapped it in one of its own. So nobody is asked to delete what is sound.
     """
-    codes = {getattr(errno, name, None) for name in OF_THE_MACHINE}
+    codes = {getattr(errno, name, None) for name in MACHINE_ERRORS}
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, MemoryError):
             raise UserError(f"cannot read {path}: there is not enough memory") from error
         if isinstance(cause, OSError) and cause.errno in codes:
-            raise os_error(path, cause, "read") from error
+            raise explain_os_error(path, cause, "read") from error
         cause = cause.__cause__ or cause.__context__
 
 
-def disk_is_full(error: BaseException | None) -> bool:
+def is_disk_full(error: BaseException | None) -> bool:
     """Also when a library wrapped the operating system's error in one of its own."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
@@ -129,7 +129,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         else:
             _replace(follow_link(path), data)
     except OSError as error:
-        raise os_error(path, error) from error
+        raise explain_os_error(path, error) from error
 
 
 def _replace(path: Path, data: bytes) -> None:
@@ -174,10 +174,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, obj: object) -> None:
     """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither. Objects are sealed."""
-    held = plain(obj)
+    held = to_builtins(obj)
     write_text(
         path,
-        json.dumps(sealed(held) if isinstance(held, dict) else held, indent=2, allow_nan=False)
+        json.dumps(
+            add_checksum(held) if isinstance(held, dict) else held, indent=2, allow_nan=False
+        )
         + "\n",
     )
 
@@ -187,41 +189,43 @@ def read_json(path: Path) -> object:
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise os_error(path, error, "read") from error
+        raise explain_os_error(path, error, "read") from error
     except (ValueError, RecursionError) as error:
         raise UserError(
             f"{path} is not valid JSON ({error}): delete it and make it again"
         ) from error
     try:
-        return unsealed(held)
+        return check_and_remove_checksum(held)
     except ValueError as error:
-        remedy = f"make it again, or, where you changed it by hand, delete its line '{SEAL}'"
+        remedy = (
+            f"make it again, or, where you changed it by hand, delete its line '{CHECKSUM_FIELD}'"
+        )
         raise UserError(f"{path} is damaged ({error}): {remedy}") from error
 
 
-def checksum(obj: object) -> str:
+def compute_checksum(obj: object) -> str:
     """Of what JSON keeps of `obj`: its values, whatever their order and spacing in a file."""
     return hashlib.blake2b(
-        json.dumps(plain(obj), sort_keys=True).encode(), digest_size=16
+        json.dumps(to_builtins(obj), sort_keys=True).encode(), digest_size=16
     ).hexdigest()
 
 
-def sealed(held: Json) -> Json:
+def add_checksum(held: Json) -> Json:
     """With its checksum beside it: a bit that flips in a digit leaves valid JSON, of another figure."""
-    bare = {name: value for name, value in held.items() if name != SEAL}
-    return bare | {SEAL: checksum(bare)}
+    bare = {name: value for name, value in held.items() if name != CHECKSUM_FIELD}
+    return bare | {CHECKSUM_FIELD: compute_checksum(bare)}
 
 
-def unsealed(held: Any) -> Any:
+def check_and_remove_checksum(held: Any) -> Any:
     """Without its checksum; what bears none is taken as it is. Raises ValueError where it is of something else, or its name is damaged."""
     if not isinstance(held, dict) or not held:
         return held
     *names, last = held
     kept = {name: held[name] for name in names}
-    agrees = held[last] == checksum(kept)
-    if agrees and last == SEAL:
+    agrees = held[last] == compute_checksum(kept)
+    if agrees and last == CHECKSUM_FIELD:
         return kept
-    if agrees or SEAL in held:
+    if agrees or CHECKSUM_FIELD in held:
         raise ValueError("its checksum differs")
     return held
 

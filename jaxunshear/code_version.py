@@ -11,11 +11,15 @@ from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 # what decides a result
-CODE = (
+CODE_PATHS = (
     *("jaxunshear", "verification", "benchmarks", "data_specs", "experiments"),
     *("pyproject.toml", "constraints.txt"),
 )
-ELSEWHERE = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")  # a hook of another repository sets them
+GIT_VARIABLES = (
+    "GIT_DIR",
+    "GIT_WORK_TREE",
+    "GIT_INDEX_FILE",
+)  # a hook of another repository sets them
 SECONDS = 20
 
 
@@ -25,18 +29,26 @@ def read_source() -> Source:
 
     An installed package has no commit. Neither has a checkout where git is missing or refuses.
     """
-    return Source(__version__, datetime.now(UTC).date().isoformat(), *committed(ROOT))
+    return Source(__version__, datetime.now(UTC).date().isoformat(), *read_commit(ROOT))
 
 
-def committed(root: Path) -> tuple[str | None, bool | None]:
+def read_commit(root: Path) -> tuple[str | None, bool | None]:
     """Return the commit of the checkout at `root`, and whether its CODE is as committed.
 
     Both are None if there is none.
     """
     if not (root / ".git").exists():  # a checkout may hold this package in an environment alone
         return None, None
-    words = ["git", "--no-optional-locks", "status", "--porcelain=v2", "--branch", "--", *CODE]
-    here = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
+    words = [
+        "git",
+        "--no-optional-locks",
+        "status",
+        "--porcelain=v2",
+        "--branch",
+        "--",
+        *CODE_PATHS,
+    ]
+    here = {name: value for name, value in os.environ.items() if name not in GIT_VARIABLES}
     try:
         done = subprocess.run(
             words, cwd=root, env=here, capture_output=True, text=True, timeout=SECONDS

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.files import read_object
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.serialization import from_json
-from jaxunshear.storage import read_object
 
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 
 
-def model_folder(model: Path) -> Path:
+def find_model_folder(model: Path) -> Path:
     """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
     is_name = len(model.parts) == 1 and not model.exists()
     return (
@@ -32,7 +32,7 @@ def load_settings(model: Path) -> Experiment:
     return from_json(read_object(file), str(file))
 
 
-def names_apart(folders: Sequence[Path]) -> list[str]:
+def make_distinct_names(folders: Sequence[Path]) -> list[str]:
     """The folders' own names, or as much of the ends of their paths as distinguishes them."""
     parts = [Path(os.path.abspath(folder)).parts for folder in folders]
     for count in range(1, max(map(len, parts))):

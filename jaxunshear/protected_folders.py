@@ -4,10 +4,10 @@ import os
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import read_object_if_sound
+from jaxunshear.files import read_object_if_sound
 
 RUN, SWEEP, SET = "a run or weights", "a sweep", "a data set"
-MARKS = {  # file: whose it is, and a field that theirs has, where others have files of that name, too
+MARKER_FILES = {  # file: whose it is, and a field that theirs has, where others have files of that name, too
     "experiment.json": (RUN, "unshear"),
     "sweep.json": (SWEEP, "cells"),
     "task.json": (SWEEP, "kind"),
@@ -15,17 +15,17 @@ MARKS = {  # file: whose it is, and a field that theirs has, where others have f
 }
 
 
-def owner_of(path: Path) -> tuple[Path, str] | None:
+def find_owner(path: Path) -> tuple[Path, str] | None:
     """The nearest folder that `path` is or lies in that holds a run, weights, a sweep or a data set, and which; None where none does."""
     place = Path(os.path.realpath(path))
     for folder in (place, *place.parents):
-        for name, (kind, field) in MARKS.items():
+        for name, (kind, field) in MARKER_FILES.items():
             if (folder / name).is_file() and _has(folder / name, field):
                 return folder, kind
     return None
 
 
-def check_apart(path: Path | None, option: str, home: Path | None = None) -> None:
+def check_outside(path: Path | None, option: str, home: Path | None = None) -> None:
     """Refuses, before there is work to lose, a place for results where a run, weights, a sweep or a data set keep their own files,
     and one in `home`, where this command is about to make such a folder."""
     if path is None:
@@ -34,7 +34,7 @@ def check_apart(path: Path | None, option: str, home: Path | None = None) -> Non
         raise UserError(
             f"{option} {path} lies in {home}, where this command keeps its own files: name a place elsewhere"
         )
-    found = owner_of(path)
+    found = find_owner(path)
     if found is not None:
         folder, kind = found
         raise UserError(

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import read_object_if_sound
+from jaxunshear.files import read_object_if_sound
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:
@@ -17,13 +17,13 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
     above = _file_above(path)
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
-    if path.is_file() and path.stat().st_size and not _measured(path):
+    if path.is_file() and path.stat().st_size and not _is_measurement(path):
         raise UserError(
             f"{option} {path} holds something else, which would be lost: name another file"
         )
 
 
-def _measured(path: Path) -> bool:
+def _is_measurement(path: Path) -> bool:
     """Whether a file is of `--json`, whose writers report machines and versions, or of `--lines`."""
     with path.open("rb") as file:
         line = file.readline(2**20)
@@ -54,7 +54,7 @@ def _file_above(path: Path) -> Path | None:
     return None if above is None or above.is_dir() else above
 
 
-def check_beside(recordings: Path, out: Path, option: str) -> None:
+def check_not_among(recordings: Path, out: Path, option: str) -> None:
     """Refuses to write among the recordings: a name could be theirs, and the next run would read what this one wrote."""
     place, root = out.resolve(), recordings.resolve()
     if place == root.parent if recordings.is_file() else place.is_relative_to(root):

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from jaxunshear.storage import Json
+from jaxunshear.files import Json
 
 WIDE = 10_000  # columns where nobody watches: lines of a file or a pipe are never broken
 
 
-def plain_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
+def format_text_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
     """A heading, then a line a row: numbers to three digits, `-` for what a row does not have.
 
     In a terminal cells that do not fit are folded; elsewhere a row is one line, without colours or frames.
