@@ -43,7 +43,7 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     shots, many = drawn
     counts = [len(each.scenes) for each in drawn]
 
-    def simulated() -> int:
+    def simulate() -> int:
         paths = simulate_chunks(settings, TACTIP_331, shots, chunks, engine)
         return sum(path.stat().st_size for path in paths)
 
@@ -54,7 +54,7 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     plan = _step(
         "plan", counts[1], lambda: 0 * len(engine.plan(TACTIP_331, settings.stimuli, many.scenes))
     )
-    chunk = _step("simulate and draw", counts[0], simulated)
+    chunk = _step("simulate and draw", counts[0], simulate)
     make_set(settings, TACTIP_331, data, engine)
     files = sum(
         path.stat().st_size for path in get_set_folder(settings, TACTIP_331, data).iterdir()

@@ -47,7 +47,7 @@ def _row(explorer: Explorer, name: str, pictures: int, advance: Callable[[], obj
         touch = _sample_touch(explorer, name, generator)
         began = time.perf_counter()
         try:
-            explorer.picture(touch)
+            explorer.simulate_picture(touch)
         except UserError:
             refused += 1
         else:

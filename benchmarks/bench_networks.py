@@ -204,7 +204,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
         )
         return lambda: jax.device_get(run(image)) is None
 
-    def exported() -> Work:
+    def make_exported() -> Work:
         from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
 
         if jax.default_backend() != "cpu":
@@ -243,7 +243,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
         return work
 
     yield "jaxunshear", ours
-    yield "onnxruntime", exported
+    yield "onnxruntime", make_exported
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 

@@ -44,7 +44,7 @@ class Computation:
     arguments: tuple[object, ...]
 
     @cached_property
-    def compiled(self) -> tuple[Callable[..., object], float]:
+    def compiled_program(self) -> tuple[Callable[..., object], float]:
         """The program, and the seconds that compiling it took."""
         lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
         return lowered.compile(), time.perf_counter() - started
@@ -81,7 +81,7 @@ def _measure_case(full: Computation, less: Computation, rounds: int) -> Json:
     works: dict[str, Callable[[], object]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
-        run, spent = way.compiled
+        run, spent = way.compiled_program
         found[kind] = {"operations": way.operations, "compile_s": spent}
         works[kind] = partial(_run, run, way.arguments)
         works[kind]()

@@ -72,7 +72,7 @@ def compare_pins(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json
     tracks, follow_ms = _time_items(lambda each: track_pins(lattice, each), found)
     usual = fit_motion_prior(lattice, tracks)
     for row, track in enumerate(tracks):
-        if usual is not None and not track.sure:
+        if usual is not None and not track.identified:
             (tracks[row],), more = _time_items(
                 lambda each: track_pins(lattice, each, usual), found[row : row + 1]
             )
@@ -80,7 +80,7 @@ def compare_pins(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json
     motion = np.array([track.motion for track in tracks])
     off = np.linalg.norm(lattice.rest + motion - true, axis=-1)
     mistaken = off > 0.5 * lattice.spacing
-    sure = np.array([track.sure for track in tracks])
+    sure = np.array([track.identified for track in tracks])
     right = off[~np.isnan(off) & ~mistaken]
     full = find_ms + follow_ms
     return {

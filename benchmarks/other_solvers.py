@@ -76,7 +76,7 @@ def _iterate(
 ) -> tuple[State, jax.Array, jax.Array]:
     """Repeat `step`(state) -> (state, error (B,)), `every` times between checks, until all are below their tolerance."""
 
-    def unfinished(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> jax.Array:
+    def is_unfinished(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, error, _, count = carry
         return jnp.any(~(error <= tolerance)) & (count < limit)
 
@@ -89,7 +89,7 @@ def _iterate(
 
     missing = jnp.where(jnp.isinf(tolerance), 0.0, jnp.inf).astype(tolerance.dtype)
     begin = (state, missing, jnp.zeros(tolerance.shape, jnp.int32), jnp.zeros((), jnp.int32))
-    state, missing, spent, _ = jax.lax.while_loop(unfinished, some, begin)
+    state, missing, spent, _ = jax.lax.while_loop(is_unfinished, some, begin)
     return state, missing, spent
 
 

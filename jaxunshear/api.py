@@ -94,7 +94,7 @@ class Model:
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
         """(B, S, S) float32 in [0, 1]: as a tap at the same poses would appear. Raises UserError."""
-        answers = self._answers(images)
+        answers = self._predict(images)
         if answers.unsheared is None:
             raise UserError(
                 f"{self.folder} holds no network that unshears: train {DISENTANGLED}, or load another model"
@@ -104,7 +104,7 @@ class Model:
     def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
         """By way of reading and by quantity (mm and deg, in the frame of the labels that were learnt), (B,) each: of the images
         "as_recorded" and "unsheared", and "learnt" where a PoseNet of slides is there. Raises UserError."""
-        answers = self._answers(images)
+        answers = self._predict(images)
         if not answers.poses:
             raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
         return answers.poses
@@ -119,8 +119,8 @@ class Model:
 
         def encode_known(part: np.ndarray) -> tuple[Array | None, ...]:
             seen = self.perceiver.read(part)
-            known = jnp.asarray(self.perceiver.state_doubts(part, seen) == "")[:, None]
-            codes = encoder(seen.given)
+            known = jnp.asarray(self.perceiver.explain_rejections(part, seen) == "")[:, None]
+            codes = encoder(seen.values)
             return tuple(
                 z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes
             )
@@ -142,15 +142,15 @@ class Model:
             for name, value in unscale_outputs(outputs, self.slide_targets).items()
         }
 
-    def _answers(self, images: np.ndarray) -> Predictions:
-        return self._in_batches(images, self.perceiver.answer)
+    def _predict(self, images: np.ndarray) -> Predictions:
+        return self._in_batches(images, self.perceiver.predict)
 
     def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
         """A few images are not filled up to a full batch: to find their pins takes longer than to compile once more."""
-        images = self._checked(images)
+        images = self._check_images(images)
         return run_in_batches(run, images, min(BATCH, len(images)))
 
-    def _checked(self, images: np.ndarray) -> np.ndarray:
+    def _check_images(self, images: np.ndarray) -> np.ndarray:
         images = np.asarray(images)
         if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or not len(images):
             raise UserError(

@@ -53,7 +53,7 @@ class Run(NamedTuple):
 
     @property
     def results(self) -> Results:
-        return self.measured.outcome.evaluated
+        return self.measured.outcome.evaluated_results
 
     @property
     def network(self) -> str:

@@ -99,7 +99,9 @@ def check_recordings(path: Path) -> Diagnosis:
     """
     recordings = read_recordings(path, Preprocess())
     notes = recordings.notes
-    problems = [note if isinstance(note, Problem) else Problem.of(path, note) for note in notes]
+    problems = [
+        note if isinstance(note, Problem) else Problem.from_line(path, note) for note in notes
+    ]
     rows: dict[Path, list[int]] = {}
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
@@ -127,14 +129,14 @@ def _check_folder(
             check_frame(raw)
             sizes[row] = (raw.shape[1], raw.shape[0])
         except UserError as error:
-            problems.append(Problem.at(files[row], str(error)))
+            problems.append(Problem.with_place(files[row], str(error)))
             left_out[UNREADABLE] += 1
         progress.advance()
     width, height = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
     for row, size in sizes.items():
         if size != (width, height):
             text = f"{size[0]} x {size[1]} pixels, where most here have {width} x {height}"
-            problems.append(Problem.at(files[row], text))
+            problems.append(Problem.with_place(files[row], text))
             left_out[OTHER_SIZE] += 1
     alike = [files[row] for row in rows if sizes.get(row) == (width, height)]
     pins = _check_pins([alike[i] for i in select_evenly(len(alike), share)])
@@ -188,7 +190,7 @@ def _follow_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
         if PINS_RATIO[0] * sensor.pins <= median <= PINS_RATIO[1] * sensor.pins:
             with suppress(UserError):  # as many pins, in another pattern
                 lattice = fit_lattice([each.pins for each in found], make_layout(sensor))
-                followed = float(np.mean([track.sure for track in track_all(lattice, found)]))
+                followed = float(np.mean([track.identified for track in track_all(lattice, found)]))
                 layout = sensor.name
     return PinCheck(len(found), median, layout, followed, inverted)
 

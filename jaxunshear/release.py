@@ -19,7 +19,7 @@ from jaxunshear.settings.stimuli import list_stimulus_names
 from jaxunshear.settings.targets import to_json
 
 RELEASED_PARTS = {
-    name: kind.released for name, kind in REGISTRY.items() if kind.released is not None
+    name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
 }
 ORIGIN_FIELDS = ("origin", "data", "start")  # what they learnt from goes with the weights
 REQUIRED_NETWORKS = (DISENTANGLED, POSENET)
@@ -130,7 +130,7 @@ def _describe_simulated(results: Results) -> str:
 
 
 def _describe_recorded(results: Results) -> str:
-    recordings, pairing = results.recorded
+    recordings, pairing = results.recorded_facts
     slides = f"{recordings.slides['train']} slides with {recordings.labelled:.0%} of their labels"
     return (
         f"Learnt from recordings (digest {recordings.digest}) of a sensor with {recordings.pins} pins: "

@@ -44,7 +44,7 @@ class Body:
         )
 
     @property
-    def held(self) -> np.ndarray:
+    def fixed_unknowns(self) -> np.ndarray:
         """Unknowns of the clamped nodes, and the radial ones on the axis."""
         clamped = 2 * self.mesh.clamped
         return np.unique(np.concatenate([clamped, clamped + 1, 2 * self.mesh.axis]))

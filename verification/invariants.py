@@ -291,7 +291,7 @@ def check_scaling() -> list[Row]:
     """A small dome whose moduli, and one whose lengths, are larger: displacements and forces follow."""
     rings, pins = 5, np.array([[3.0, 0.0, 2.5], [0.0, 4.0, 3.0]])
 
-    def made(size: float, modulus: float) -> Compliance:
+    def compute_scaled_compliance(size: float, modulus: float) -> Compliance:
         mesh = make_dome_mesh(20.0 * size, 1.0 * size, 3.0 * size)
         gel, skin = (
             compute_isotropic_stiffness(0.1 * modulus, 0.49),
@@ -302,7 +302,11 @@ def check_scaling() -> list[Row]:
             mesh, materials, np.arange(rings + 1) * 2.0 * size, pins * size, 6 * (rings - 1)
         )
 
-    base, stiff, large = made(1.0, 1.0), made(1.0, 1e6), made(3.0, 1.0)
+    base, stiff, large = (
+        compute_scaled_compliance(1.0, 1.0),
+        compute_scaled_compliance(1.0, 1e6),
+        compute_scaled_compliance(3.0, 1.0),
+    )
     worst = {
         "moduli x 1e6: compliances W, G x 1e-6": ((1e6 * stiff.w, base.w), (1e6 * stiff.g, base.g)),
         "lengths x 3: compliances W, G / 3": ((3 * large.w, base.w), (3 * large.g, base.g)),

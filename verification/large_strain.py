@@ -134,20 +134,23 @@ def follow_depths(
 ) -> list[State]:
     """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
     state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
-    moving, pushing = np.zeros_like(state.moved), np.zeros_like(state.push)  # per mm of depth
+    moving, pushing = (
+        np.zeros_like(state.displacement),
+        np.zeros_like(state.push),
+    )  # per mm of depth
     at, step, states = min(float(depths[0]), 0.0), STEP_MM, []
     for end in depths:
         spent, first = 0, True
         while state.converged and (at < end or first):
             there = min(at + step, end)
             guess = State(
-                state.moved + (there - at) * moving,
+                state.displacement + (there - at) * moving,
                 state.push + (there - at) * pushing,
                 0.0,
                 0,
                 False,
             )
-            found = solve_equilibrium(body, face, there, guess, body.held)
+            found = solve_equilibrium(body, face, there, guess, body.fixed_unknowns)
             spent, first = spent + found.iterations, False
             if found.converged:
                 if there > at:

@@ -265,13 +265,13 @@ def compare_precision(
     """`run` of arrays, `given` as float32 against `kind`, over all of its outputs `names`, in [0, 1]: the largest
     difference."""
 
-    def reported(kind: type) -> dict[str, np.ndarray]:
+    def run_in_precision(kind: type) -> dict[str, np.ndarray]:
         found = jax.jit(run)(*jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), given))
         return {name: np.asarray(found[name], np.float64) for name in names}
 
-    usual = reported(jnp.float32)
+    usual = run_in_precision(jnp.float32)
     with jax.enable_x64(kind == jnp.float64):
-        other = reported(kind)
+        other = run_in_precision(kind)
     difference = np.concatenate([(usual[name] - other[name]).ravel() for name in names])
     error = np.abs(difference).max()
     spread = min(float(values.std(0).max()) for values in usual.values())

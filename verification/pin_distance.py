@@ -22,10 +22,10 @@ class PinError(NamedTuple):
 def compute_pin_distance(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
 
-    def seen(tips: np.ndarray) -> np.ndarray:
+    def project_px(tips: np.ndarray) -> np.ndarray:
         return np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor))
 
-    return np.linalg.norm(seen(pins) - seen(others), axis=-1)
+    return np.linalg.norm(project_px(pins) - project_px(others), axis=-1)
 
 
 def compute_pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:

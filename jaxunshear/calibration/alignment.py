@@ -102,7 +102,7 @@ def read_labels(
                         LabelReading(contacts, sign, side, surface, mirrored, turn, match),
                         score,
                     )
-    return best if best is not None and best.match >= MIN_CORRELATION else None
+    return best if best is not None and best.correlation >= MIN_CORRELATION else None
 
 
 def _turn(recorded: np.ndarray, simulated: np.ndarray, mirrored: bool) -> tuple[float, float]:
@@ -129,7 +129,7 @@ class AlignmentProblem(NamedTuple):
     sensor: Sensor
     simulate: Simulate = simulate_displacements
 
-    def moved(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
+    def simulate_motion(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
         """As `prediction.simulate_displacements`."""
         values = self.values
         contacts = apply_frame(self.contacts, frame)
@@ -137,24 +137,24 @@ class AlignmentProblem(NamedTuple):
             self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel
         )
 
-    def compared(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
+    def compare_motions(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
         """Recorded and simulated motions (N, P, 2) px as `centre_motions` gives them, zero where one is not known; the simulated ones are
         turned as the camera is."""
-        moved, fine = self.moved(frame)
+        moved, fine = self.simulate_motion(frame)
         recorded, simulated = np.zeros((2, *self.observation.positions.shape))
         if fine.any():
-            one, other = (np.nan_to_num(motion) for motion in self._centred(moved, fine))
+            one, other = (np.nan_to_num(motion) for motion in self._centre_motions(moved, fine))
             recorded[fine], simulated[fine] = (
                 one,
                 other @ compute_camera_rotation(estimate_rotation(one, other)),
             )
         return recorded, simulated
 
-    def turn(self, frame: LabelFrame) -> float:
+    def measure_rotation(self, frame: LabelFrame) -> float:
         """The turn (rad) from column towards row that is left between recorded and simulated motions."""
-        return estimate_rotation(*self._centred(*self.moved(frame)))
+        return estimate_rotation(*self._centre_motions(*self.simulate_motion(frame)))
 
-    def _centred(self, moved: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _centre_motions(self, moved: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         here = self.observation.take(np.flatnonzero(fine))
         _, place = fit_positions(self.values, self.sensor, here.size, here.positions, moved[fine])
         return centre_motions(here.positions, place)
@@ -171,13 +171,13 @@ def find_frame(
 ) -> LabelFrame:
     """The frame in which the simulator explains most of the recorded motion; what is not among `names` keeps its start."""
     names = [name for name in names if name != "across_mm" or problem.side]
-    frame, (recorded, simulated) = start, problem.compared(start)
+    frame, (recorded, simulated) = start, problem.compare_motions(start)
     score = compute_r2(recorded, simulated)
     for _ in range(ROUNDS):
         step = _frame_step(problem, frame, names, recorded, simulated)
         for share in STEP_FRACTIONS:
             there = move_frame(frame, dict(zip(names, share * step, strict=True)))
-            tried = problem.compared(there)
+            tried = problem.compare_motions(there)
             if compute_r2(*tried) > score:
                 break
         else:
@@ -205,7 +205,10 @@ def _frame_step(
 ) -> np.ndarray:
     """Of Gauss-Newton, in units of STEPS."""
     slopes = np.array(
-        [(matter.compared(move_frame(frame, {name: 1.0}))[1] - simulated).ravel() for name in names]
+        [
+            (matter.compare_motions(move_frame(frame, {name: 1.0}))[1] - simulated).ravel()
+            for name in names
+        ]
     )
     normal = slopes @ slopes.T
     step = np.linalg.solve(

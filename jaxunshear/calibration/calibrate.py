@@ -109,7 +109,7 @@ def calibrate(
             "", after_sensor, after.camera(Camera().frame_px), after.friction
         ).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
-        "images": {group.name: len(group.seen.found) for group in groups},
+        "images": {group.name: len(group.observation.pin_counts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
         "notes": notes,
     }
@@ -137,14 +137,14 @@ def _fit(
     groups: list[RecordedGroup], sensor: Sensor, start: SensorValues, held: Collection[str]
 ) -> FitResult:
     """On some images first: most of the way needs no more."""
-    count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
+    count = sum(len(group.observation.pin_counts) for group in groups if group.contacts is not None)
     with Progress("fit", SOLVES_PER_CONTACT * count, unit="contacts") as progress:
 
         def advance(contacts: int) -> None:
             progress.advance(max(0, min(contacts, progress.total - 1 - progress.done)))
 
         rough = fit(
-            [group.thinned(FIRST_FIT_STRIDE) for group in groups], sensor, start, held, advance
+            [group.subsample(FIRST_FIT_STRIDE) for group in groups], sensor, start, held, advance
         )
         fitted = fit(groups, sensor, start, held, advance, begin=rough.values)
         progress.advance(progress.total - progress.done)
@@ -172,7 +172,7 @@ def _groups(
         seen = part.observe(sensor)
         framing.append(
             np.linalg.norm(
-                seen.lattice.rest[seen.lattice.ring == sensor.rings] - seen.lattice.middle,
+                seen.lattice.rest[seen.lattice.ring == sensor.rings] - seen.lattice.centre,
                 axis=-1,
             ).mean()
             / seen.size
@@ -204,7 +204,7 @@ def _read_labelled_group(
     notes: list[str],
 ) -> tuple[RecordedGroup, float]:
     unread = RecordedGroup(part.name, seen.take(np.flatnonzero(seen.identified))), 0.0
-    rows = np.flatnonzero(seen.identified & part.labelled)
+    rows = np.flatnonzero(seen.identified & part.labelled_rows)
     if part.poses is None or len(rows) < MIN_LABELLED:
         notes.append(
             f"{part.name}: fewer than {MIN_LABELLED} labelled poses, so it determines framing and pin size only"
@@ -224,7 +224,7 @@ def _read_labelled_group(
     notes.append(
         f"{part.name}: labels read with a correlation of {reading.correlation:.2f}{edge}; camera turned by {np.degrees(reading.angle):.0f} deg"
     )
-    turned = seen.take(rows).turned(reading.mirrored, reading.angle)
+    turned = seen.take(rows).rotate(reading.mirrored, reading.angle)
     return RecordedGroup(part.name, turned, reading.contacts, reading.side), reading.surface_mm
 
 

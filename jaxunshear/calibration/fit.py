@@ -50,19 +50,21 @@ def fit(
     """
     problem = Problem(groups, sensor, start, fixed, advance)
     prior = problem.prior()
-    x = problem.place(begin or start)
-    before = _error(problem.all(problem.values(np.where(problem.nuisance(), x, 0.0))))
+    x = problem.to_parameters(begin or start)
+    before = _error(
+        problem.compute_all_residuals(problem.values(np.where(problem.nuisance(), x, 0.0)))
+    )
     while problem.recentre(problem.values(x)):
         pass
-    base = problem.all(problem.values(x))
+    base = problem.compute_all_residuals(problem.values(x))
     cost, damping = _cost(base, x / prior), 1e-3
-    slopes = problem.slopes(x)
+    slopes = problem.compute_jacobian(x)
     for _ in range(ROUNDS):
         weight, old = _weights(base), cost
         while damping < 1e3:
             step = _solve(slopes, base, weight, x, prior, damping)
             proposed = np.clip(x + np.clip(step, -0.7, 0.7), *problem.bounds())
-            tried = problem.all(problem.values(proposed))
+            tried = problem.compute_all_residuals(problem.values(proposed))
             damping *= 10
             if _cost(tried, proposed / prior) < cost:
                 x, base, cost, damping = (
@@ -74,12 +76,12 @@ def fit(
                 break
         elsewhere = problem.recentre(problem.values(x))
         if elsewhere:
-            base = problem.all(problem.values(x))
+            base = problem.compute_all_residuals(problem.values(x))
             cost, damping = _cost(base, x / prior), 1e-3
-        slopes = problem.slopes(x)
+        slopes = problem.compute_jacobian(x)
         if not elsewhere and old - cost < MIN_COST_GAIN * old:
             break
-    spread = _bootstrap(slopes, problem.redrawer(problem.values(x)), _weights(base), x, prior)
+    spread = _bootstrap(slopes, problem.make_resampler(problem.values(x)), _weights(base), x, prior)
     return _build_result(problem, x, spread, before, base)
 
 
@@ -123,7 +125,7 @@ def _bootstrap(
 ) -> np.ndarray:
     """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again, and with them the places (K,) that the priors
     hold parameters at: else one that the images say nothing of would not move, and pass for exactly known. `redraw`: see
-    `Problem.redrawer`."""
+    `Problem.make_resampler`."""
     generator = np.random.default_rng(0)
     count = len(weight)
     draws = generator.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS)
@@ -143,7 +145,7 @@ def _build_result(
     ends = (
         ends - np.median(spread, axis=0) + x
     )  # the draws scatter about their own middle; the fit is what is reported
-    low, high = (problem.named(problem.values(end)) for end in ends)
+    low, high = (problem.name_values(problem.values(end)) for end in ends)
     width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
     return FitResult(
         problem.values(x),

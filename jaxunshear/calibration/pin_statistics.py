@@ -42,7 +42,7 @@ class PinObservation(NamedTuple):
     def take(self, rows: np.ndarray) -> "PinObservation":
         return PinObservation(self.size, self.lattice, *(field[rows] for field in self[2:]))
 
-    def turned(self, mirrored: bool, angle: float) -> "PinObservation":
+    def rotate(self, mirrored: bool, angle: float) -> "PinObservation":
         """The same pins seen by a camera that is not mirrored, and turned by `angle` rad from column towards row."""
         turn = compute_camera_rotation(angle, mirrored)
         return self._replace(
@@ -53,7 +53,7 @@ class PinObservation(NamedTuple):
     @property
     def rest(self) -> np.ndarray:
         """(P, 2) place of each pin of the lattice."""
-        return self.lattice.rest - self.lattice.middle
+        return self.lattice.rest - self.lattice.centre
 
 
 def compute_camera_rotation(angle: float, mirrored: bool = False) -> np.ndarray:
@@ -83,16 +83,16 @@ def observe_pins(
         measure_pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)
     ]
     diameter = [
-        np.where(track.which >= 0, np.append(d, np.nan)[track.which], np.nan)
+        np.where(track.identity >= 0, np.append(d, np.nan)[track.identity], np.nan)
         for track, d in zip(tracks, diameters, strict=True)
     ]
     return PinObservation(
         images[0].shape[0],
         lattice,
-        np.array([track.motion for track in tracks]) + lattice.rest - lattice.middle,
+        np.array([track.motion for track in tracks]) + lattice.rest - lattice.centre,
         np.array(diameter),
-        np.array([track.doubt for track in tracks]),
-        np.array([track.sure for track in tracks]),
+        np.array([track.max_offset for track in tracks]),
+        np.array([track.identified for track in tracks]),
         np.array([len(pins) for pins in found]),
         np.array([measure_spacing(pins) if len(pins) > 1 else np.nan for pins in found]),
         np.array([np.mean(image > 127) for image in images]),

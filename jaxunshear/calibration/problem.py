@@ -48,7 +48,7 @@ class RecordedGroup:
     contacts: LabelledMotions | None = None
     side: int = 0
 
-    def thinned(self, step: int) -> "RecordedGroup":
+    def subsample(self, step: int) -> "RecordedGroup":
         """With one of `step` images."""
         rows = np.arange(0, len(self.observation.pin_counts), step)
         contacts = None if self.contacts is None else self.contacts.take(rows)
@@ -64,7 +64,7 @@ class _DisplacementCache:
         self.nodes: list[float] = []
         self.known: dict[tuple[float, float, float], np.ndarray] = {}
 
-    def at(self, values: SensorValues, ratio: float) -> np.ndarray:
+    def simulate(self, values: SensorValues, ratio: float) -> np.ndarray:
         """(N, Q, 3) mm; NaN for contacts out of reach or without a solution."""
         surface = values.surface_mm[self.which]
         key = (round(values.friction, 9), round(surface, 9), round(ratio, 9))
@@ -74,19 +74,19 @@ class _DisplacementCache:
             self.advance(len(moved))
         return self.known[key]
 
-    def between(self, values: SensorValues) -> np.ndarray:
+    def interpolate(self, values: SensorValues) -> np.ndarray:
         """Quadratic in the logarithm of skin:gel."""
         total = np.zeros(())
         for i, node in enumerate(self.nodes):
             weight = _lagrange(values, node, np.delete(self.nodes, i))
             if abs(weight) > 1e-9:
-                total = total + weight * self.at(values, node)
+                total = total + weight * self.simulate(values, node)
         return total
 
-    def nearby(self, values: SensorValues, base: SensorValues) -> np.ndarray:
+    def extrapolate(self, values: SensorValues, base: SensorValues) -> np.ndarray:
         """The same for a small change of friction or surface: it is about the same at all stiffnesses."""
         node = min(self.nodes, key=lambda node: abs(np.log(node / base.skin_to_gel)))
-        return self.between(base) + (self.at(values, node) - self.at(base, node))
+        return self.interpolate(base) + (self.simulate(values, node) - self.simulate(base, node))
 
 
 def _lagrange(values: SensorValues, node: float, others: np.ndarray) -> float:
@@ -130,7 +130,10 @@ class Problem:
         ]
         self.recorded = [
             compute_ring_features(
-                group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size
+                group.observation.lattice.ring,
+                group.observation.positions,
+                group.observation.rest,
+                group.observation.size,
             )
             for group in groups
         ]
@@ -159,7 +162,7 @@ class Problem:
             surface[i] += float(step)
         return replace(self.start, **scalars, surface_mm=tuple(surface))
 
-    def place(self, values: SensorValues) -> np.ndarray:
+    def to_parameters(self, values: SensorValues) -> np.ndarray:
         """The inverse of `values`."""
         scalars = [
             np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars
@@ -168,7 +171,7 @@ class Problem:
             scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces]
         )
 
-    def named(self, values: SensorValues) -> dict[str, float]:
+    def name_values(self, values: SensorValues) -> dict[str, float]:
         """What of the values is sought, by `names`."""
         surfaces = [values.surface_mm[i] for i in self.surfaces]
         found = [*(getattr(values, name) for name in self.scalars), *surfaces]
@@ -224,13 +227,19 @@ class Problem:
         group, simulated = self.groups[which], self.simulated[which]
         moved = None
         if simulated is not None:
-            moved = simulated.between(values) if near is None else simulated.nearby(values, near)
-        place, rest = predict_positions(values, self.sensor, group.seen.size, moved)
-        expected = compute_ring_features(compute_rings(self.sensor), place, rest, group.seen.size)
+            moved = (
+                simulated.interpolate(values)
+                if near is None
+                else simulated.extrapolate(values, near)
+            )
+        place, rest = predict_positions(values, self.sensor, group.observation.size, moved)
+        expected = compute_ring_features(
+            compute_rings(self.sensor), place, rest, group.observation.size
+        )
         difference = expected - self.recorded[which]
-        return difference if simulated is not None else self._undisturbed(difference)
+        return difference if simulated is not None else self._estimate_undisturbed(difference)
 
-    def _undisturbed(self, difference: np.ndarray) -> np.ndarray:
+    def _estimate_undisturbed(self, difference: np.ndarray) -> np.ndarray:
         """(N, F) of unlabelled images: a touch widens all rings, nobody knows how far, so the narrowest tenth is held to be undisturbed."""
         difference = np.broadcast_to(
             np.nanpercentile(difference, 90, axis=0), difference.shape
@@ -238,15 +247,17 @@ class Problem:
         difference[:, self.sensor.rings :] = 0
         return difference
 
-    def redrawer(self, values: SensorValues) -> Callable[[np.random.Generator], np.ndarray]:
+    def make_resampler(self, values: SensorValues) -> Callable[[np.random.Generator], np.ndarray]:
         """A function that gives `all(values)` with the rows of unlabelled groups from images drawn anew."""
-        base, ends = self.all(values), self._ends()
+        base, ends = self.compute_all_residuals(values), self._ends()
         apart = {}
         for i, group in enumerate(self.groups):
             if self.simulated[i] is None:
-                place, rest = predict_positions(values, self.sensor, group.seen.size, None)
+                place, rest = predict_positions(values, self.sensor, group.observation.size, None)
                 apart[i] = (
-                    compute_ring_features(compute_rings(self.sensor), place, rest, group.seen.size)
+                    compute_ring_features(
+                        compute_rings(self.sensor), place, rest, group.observation.size
+                    )
                     - self.recorded[i]
                 )
 
@@ -254,7 +265,7 @@ class Problem:
             drawn = base.copy()
             for i, difference in apart.items():
                 again = difference[generator.integers(len(difference), size=len(difference))]
-                drawn[ends[i] : ends[i + 1]] = np.nan_to_num(self._undisturbed(again))
+                drawn[ends[i] : ends[i + 1]] = np.nan_to_num(self._estimate_undisturbed(again))
             return drawn
 
         return redraw
@@ -263,10 +274,10 @@ class Problem:
         """(groups + 1,) rows of `all` where groups begin and end."""
         return np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
 
-    def all(self, values: SensorValues) -> np.ndarray:
+    def compute_all_residuals(self, values: SensorValues) -> np.ndarray:
         return np.concatenate([self.residuals(values, i) for i in range(len(self.groups))])
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
+    def compute_jacobian(self, x: np.ndarray) -> np.ndarray:
         """(N, F, K) forward differences; zero where one of both has no solution: what such a contact counts for is no slope."""
         here = self.values(x)
         base = [self._difference(here, i) for i in range(len(self.groups))]

@@ -90,7 +90,9 @@ def fit_pin_radius(
         ratios = []
         for group, tip, wanted in zip(groups, tips, recorded, strict=True):
             images = render_images(
-                values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), _some(tip)
+                values.camera(group.observation.size),
+                replace(sensor, pin_radius_mm=radius),
+                _some(tip),
             )
             ratios.append(
                 np.mean([np.nanmean(measure_pin_diameters(i, find_pins(i))) for i in images])
@@ -124,9 +126,9 @@ def fit_housing(
     for _ in range(HOUSING_ROUNDS):
         excess = []
         for group, tip in zip(groups, tips, strict=True):
-            camera = replace(values, housing=housing).camera(group.seen.size)
+            camera = replace(values, housing=housing).camera(group.observation.size)
             images = render_images(camera, sensor, _some(tip))
             ring = np.pi * compute_outer_fraction(camera, sensor) ** 2
-            excess.append((np.mean(images > 127) - np.mean(group.seen.white)) / ring)
+            excess.append((np.mean(images > 127) - np.mean(group.observation.white_share)) / ring)
         housing = float(np.sqrt(housing**2 + np.mean(excess)))
     return housing

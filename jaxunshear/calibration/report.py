@@ -42,7 +42,12 @@ def compared(
 ) -> tuple[Summaries, list[tuple[str, np.ndarray]]]:
     """Statistics of recorded images and of simulated ones before and after the fit, and pictures with their titles."""
     reported: Summaries = {
-        RECORDED: _merged([summaries_of(group, group.seen, group.seen.sure) for group in groups])
+        RECORDED: _merged(
+            [
+                summaries_of(group, group.observation, group.observation.identified)
+                for group in groups
+            ]
+        )
     }
     pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, (sensor, values, tips) in ((BEFORE, before), (AFTER, after)):
@@ -59,7 +64,7 @@ def _simulated(
     parts: list[list[Summary]] = []
     pictures: list[np.ndarray] = []
     for group, (tip, converged) in zip(groups, tips, strict=True):
-        images = render_images(values.camera(group.seen.size), sensor, tip)
+        images = render_images(values.camera(group.observation.size), sensor, tip)
         pictures = pictures or [images[0]]
         seen = observe_pins(images, sensor)
         parts.append(summaries_of(group, seen, converged & seen.identified))
@@ -70,7 +75,7 @@ def summaries_of(group: RecordedGroup, seen: PinObservation, kept: np.ndarray) -
     """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
     contacts = group.contacts
     seen = seen._replace(
-        place=np.where(kept[:, None, None], seen.place, np.nan),
+        positions=np.where(kept[:, None, None], seen.positions, np.nan),
         diameter=np.where(kept[:, None], seen.diameter, np.nan),
     )
     rows = summarise_pins(

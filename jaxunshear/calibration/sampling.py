@@ -32,7 +32,7 @@ class RecordedImages:
     names: tuple[str, ...] = ()  # of the images, below the folder of all recordings
 
     @property
-    def labelled(self) -> np.ndarray:
+    def labelled_rows(self) -> np.ndarray:
         """(N,) bool: pose known, and the slide where the folder has any: one that cannot be read is no tap."""
         if self.poses is None:
             return np.zeros(len(self.images), bool)
@@ -147,7 +147,7 @@ def load_images(
         sample = _take(recordings, rows)
         frames: list[tuple[int, str, np.ndarray]] = []
         try:
-            frames += sample.frames()
+            frames += sample.iterate_frames()
         except UserError as error:  # not one of them can be read
             problem = error
         notes += sample.notes

@@ -59,19 +59,19 @@ def fit_label_view(
             "the taps' labels do not go with their images: no slide to them can be simulated"
         )
     matter = AlignmentProblem(
-        seen.turned(reading.mirrored, reading.angle),
+        seen.rotate(reading.mirrored, reading.angle),
         reading.contacts,
         reading.side,
         known.values,
         known.sensor,
     )
     frame = find_frame(matter, LabelFrame(reading.surface_mm))
-    angle = reading.angle - matter.turn(frame)
+    angle = reading.angle - matter.measure_rotation(frame)
     turn = compute_camera_rotation(angle, reading.mirrored)
     view = LabelView(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, known)
     moved, fine = _simulate_motion(view, pose, None, known.friction)
     flat, _ = fit_positions(
-        known.values, known.sensor, size, (pins[fine] - lattice.middle) @ turn, moved[fine]
+        known.values, known.sensor, size, (pins[fine] - lattice.centre) @ turn, moved[fine]
     )
     return view._replace(flat=flat)
 
@@ -106,7 +106,7 @@ def _make_observation(pins: np.ndarray, lattice: Lattice, size: int) -> PinObser
     return PinObservation(
         size,
         lattice,
-        pins - lattice.middle,
+        pins - lattice.centre,
         unknown,
         zeros,
         np.ones(count, bool),

@@ -176,7 +176,7 @@ def _compare_folder(
         return None
     matter = folder.problem
     frame = find_frame(matter, folder.start, ("surface_mm",) if as_labelled else tuple(STEPS))
-    aligned = FolderAlignment(frame, folder.angle - matter.turn(frame))
+    aligned = FolderAlignment(frame, folder.angle - matter.measure_rotation(frame))
     notes.append(f"{folder.name}: {aligned.note(matter)}")
     contacts = apply_frame(folder.contacts, frame)
     moved, converged = _solve_contacts(folder.name, contacts, matter.side, known)
@@ -185,7 +185,7 @@ def _compare_folder(
     if len(kept) < MIN_LABELLED:
         notes.append(f"{folder.name}: too few contacts converged")
         return None
-    seen = folder.observation.turned(folder.mirrored, aligned.angle).take(kept)
+    seen = folder.observation.rotate(folder.mirrored, aligned.angle).take(kept)
     return _compared(folder.name, seen, contacts.take(kept), moved[kept], known)
 
 
@@ -193,7 +193,7 @@ def _read_folder(parts: Parts, known: Calibration, left_out: LeftOut) -> Recorde
     """A folder's labelled contacts, or why it has none that can be compared."""
     align, scored = parts.align, parts.scored
     seen = align.observe(known.sensor)
-    rows = np.flatnonzero(align.labelled & seen.sure)
+    rows = np.flatnonzero(align.labelled_rows & seen.identified)
     if len(rows) < MIN_LABELLED:
         return (
             f"{len(rows)} images to align by are labelled and followed, fewer than {MIN_LABELLED}"
@@ -203,11 +203,11 @@ def _read_folder(parts: Parts, known: Calibration, left_out: LeftOut) -> Recorde
     reading = read_labels(seen.take(rows), align.poses[rows], moves, known.values, known.sensor)
     if reading is None:
         return "its labels do not go with its images"
-    turned = seen.take(rows).turned(reading.mirrored, reading.angle)
-    compared, labelled = scored.observe(known.sensor), scored.labelled
+    turned = seen.take(rows).rotate(reading.mirrored, reading.angle)
+    compared, labelled = scored.observe(known.sensor), scored.labelled_rows
     left_out += _lost(scored.names, ~labelled, "its label cannot be read")
-    left_out += _lost(scored.names, labelled & ~compared.sure, "its pins cannot be followed")
-    kept = np.flatnonzero(labelled & compared.sure)
+    left_out += _lost(scored.names, labelled & ~compared.identified, "its pins cannot be followed")
+    kept = np.flatnonzero(labelled & compared.identified)
     if len(kept) < MIN_LABELLED:
         return f"{len(kept)} contacts are labelled and followed, fewer than {MIN_LABELLED}"
     assert scored.poses is not None  # else none would be labelled

@@ -159,7 +159,7 @@ def solve_increment(
             else tolerance * jnp.where(hard & (count < PATIENCE), STRICTER, 1.0)
         )
 
-    def unfinished(state: _Solving) -> Array:
+    def is_unfinished(state: _Solving) -> Array:
         _, error, _, count = state
         return jnp.any(error > aim(count)) & (count < limit)
 
@@ -189,7 +189,7 @@ def solve_increment(
     missing = jnp.where(jnp.isinf(tolerance), 0.0, missing).astype(force.dtype)
     zero = jnp.zeros((), jnp.int32)
     state = ((force, dual, force, force), missing, jnp.zeros(missing.shape, jnp.int32), zero)
-    (z, y, _, _), missing, spent, _ = jax.lax.while_loop(unfinished, step, state)
+    (z, y, _, _), missing, spent, _ = jax.lax.while_loop(is_unfinished, step, state)
     return z, y, missing, spent
 
 

@@ -35,7 +35,7 @@ class SharedSlides(NamedTuple):
     row: np.ndarray  # (groups, places, slides), -1 where there is none
     places: np.ndarray  # (groups,) how many poses each has
 
-    def partners(
+    def sample_partners(
         self, rows: np.ndarray, generator: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
         """For rows (B,) those, drawn, of another pose after another slide, and of the same pose after that slide: (B,) each."""
@@ -71,28 +71,30 @@ class FactorialReader(SetReader):
         self.shared = functools.cache(lambda split: index_shared_slides(self.rows(split), settings))
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
-        return super().take(name, rows, _select_stored_fields(fields)) | self._partners_of(
+        return super().take(name, rows, _select_stored_fields(fields)) | self._read_partners(
             name, rows, fields
         )
 
-    def partners(self, split: str, rows: np.ndarray, *step: int) -> tuple[np.ndarray, np.ndarray]:
+    def sample_partners(
+        self, split: str, rows: np.ndarray, *step: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The rows (B,) that others and swapped ones are of: in evaluation, or for a training's seed and step."""
-        return self.shared(split).partners(rows, np.random.default_rng(step or 0))
+        return self.shared(split).sample_partners(rows, np.random.default_rng(step or 0))
 
-    def _drawn(
+    def _make_training_batch(
         self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
     ) -> Batch:
-        return super()._drawn(here, taps, _select_stored_fields(fields), seed) | self._partners_of(
-            "train", here, fields, *seed
-        )
+        return super()._make_training_batch(
+            here, taps, _select_stored_fields(fields), seed
+        ) | self._read_partners("train", here, fields, *seed)
 
-    def _partners_of(
+    def _read_partners(
         self, split: str, rows: np.ndarray, fields: Sequence[str], *step: int
     ) -> Batch:
         wanted = [name for name in fields if name in PARTNERS]
         if not wanted:
             return {}
-        other, swapped = self.partners(split, rows, *step)
+        other, swapped = self.sample_partners(split, rows, *step)
         stored = self.rows(split)
         return self._images(
             {

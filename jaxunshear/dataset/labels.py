@@ -57,12 +57,12 @@ class Problem(str):
     row: int | None  # of a table
 
     @classmethod
-    def at(cls, place: Path, text: str, row: int | None = None) -> Problem:
+    def with_place(cls, place: Path, text: str, row: int | None = None) -> Problem:
         """That begins with the place."""
-        return cls.of(place, f"{place}{f', row {row}' if row else ''}: {text}", row)
+        return cls.from_line(place, f"{place}{f', row {row}' if row else ''}: {text}", row)
 
     @classmethod
-    def of(cls, place: Path, line: str, row: int | None = None) -> Problem:
+    def from_line(cls, place: Path, line: str, row: int | None = None) -> Problem:
         """That names the place in its own words."""
         printable = line.encode(
             "utf-8", "backslashreplace"
@@ -73,7 +73,7 @@ class Problem(str):
 
 
 def _refusal(file: Path, text: str, row: int | None = None) -> UserError:
-    return UserError(Problem.at(file, text, row))
+    return UserError(Problem.with_place(file, text, row))
 
 
 class ImageLabels(NamedTuple):
@@ -139,7 +139,7 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
     missing = [name for name in names if name not in by_name]
     if missing:
         text = f"has no row for {len(missing)} of {len(names)} images, the first {missing[0]}: poses unknown"
-        problems.append(Problem.at(table.file, text))
+        problems.append(Problem.with_place(table.file, text))
     rows = [by_name.get(name) for name in names]
     poses, bad_poses = _six(table, rows, POSE_COLUMNS, "pose")
     moves, bad_moves = _six(table, rows, MOVE_COLUMNS, "slide")
@@ -191,7 +191,9 @@ def _group_problems(table: LabelTable, wrong: list[WrongRow]) -> list[Problem]:
         return []
     row, text = min(wrong)
     return [
-        Problem.at(table.file, text + (f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""), row)
+        Problem.with_place(
+            table.file, text + (f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""), row
+        )
     ]
 
 
@@ -207,7 +209,9 @@ def _six(
     lacking = [name for name in names if name not in table.columns]
     if lacking:
         return values, [
-            Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")
+            Problem.with_place(
+                table.file, f"has no column {', '.join(lacking)}: {what}s are not known"
+            )
         ]
     bad: list[WrongRow] = []
     for i, row in enumerate(rows):

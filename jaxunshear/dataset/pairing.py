@@ -38,10 +38,10 @@ def _scale_poses(targets: Targets, poses: np.ndarray) -> np.ndarray:
     columns: list[np.ndarray] = []
     for target in targets:
         value = np.asarray(poses[:, target.column], np.float64)
-        if target.circle:
+        if target.is_circular:
             columns += [np.cos(np.radians(value)), np.sin(np.radians(value))]
         else:
-            columns.append((value - target.middle) / target.reach)
+            columns.append((value - target.centre) / target.half_range)
     return np.stack(columns, axis=-1)
 
 

@@ -56,7 +56,7 @@ def _choose_label(pose: np.ndarray) -> Target:
     varying = make_label_targets((), pose)
     if not varying:
         raise UserError(f"paired.split block: no label of the poses varies: {RANDOM_REMEDY}")
-    ranges = [target for target in varying if not target.circle]
+    ranges = [target for target in varying if not target.is_circular]
     return max(ranges or varying, key=lambda target: _count_values(pose[:, target.column]))
 
 

@@ -16,17 +16,17 @@ class PoseGroups(NamedTuple):
     start: np.ndarray  # (groups,) where each begins
     size: np.ndarray  # (groups,)
 
-    def of(self, row: int) -> np.ndarray:
+    def get_group(self, row: int) -> np.ndarray:
         """All of a row's group, itself among them."""
         start = self.start[self.group[row]]
         return self.members[start : start + self.size[self.group[row]]]
 
-    def drawn(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    def sample_any(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """One of each row's group (B,): any."""
         group = self.group[rows]
         return self.members[self.start[group] + generator.integers(self.size[group])]
 
-    def others(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    def sample_other(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """One of each row's group (B,), another one where there is one."""
         group = self.group[rows]
         return self.members[

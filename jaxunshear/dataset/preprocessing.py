@@ -81,7 +81,7 @@ def find_recordings_frame(
         raise UserError(
             f"{recordings.path} holds {len(files)} images; the mean over {MIN_FRAMES} contacts or more shows where pins stand: {LIKE_REMEDY}"
         )
-    view = recordings.common_view()
+    view = recordings.find_common_view()
     if view.box is None:
         raise UserError(
             f"{recordings.path}: its images have no crop in common: name one folder of one camera"

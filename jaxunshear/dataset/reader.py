@@ -80,7 +80,7 @@ class Reader:
 
         def draw(row: int, generator: np.random.Generator) -> np.ndarray:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
-            return np.array([row, generator.choice(siblings.of(row)), *offset])
+            return np.array([row, generator.choice(siblings.get_group(row)), *offset])
 
         drawn = (
             grain.MapDataset.range(self.length("train"))
@@ -94,14 +94,14 @@ class Reader:
 
         def at_once(step: int) -> np.ndarray:
             here = order(step)
-            taps = siblings.drawn(
+            taps = siblings.sample_any(
                 here, np.random.default_rng((seed, step, 1))
             )  # others draw by (seed, step)
             return np.stack([here, taps, *np.zeros((2, batch), int)], axis=-1)
 
         def at(step: int) -> Batch:
             here, taps, *offsets = (drawn[step] if shift else at_once(step)).T
-            examples = self._drawn(here, taps, wanted, (seed, step))
+            examples = self._make_training_batch(here, taps, wanted, (seed, step))
             return shift_examples(examples, np.stack(offsets, axis=-1)) if shift else examples
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
@@ -109,7 +109,7 @@ class Reader:
 
         return from_step
 
-    def _drawn(
+    def _make_training_batch(
         self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
     ) -> Batch:
         """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""

@@ -182,7 +182,7 @@ def _split_one_folder(recordings: Recordings) -> RecordedContacts:
 
 def _select_kind(recordings: Recordings, slid: bool) -> RecordedContacts:
     contacts = _contacts(recordings, np.full(len(recordings), slid))
-    wrong = np.zeros(len(contacts.slid), bool) if slid else _classify_moves(contacts.move) == 1
+    wrong = np.zeros(len(contacts.is_slide), bool) if slid else _classify_moves(contacts.move) == 1
     if wrong.all():
         raise UserError(
             f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
@@ -305,7 +305,7 @@ def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
         np.concatenate([part.pose for part in parts]),
         np.concatenate([part.move for part in parts]),
         np.concatenate([part.pose_id for part in parts]),
-        np.concatenate([part.slid for part in parts]),
+        np.concatenate([part.is_slide for part in parts]),
         np.concatenate([part.split for part in parts]),
         tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )

@@ -66,7 +66,7 @@ def find_pins(
     """
     preprocess = preprocess or Preprocess(size=prepared_size(path))
     recordings = read_recordings(path, preprocess)
-    view = recordings.common_view()
+    view = recordings.find_common_view()
     found, names, drawn, spent = _found(recordings, view)
     began = time.perf_counter()
     origin = "the untouched pins"
@@ -77,10 +77,10 @@ def find_pins(
     fitted = time.perf_counter()
     tracks = track_all(lattice, found)
     spent += time.perf_counter() - fitted
-    place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])
+    place = lattice.rest + np.array([np.where(t.identified, t.motion, np.nan) for t in tracks])
     table = PinScores(
         rows=[_row(name, track) for name, track in zip(names, tracks, strict=True)],
-        pins=len(lattice.place),
+        pins=len(lattice.rest),
         image_px=preprocess.size,
         motion_from=origin,
         fit_s=fitted - began,
@@ -88,8 +88,8 @@ def find_pins(
         left_out=list(recordings.notes),
     )
     shown = [(names[i], image, tracks[i]) for i, image in drawn.items()]
-    sure = np.array([track.sure for track in tracks])
-    return Pins(np.array(names), sure, place, place - lattice.place, lattice, table, shown)
+    sure = np.array([track.identified for track in tracks])
+    return Pins(np.array(names), sure, place, place - lattice.rest, lattice, table, shown)
 
 
 def _found(
@@ -102,7 +102,7 @@ def _found(
     drawn: dict[int, np.ndarray] = {}
     spent, seen = 0.0, 0
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
-        for row, name, image in recordings.frames(view):
+        for row, name, image in recordings.iterate_frames(view):
             began = time.perf_counter()
             found.append(detect_pins(image))
             spent += time.perf_counter() - began
@@ -118,7 +118,7 @@ def _found(
 def _row(name: str, track: PinTrack) -> PinScore:
     return PinScore(
         name=name,
-        matched=int(track.seen.sum()) if track.identified else 0,
+        matched=int(track.visible.sum()) if track.identified else 0,
         sure=track.identified,
         doubt=round(track.max_offset, 4) if np.isfinite(track.max_offset) else None,
         missed=track.missed,

@@ -103,11 +103,11 @@ class RecordedSet:
         """What the sensor's frames have in common; see `preprocessing.SensorFrame`."""
         return self.metadata["frame"]
 
-    def lattice(self) -> Lattice:
+    def make_lattice(self) -> Lattice:
         """The untouched pins, px of the prepared image."""
         return make_lattice(np.array(self.frame["place_px"]), np.array(self.frame["shell"]))
 
-    def targets(self, wanted: tuple[str, ...]) -> Targets:
+    def make_targets(self, wanted: tuple[str, ...]) -> Targets:
         """Targets by the labels of training contacts alone. Raises UserError."""
         labels = self.stored.rows("train")
         if asked := list_slide_names(wanted):
@@ -119,41 +119,41 @@ class RecordedSet:
                     )
         return make_label_targets(wanted, labels["pose"], labels["move"])
 
-    def slide_targets(self) -> Targets:
+    def make_slide_targets(self) -> Targets:
         """What training slides vary of their move."""
         rows = self.stored.rows("train")
         labelled = _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
         return make_move_targets(rows["move"][labelled & (rows["slid"] == 1)])
 
-    def count(self, kind: str, split: str) -> int:
+    def count_contacts(self, kind: str, split: str) -> int:
         """Of "taps" or "slides"."""
         return int(self.metadata["counts"][kind][split])
 
-    def taps(self) -> Reader:
+    def read_taps(self) -> Reader:
         """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
-        return Reader(lambda split: _number_poses(self.labelled_taps(split)), self.size)
+        return Reader(lambda split: _number_poses(self.read_labelled_taps(split)), self.size)
 
-    def labelled_taps(self, split: str) -> Batch:
+    def read_labelled_taps(self, split: str) -> Batch:
         """All of a split, images at one bit a pixel."""
-        rows = self._of(split, False)
+        rows = self._select(split, False)
         return _take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
 
-    def slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
+    def read_slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
         """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
         the settings' share; with `simulate` simulated ones in their place, without `images` as pins alone. Where the settings say so,
         the training split has the taps behind its slides."""
 
         def load(split: str) -> Batch:
             if simulate and split != "test":
-                return self._dragged(split, simulate, images)
+                return self._simulate_slides(split, simulate, images)
             slides = self._slides(split)
             if split == "train" and self.settings.direct_taps == "recorded":
-                slides = _concatenate([slides, _make_zero_slides(self.labelled_taps(split))])
+                slides = _concatenate([slides, _make_zero_slides(self.read_labelled_taps(split))])
             return _number_poses(slides)
 
         return Reader(load, self.size)
 
-    def pairs(
+    def read_pairs(
         self,
         targets: Targets,
         render: TapRenderer | None = None,
@@ -171,15 +171,15 @@ class RecordedSet:
 
         def load(split: str) -> Batch:
             if simulate and split != "test":
-                return self._dragged(split, simulate, images)
-            return self._paired(
+                return self._simulate_slides(split, simulate, images)
+            return self._pair_slides(
                 split, self._slides(split, estimate, images), targets, render, images
             )
 
         return Reader(load, self.size)
 
     def _slides(self, split: str, read: PoseEstimator | None = None, images: bool = True) -> Batch:
-        rows = self._of(split, True)
+        rows = self._select(split, True)
         known = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
             known &= _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
@@ -195,7 +195,7 @@ class RecordedSet:
         }
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 
-    def _paired(
+    def _pair_slides(
         self, split: str, batch: Batch, targets: Targets, render: TapRenderer | None, images: bool
     ) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
@@ -205,10 +205,12 @@ class RecordedSet:
             pins = render(batch["pose"]).astype(np.float32)
             partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
             if images:
-                partner["canonical"] = self._redrawn(batch["pose"], pins, targets, render)
+                partner["canonical"] = self._render_targets(batch["pose"], pins, targets, render)
             return _number_poses(batch | partner | {"weight": np.ones(count, np.float32)})
         # a tap of another held-out split would let that split choose the checkpoint
-        taps = _concatenate([self.labelled_taps(each) for each in dict.fromkeys(("train", split))])
+        taps = _concatenate(
+            [self.read_labelled_taps(each) for each in dict.fromkeys(("train", split))]
+        )
         if way == "nearest":
             row, distance = pairing.find_nearest(targets, batch["pose"], taps["pose"])
             weight = pairing.compute_pair_weights(distance)
@@ -231,9 +233,9 @@ class RecordedSet:
         batch = batch | partner
         return batch if way in ("pose_id", "file") else _number_poses(batch)
 
-    def _dragged(self, split: str, drag: SlideSimulator, images: bool) -> Batch:
+    def _simulate_slides(self, split: str, drag: SlideSimulator, images: bool) -> Batch:
         """Simulated slides to taps, each with the tap."""
-        slides, taps = drag(split), self.labelled_taps(split)
+        slides, taps = drag(split), self.read_labelled_taps(split)
         row, sheared = slides["row"], slides["sheared_pins"]
         batch = {name: taps[name][row] for name in ("pose", "sure", "stimulus")}
         batch |= {
@@ -247,28 +249,28 @@ class RecordedSet:
         }
         if images:
             motion, taken = np.nan_to_num(sheared - batch["canonical_pins"]), taps["image"][row]
-            batch |= {"canonical": taken, "sheared": self._warped(taken, motion)}
+            batch |= {"canonical": taken, "sheared": self._warp_images(taken, motion)}
         return _number_poses(batch | {"number": np.arange(len(row), dtype=np.int32)})
 
-    def _redrawn(
+    def _render_targets(
         self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: TapRenderer
     ) -> np.ndarray:
         """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
 
         Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
         """
-        taps = self.labelled_taps("train")
+        taps = self.read_labelled_taps("train")
         row, _ = pairing.find_nearest(targets, poses, taps["pose"])
-        return self._warped(taps["image"][row], pins - render(taps["pose"][row]))
+        return self._warp_images(taps["image"][row], pins - render(taps["pose"][row]))
 
-    def _warped(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    def _warp_images(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """(N, S, S) uint8: images at one bit a pixel whose pins have moved by `motion` (N, P, 2) px."""
         spread = pairing.interpolate_over_pixels(
             np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size
         )
         return pairing.warp_images(unpack_bits(images, self.size), motion, spread)
 
-    def _of(self, split: str, slid: bool) -> Batch:
+    def _select(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)
         return _take_rows(
             rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid)

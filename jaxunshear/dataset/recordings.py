@@ -82,7 +82,7 @@ class Recordings:
         root = self.path.parent if file == self.path else self.path
         return os.fsencode(file.relative_to(root).as_posix()).decode("utf-8", "backslashreplace")
 
-    def frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
+    def iterate_frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
         """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`; what it does not give, as each folder's have in common.
 
         Raises UserError if not one image can be read.
@@ -95,7 +95,7 @@ class Recordings:
         for index, file in enumerate(self.files):
             name, folder = self._name(file), file.parent
             if folder not in views:
-                own = self.common_view(folder) if view is None or view.box is None else view
+                own = self.find_common_view(folder) if view is None or view.box is None else view
                 views[folder], sizes[folder] = (
                     View(own.box, own.whites if view is None else view.whites),
                     {},
@@ -105,7 +105,7 @@ class Recordings:
                 image = prepare_frame(self.preprocess, raw, views[folder])
             except UserError as error:
                 problem = f"{name}: {error}"
-                self._note(Problem.of(file, f"left out {problem}"))
+                self._note(Problem.from_line(file, f"left out {problem}"))
                 continue
             sizes[folder].setdefault(raw.shape[:2], []).append(file.name)
             yield index, name, image
@@ -115,13 +115,15 @@ class Recordings:
             )
         for folder, seen in sizes.items():
             if len(seen) > 1:
-                self._note(Problem.at(folder, f"images of {len(seen)} sizes: {_sizes(seen)}"))
+                self._note(
+                    Problem.with_place(folder, f"images of {len(seen)} sizes: {_sizes(seen)}")
+                )
 
     def _note(self, problem: str) -> None:
         if problem not in self.notes:  # frames may be asked for twice
             self.notes.append(problem)
 
-    def common_view(self, folder: Path | None = None) -> View:
+    def find_common_view(self, folder: Path | None = None) -> View:
         """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would appear
         as motion. No crop where they differ in size."""
         from jaxunshear.image.preprocess import View, combine_views, find_view
@@ -245,7 +247,9 @@ def _recording_folders(
         try:
             yield from _recording_folders(below, depth - 1, notes, seen)
         except OSError as error:
-            notes.append(Problem.at(below, f"cannot be searched ({error.strerror or error})"))
+            notes.append(
+                Problem.with_place(below, f"cannot be searched ({error.strerror or error})")
+            )
 
 
 def _below(folder: Path) -> Path | None:
@@ -287,7 +291,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
             json.loads(file.read_text(encoding="utf-8"))
         except (ValueError, OSError, RecursionError) as error:
             text = f"this JSON is broken ({get_first_line(error)}); it is not needed, so the reading goes on without it"
-            notes.append(Problem.at(file, text))
+            notes.append(Problem.with_place(file, text))
 
 
 def _targets(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:

@@ -111,7 +111,7 @@ def compute_relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
 def compute_cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     """(P,) px^2, areas of the Voronoi cells of the pins moved by (P, 2) px."""
     rim = np.flatnonzero(lattice.ring == lattice.ring.max())
-    outward = lattice.rest[rim] - lattice.middle
+    outward = lattice.rest[rim] - lattice.centre
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
     ghosts = lattice.rest[rim] + lattice.spacing * outward + motion[rim]
     points = np.concatenate([lattice.rest + motion, ghosts])

@@ -83,7 +83,7 @@ def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> Ge
         ways,
         networks,
     )
-    scales = {name: way.mm for name, way in ways.items()}
+    scales = {name: way.mm_per_unit for name, way in ways.items()}
     table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
     return GeometryResult(lattice, contacts, found, ways, networks, table)
 

@@ -88,7 +88,7 @@ def reconstruct_objects(
 ) -> dict[str, ReconstructedObject]:
     """By maker, the object of one walk from every fourth of its images, unsheared or (None) as they are."""
     course, walks = trajectories
-    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::STEPS_PER_IMAGE]
+    there = np.flatnonzero(~np.isnan(walks.perceived[walk, :, 0]))[::STEPS_PER_IMAGE]
     images = unpack_bits(walks.images[walk, there], experiment.paired.preprocess.size)
     motion = measure_motions(lattice, images) if unshear is None else unshear(images)
     full = (
@@ -97,9 +97,12 @@ def reconstruct_objects(
     found = {}
     for name, maker in estimators.items():
         fused = fuse_heights(
-            walks.point[walk, there], maker.place(motion), maker.value(motion), full
+            walks.point[walk, there],
+            maker.locate_values(motion),
+            maker.estimate_values(motion),
+            full,
         )
-        shape = maker.shape(fused)
+        shape = maker.extract_shape(fused)
         true = compute_distances(make_stimulus(course.stimulus), fused.xy) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
@@ -129,12 +132,12 @@ def reconstruct(
     """
     paired, _ = require_simulated(experiment, "reconstruct")
     for course, walks in trajectories:
-        ways = tuple(dict.fromkeys(walks.way.tolist()))
+        ways = tuple(dict.fromkeys(walks.method.tolist()))
         if (walks.end == WALKING).any():
             raise UserError(
                 f"walks around {course.stimulus} are not finished: run the same `jaxunshear servo` command again"
             )
-        if str(walks.made) != compute_servo_digest(
+        if str(walks.provenance) != compute_servo_digest(
             experiment.sensor, paired, perception.compute_network_digests(folder, ways)
         ):
             raise UserError(
@@ -165,10 +168,10 @@ def _objects(
     lattice = perception.compute_model_lattice(experiment)
     typical: dict[tuple[str, str], ReconstructedObject] = {}
     scores = []
-    with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
-        for way in dict.fromkeys(walks.way.tolist()):
+    with Progress(f"reconstruct {course.stimulus}", len(walks.method), "walks") as progress:
+        for way in dict.fromkeys(walks.method.tolist()):
             unshear = networks.get(perception.find_unshearing_network(way))
-            rows, made = np.flatnonzero(walks.way == way), []
+            rows, made = np.flatnonzero(walks.method == way), []
             for walk in rows:
                 made.append(
                     reconstruct_objects(

@@ -69,14 +69,14 @@ def fuse_heights(
     )
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
-    def gathered(weights: np.ndarray) -> np.ndarray:
+    def accumulate(weights: np.ndarray) -> np.ndarray:
         cells = np.histogram2d(y.ravel(), x.ravel(), (edges, edges), weights=weights.ravel())[0]
         return ndimage.gaussian_filter(cells, BLUR_MM / CELL_MM)
 
-    total = gathered(np.ones_like(x))
+    total = accumulate(np.ones_like(x))
     touched = total > MIN_PINS_PER_CELL
     mean = np.divide(
-        gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched
+        accumulate(value[followed]), total, out=np.full(total.shape, np.nan), where=touched
     )
     return HeightMap((edges[1:] + edges[:-1]) / 2, mean)
 

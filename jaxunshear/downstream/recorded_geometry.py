@@ -30,7 +30,7 @@ def estimate_recorded_heights(
 ) -> tuple[list[str], dict[str, np.ndarray]]:
     """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows of images that are not understood."""
     _, names, images = zip(
-        *islice(read_recordings(path, experiment.paired.preprocess).frames(), SHOWN_IMAGES),
+        *islice(read_recordings(path, experiment.paired.preprocess).iterate_frames(), SHOWN_IMAGES),
         strict=True,
     )
     stack = np.stack(images)

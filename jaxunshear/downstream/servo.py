@@ -251,7 +251,7 @@ def _touch(
     walks.force_n[rows] = skins.force_n
 
     ended = np.full(count, WALKING)
-    ended[rows[contacts.stuck + contacts.slipping == 0]] = UNTOUCHED
+    ended[rows[contacts.stuck_nodes + contacts.slipping_nodes == 0]] = UNTOUCHED
     walks.failed_contacts[rows] += ~contacts.converged
     walks.failures_in_row[rows] = np.where(contacts.converged, 0, walks.failures_in_row[rows] + 1)
     finite = np.isfinite(contacts.pins).all(axis=(1, 2))
@@ -322,9 +322,9 @@ def _load_matching_trajectories(
     if file is None or not file.exists():
         return None
     before, walks = load_trajectories(file)
-    if before != course or tuple(dict.fromkeys(walks.way.tolist())) != ways:
+    if before != course or tuple(dict.fromkeys(walks.method.tolist())) != ways:
         raise UserError(f"{file} holds walks with other settings: give another --out, or delete it")
-    if str(walks.made) != made:
+    if str(walks.provenance) != made:
         raise UserError(
             f"{file} holds walks of another model or sensor, or of an earlier simulator: give another --out, or delete it"
         )

@@ -62,14 +62,14 @@ def servo(
         perception.compute_network_digests(folder, methods),
     )
 
-    def walked(course: ServoTask) -> ServoResult:
+    def run_task(course: ServoTask) -> ServoResult:
         file = out / f"{course.stimulus}.npz" if out else None
         walks, line = follow_contour(course, experiment.sensor, paired, perceive, file, digests)
         return ServoResult(
             course, walks, line, score_trajectories(walks, line, str(course.stimulus))
         )
 
-    return map(walked, tasks)
+    return map(run_task, tasks)
 
 
 def _check(course: ServoTask, sensor: Sensor) -> None:

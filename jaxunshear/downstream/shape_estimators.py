@@ -59,7 +59,7 @@ def make_shape_estimators(
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
     inverse = fit_inverse(lattice, motion, indentation_mm[followed])
     tips = compute_pin_tips(sensor)[:, :2]
-    px_per_mm = np.sum((lattice.rest - lattice.middle) * tips) / np.sum(tips**2)
+    px_per_mm = np.sum((lattice.rest - lattice.centre) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
     undeformed = sensor.dome_radius_mm * (1 - towards_axis)
 
@@ -73,7 +73,7 @@ def make_shape_estimators(
     def stands(motion: np.ndarray) -> np.ndarray:
         return undeformed + towards_axis * estimate_indentation(inverse, motion)[:, near]
 
-    def moved(motion: np.ndarray) -> np.ndarray:
+    def displace_pins(motion: np.ndarray) -> np.ndarray:
         return rest[near] + motion[:, near] / px_per_mm
 
     def above(fused: HeightMap) -> np.ndarray:
@@ -81,8 +81,8 @@ def make_shape_estimators(
 
     level = find_separating_level(stands(motion), distance[:, near] < 0)
     return {
-        VORONOI: ShapeEstimator(growth, moved, extract_ridge_shape, None, in_mm=False),
-        SKIN: ShapeEstimator(stands, moved, above, level, in_mm=True),
+        VORONOI: ShapeEstimator(growth, displace_pins, extract_ridge_shape, None, in_mm=False),
+        SKIN: ShapeEstimator(stands, displace_pins, above, level, in_mm=True),
     }
 
 

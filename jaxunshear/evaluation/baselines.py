@@ -54,14 +54,14 @@ def translate_to_target(image: Array, target: Array) -> Array:
     most = int(MAX_SHIFT * size)
     shape = (2 * size, 2 * size)
 
-    def correlated(a: Array, b: Array) -> Array:
+    def correlate(a: Array, b: Array) -> Array:
         """sum over x of a(x) b(x + shift), by shift from -most to most on each axis."""
         product = jnp.fft.irfft2(jnp.conj(jnp.fft.rfft2(a, shape)) * jnp.fft.rfft2(b, shape), shape)
         return jnp.roll(product, (most, most), (0, 1))[: 2 * most + 1, : 2 * most + 1]
 
     plain, wanted = image[..., 0], target[..., 0]
-    in_view = correlated(plain**2, jnp.ones_like(plain))
-    best = jnp.argmin(in_view - 2 * correlated(plain, wanted))
+    in_view = correlate(plain**2, jnp.ones_like(plain))
+    best = jnp.argmin(in_view - 2 * correlate(plain, wanted))
     rows, columns = jnp.divmod(best, 2 * most + 1)
     # moved by (rows - most, columns - most)
     framed = jnp.pad(plain, most)

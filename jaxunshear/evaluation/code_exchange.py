@@ -53,12 +53,12 @@ class _Modality(NamedTuple):
     encode: Callable[[Variables, Array], tuple[Array, Array | None]]
     draw: Callable[[Variables, Array, Array], Array]
 
-    def seen(self, reader: Reader, rows: np.ndarray) -> np.ndarray:
+    def read_inputs(self, reader: Reader, rows: np.ndarray) -> np.ndarray:
         """Of test contacts: images in [0, 1], pins as they are."""
         stored = reader.take("test", rows, (self.field,))[self.field]
         return stored / np.float32(255) if stored.dtype == np.uint8 else stored
 
-    def squares(self, drawn: np.ndarray, true: np.ndarray) -> np.ndarray:
+    def compute_squared_errors(self, drawn: np.ndarray, true: np.ndarray) -> np.ndarray:
         """(N,) mean square difference: of a pixel's grey, or a pin's distance."""
         each = np.square(drawn - true)
         return each.mean(axis=(1, 2, 3)) if each.ndim == 4 else each.sum(-1).mean(axis=1)
@@ -93,7 +93,7 @@ def exchange_codes(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exc
     full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
     if not full:
         return None
-    stored = road.seen(reader, full[0].reshape(-1))
+    stored = road.read_inputs(reader, full[0].reshape(-1))
     true = stored.reshape(side, side, *stored.shape[1:])
     z_p, z_s = road.encode(variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
     assert z_s is not None
@@ -114,16 +114,16 @@ def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> J
     road = _make_modality(net)
     rows = select_evenly(reader.length("test"), MOST)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
-    others, swapped = reader.partners("test", rows)
+    others, swapped = reader.sample_partners("test", rows)
     compared = partial(_decode_exchanged, road, variables, reader, (rows, others, swapped))
     every = [
         compared(np.arange(start, start + AT_ONCE) % len(rows))
         for start in range(0, len(rows), AT_ONCE)
     ]
     squares = {
-        name: np.concatenate([road.squares(drawn[name], wanted) for drawn, wanted in every])[
-            : len(rows)
-        ]
+        name: np.concatenate(
+            [road.compute_squared_errors(drawn[name], wanted) for drawn, wanted in every]
+        )[: len(rows)]
         for name in every[0][0]
     }
     poses = number_poses(batch["stimulus"], batch["pose_id"])
@@ -154,7 +154,7 @@ def _decode_exchanged(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What DS draws of `some` contacts, from which codes, and what it should draw. `partners`: rows of these contacts, of others after
     other slides, and of the own poses after those slides."""
-    seen = [road.seen(reader, rows[some]) for rows in partners]
+    seen = [road.read_inputs(reader, rows[some]) for rows in partners]
     codes: list[Any] = [road.encode(variables, jnp.asarray(each)) for each in seen]
     pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
     drawn = {name: road.draw(variables, codes[p][0], codes[s][1]) for name, (p, s) in pairs.items()}

@@ -162,11 +162,11 @@ def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -
     gathered = mark_smooth(gathered, paired)
     if PIN_PLACES in readers and not over:
         true = {
-            name: value[gathered.kept]
+            name: value[gathered.kept_rows]
             for name, value in read_true_values(targets, gathered.labels).items()
         }
         gathered = gathered._replace(
-            read=score_detected_pins(readers[PIN_PLACES], lattice, gathered.images, true)
+            estimates=score_detected_pins(readers[PIN_PLACES], lattice, gathered.images, true)
         )
     further = {}
     for name, settings in list_further_tests(experiment).items():
@@ -208,9 +208,13 @@ def _evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -
 def _evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> ScoredRun:
     """On the test split of a recorded set."""
     stored = open_recorded_set(experiment, data_dir)
-    targets = stored.targets(experiment.targets)
+    targets = stored.make_targets(experiment.targets)
     test = recorded_evaluation.choose_test(experiment, stored, targets, run_dir, data_dir)
-    readers = fit_estimators(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
+    readers = (
+        fit_estimators(experiment, data_dir, run_dir)
+        if stored.count_contacts("taps", "train")
+        else {}
+    )
     run = recorded_evaluation.load_recorded_run(experiment, run_dir, stored)
     slides, taps = recorded_evaluation.collect_recorded_scores(
         experiment, run, test, targets, make_batch_estimators(readers)

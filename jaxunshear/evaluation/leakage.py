@@ -80,12 +80,12 @@ def measure_leakage(
         )
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     train, test = read_splits(experiment, examples, data_dir)
-    codes = [encode(split.seen) for split in (train, test)]
+    codes = [encode(split.inputs) for split in (train, test)]
     fresh = []
     if controls:
         untrained_encode = make_encoder(net, init_untrained(net, variables, SEED))
         assert untrained_encode is not None
-        fresh = [untrained_encode(split.seen) for split in (train, test)]
+        fresh = [untrained_encode(split.inputs) for split in (train, test)]
     rows = _probe_all(codes, fresh, train, test, controls)
     results = {
         "experiment": experiment.name,
@@ -200,9 +200,13 @@ def _slide(
     """What both codes together say of the slide, in mm and deg, and how surely."""
     train, test = splits
     batch = take_labelled(experiment, examples.reader, "validation", MOST_TESTED)
-    seen = (train.seen, batch[PINS if uses_pins(experiment) else "sheared"], test.seen)
+    seen = (train.inputs, batch[PINS if uses_pins(experiment) else "sheared"], test.inputs)
     codes = [np.concatenate(list(encode(each).values()), axis=1) for each in seen]
-    wanted = [train.wanted["slide"], compute_slides(examples.slides, batch), test.wanted["slide"]]
+    wanted = [
+        train.quantities["slide"],
+        compute_slides(examples.slides, batch),
+        test.quantities["slide"],
+    ]
     slipped = (
         is_slipping(test.batch["stuck"], test.batch["slipping"]) if "stuck" in test.batch else None
     )

@@ -58,7 +58,7 @@ def compute_standard_scores(
     sizes = [whitening.directions.shape[1] for whitening in whitenings.values()]
     blocks = []
     for split, encoded in zip((train, test), codes, strict=True):
-        factors = [(int(w == "slide"), split.wanted[w][q]) for w, q in sorted(asked)]
+        factors = [(int(w == "slide"), split.quantities[w][q]) for w, q in sorted(asked)]
         blocks.append(
             Blocks(
                 np.concatenate(

@@ -85,7 +85,7 @@ def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
             for name in SIMULATED_FIELDS
             for target in _list_varied_targets(name, experiment.paired.ranges)
         ]
-    return list(open_recorded_set(experiment, data_dir).targets(()))
+    return list(open_recorded_set(experiment, data_dir).make_targets(()))
 
 
 def compute_slides(slides: Targets, batch: Batch) -> Quantities:

@@ -81,5 +81,5 @@ def count_test_contacts(
         test_taps=test_taps,
         test_unsure=all_slides - test_poses,
         unread_taps=all_taps - test_taps,
-        pin_images=0 if slides[1] is None else len(slides[1].kept),
+        pin_images=0 if slides[1] is None else len(slides[1].kept_rows),
     )

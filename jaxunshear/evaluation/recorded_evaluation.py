@@ -70,14 +70,16 @@ def choose_test(
     """
     paired = data_dir is not None and any(name not in POSENETS for name in experiment.networks)
     slides = None
-    if stored.count("slides", "test"):
+    if stored.count_contacts("slides", "test"):
         slides = (
             open_pairs(experiment, stored, targets, run_dir, data_dir)
             if paired and data_dir
-            else stored.slides()
+            else stored.read_slides()
         )
     taps = (
-        stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
+        stored.read_taps()
+        if stored.count_contacts("taps", "test") and POSENET in experiment.networks
+        else None
     )
     data: TestData = "same session" if data_dir else "other recordings"
     return RecordedTest(slides, taps, paired and slides is not None, data)
@@ -268,17 +270,17 @@ def _add_unsheared(found: Tables) -> Tables:
     if kind == "sheared":
         return found
 
-    def named(table: Mapping[str, Row]) -> Mapping[str, Row]:
+    def add_row(table: Mapping[str, Row]) -> Mapping[str, Row]:
         return {**table, UNSHEARED: table[kind]} if kind in table else table
 
     spread = found.spread
     spread = dataclasses.replace(
-        spread, pose_mae=named(spread.pose_mae), pose_recovery=named(spread.pose_recovery)
+        spread, pose_mae=add_row(spread.pose_mae), pose_recovery=add_row(spread.pose_recovery)
     )
     return dataclasses.replace(
         found,
-        pose_mae=named(found.pose_mae),
-        pose_recovery=named(found.pose_recovery),
+        pose_mae=add_row(found.pose_mae),
+        pose_recovery=add_row(found.pose_recovery),
         spread=spread,
     )
 

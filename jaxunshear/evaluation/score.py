@@ -101,7 +101,7 @@ def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict
     """Mean absolute error of one answer to every image, the best that needs no image: the middle of the labels."""
     middle = {name: np.full_like(value, np.median(value)) for name, value in true.items()}
     for target in targets:
-        if target.circle:
+        if target.is_circular:
             angle = np.radians(true[target.name].astype(np.float64))
             middle[target.name][:] = np.degrees(
                 np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())

@@ -97,7 +97,9 @@ def score_transfer(
     )
     contacts = read_test_contacts(settings)
     contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
-    taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
+    taps, slides = (
+        contacts.take(np.flatnonzero(contacts.is_slide == slid)) for slid in (False, True)
+    )
     for kind, found in (("taps", taps), ("slides", slides)):
         if len(found.files) < MIN_FRAMES:
             raise UserError(
@@ -282,7 +284,7 @@ def _read(
                     images[i] = prepare_frame(network.preprocess, read_image(file), view)
                 except UserError:
                     continue  # left black, which is not understood
-            answers = network.answer(images)
+            answers = network.predict(images)
             for way, poses in answers.poses.items():
                 for name, values in poses.items():
                     full = found.setdefault(way, {}).setdefault(

@@ -72,14 +72,14 @@ def repair_identities(
         if rating.calm:
             break
         erased = (
-            cKDTree(lattice.rest[rating.off > MAX_OFFSET]).query(lattice.rest)[0]
+            cKDTree(lattice.rest[rating.offset > MAX_OFFSET]).query(lattice.rest)[0]
             < reach * lattice.spacing
         )
         other = _grow_identities(lattice, detected, tree, np.where(erased, -1, identity))
         if np.array_equal(other, identity):
             break  # grown back as it was
         other_rating = rate_identities(lattice, detected, other)
-        if other_rating.fault_count < rating.faults:
+        if other_rating.fault_count < rating.fault_count:
             identity, rating = other, other_rating
     return identity
 

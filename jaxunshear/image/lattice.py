@@ -25,7 +25,7 @@ class Lattice(NamedTuple):
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the place
 
     @property
-    def middle(self) -> Float[np.ndarray, "2"]:
+    def centre(self) -> Float[np.ndarray, "2"]:
         """In px, of the outermost shell, which a touch moves least."""
         return self.rest[self.ring == self.ring.max()].mean(axis=0)
 

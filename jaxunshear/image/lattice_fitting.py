@@ -96,7 +96,8 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
         lattice = make_lattice(place, layout.shell)
         tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
         motion = np.array(
-            [track.motion for track in tracks if track.sure] or [track.motion for track in tracks]
+            [track.motion for track in tracks if track.identified]
+            or [track.motion for track in tracks]
         )
         count = np.isfinite(motion[..., 0]).sum(axis=0)
         if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(

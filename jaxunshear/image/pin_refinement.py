@@ -23,11 +23,11 @@ MAX_RIM_DEPTH = 3  # pins deep, at most, that one left out leads to others
 
 def refine_track(lattice: Lattice, track: PinTrack, found: DetectedPins) -> PinTrack:
     """A track whose missing and doubtful pins are searched for in their windows, where there is an image."""
-    if found.mask is None or track.seen.mean() < 0.6:
+    if found.mask is None or track.visible.mean() < 0.6:
         return track
     motion = fill_missing(lattice, track.motion)
     expected = lattice.rest + lattice.neighbour_weights @ motion
-    again = ~track.seen | (measure_neighbour_offsets(lattice, track.motion) > MIN_OFFSET)
+    again = ~track.visible | (measure_neighbour_offsets(lattice, track.motion) > MIN_OFFSET)
     if not again.any():
         return track
     start = at = expected[again]
@@ -52,7 +52,7 @@ def _snap_to_detected(
     A complete dot's centroid is the better measurement: a window that is smaller than a pin finds white all over, and stays near where the
     neighbours put it. That these expect the pin elsewhere is doubt, and was judged before.
     """
-    rows = np.flatnonzero(again & track.seen)
+    rows = np.flatnonzero(again & track.visible)
     dots = found.pins[found.is_single]
     if not (len(rows) and len(dots)):
         return track

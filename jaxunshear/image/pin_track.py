@@ -30,7 +30,7 @@ class PinTrack(NamedTuple):
     identified: bool
 
     @property
-    def seen(self) -> Bool[np.ndarray, "P"]:
+    def visible(self) -> Bool[np.ndarray, "P"]:
         return ~np.isnan(self.motion[:, 0])
 
 

@@ -66,7 +66,7 @@ def track_images(
     tracks = (
         [track_pins(lattice, each) for each in found] if independent else track_all(lattice, found)
     )
-    sure = np.array([track.sure for track in tracks], bool)
+    sure = np.array([track.identified for track in tracks], bool)
     motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.rest.shape)
     return TrackedPins(np.where(sure[:, None, None], motion, np.nan), sure)
 
@@ -88,7 +88,7 @@ def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
     if usual is None:
         return tracks
     return [
-        track if track.sure else track_pins(lattice, found, usual)
+        track if track.identified else track_pins(lattice, found, usual)
         for track, found in zip(tracks, frames, strict=True)
     ]
 
@@ -112,11 +112,11 @@ def track_pins(
             left.append((rating.fault_count, which))
             continue
         best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
-        if best.sure:
+        if best.identified:
             return best
     for _, which in sorted(left, key=lambda pair: pair[0])[:MAX_REPAIRED]:
         best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
-        if best.sure:
+        if best.identified:
             break
     return best
 
@@ -136,7 +136,7 @@ def _rank_track(track: PinTrack) -> tuple[bool, int, float]:
 
 def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | None:
     """What the sure ones of some tracks have in common; None where there are too few."""
-    sure = [track for track in tracks if track.sure]
+    sure = [track for track in tracks if track.identified]
     if len(sure) < MIN_PRIOR_FRAMES:
         return None
     known = np.array(

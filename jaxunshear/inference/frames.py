@@ -23,25 +23,27 @@ def open_frames(
     networks over pins find no pins in.
     """
     if force:
-        return network._replace(min_plausibility=NO_MINIMUM), recordings.frames(network.view)
+        return network._replace(min_plausibility=NO_MINIMUM), recordings.iterate_frames(
+            network.view
+        )
     found = judge_images(_sample(recordings, network), network.expected)
     if found.inverted:
         recordings.notes.append(f"{found.reason}: they are turned")
-        frames = recordings.frames(network.view)
+        frames = recordings.iterate_frames(network.view)
         # what dark pins leave when they are turned looks less like the sensor than light pins do
         return network._replace(min_plausibility=NO_MINIMUM), (
             (row, name, invert_image(image)) for row, name, image in frames
         )
     if not found.ok:
         raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
-    return network, recordings.frames(network.view)
+    return network, recordings.iterate_frames(network.view)
 
 
 def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
     """(N, S, S): up to SAMPLED frames, evenly spaced."""
     files, problem, images = recordings.files, "", []
     for file in files[:: -(-len(files) // SAMPLED_FRAMES)]:
-        view = network.view or recordings.common_view(file.parent)
+        view = network.view or recordings.find_common_view(file.parent)
         try:
             images.append(prepare_frame(network.preprocess, read_image(file), view))
         except UserError as error:

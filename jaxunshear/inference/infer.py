@@ -71,7 +71,7 @@ def unshear_recordings(
     left_out = RejectedImages(recordings)
     table: list[Json] = []
     seconds: list[float] = []
-    errors = LabelErrors(network.names, recordings)
+    errors = LabelErrors(network.targets, recordings)
     for rows, names, answers, spent in _answers(recordings, network, frames, "unshear"):
         if answers.unsheared is None:
             raise UserError(
@@ -80,7 +80,7 @@ def unshear_recordings(
         seconds.append(spent / BATCH)
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            why = left_out.add(name, answers.doubt[i])
+            why = left_out.add(name, answers.rejection[i])
             if why:  # a picture that is there would pass for its answer
                 (out / targets[row]).unlink(missing_ok=True)
             else:
@@ -93,7 +93,7 @@ def unshear_recordings(
             table.append(image | poses | _format_labels(recordings, row) | {"left_out": why})
     write_text(out / "poses.csv", format_csv(table))
     notes = list(recordings.notes)
-    if not network.names:
+    if not network.targets:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
     note, frame = (
         learnt_note(experiment),
@@ -125,7 +125,7 @@ def predict_recordings(
     model = find_model_folder(model)
     experiment = _settings_for(path, model)
     network = _perceiver(model, experiment, True, like or path)
-    if not network.names:
+    if not network.targets:
         raise UserError(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
@@ -133,12 +133,12 @@ def predict_recordings(
     left_out = RejectedImages(recordings)
     table: list[Json] = []
     measured: list[Measurement] = []
-    errors = LabelErrors(network.names, recordings)
+    errors = LabelErrors(network.targets, recordings)
     for rows, names, answers, _ in _answers(recordings, network, frames, "pose"):
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             line: Json = {"name": name}
-            why = left_out.add(name, answers.doubt[i])
+            why = left_out.add(name, answers.rejection[i])
             for way, poses in answers.poses.items():
                 for quantity, values in poses.items():
                     line[f"{way}_{quantity}"] = _format_cell(values[i])
@@ -195,7 +195,7 @@ def _answers(
 ) -> "Iterator[tuple[list[int], list[str], Predictions, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
     size = recordings.preprocess.size
-    network.answer(np.zeros((BATCH, size, size), np.uint8))
+    network.predict(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:
         seen = 0
         while batch := list(islice(frames, BATCH)):
@@ -203,7 +203,7 @@ def _answers(
             padded = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
             padded[: len(images)] = images
             start = time.perf_counter()
-            answers = network.answer(padded)
+            answers = network.predict(padded)
             yield list(rows), list(names), answers, time.perf_counter() - start
             progress.advance(rows[-1] + 1 - seen)
             seen = rows[-1] + 1

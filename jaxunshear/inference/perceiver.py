@@ -103,7 +103,7 @@ class Perceiver(NamedTuple):
     expected: SensorAppearance  # how its sensor appears in prepared images
     min_plausibility: float = MIN_PLAUSIBILITY  # plausibility of an image that is understood
 
-    def state_doubts(self, images: np.ndarray, seen: NetworkInputs) -> np.ndarray:
+    def explain_rejections(self, images: np.ndarray, seen: NetworkInputs) -> np.ndarray:
         """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
         likely = [
             1.0
@@ -118,10 +118,10 @@ class Perceiver(NamedTuple):
             ]
         )
 
-    def answer(self, images: np.ndarray) -> Predictions:
+    def predict(self, images: np.ndarray) -> Predictions:
         """Answer images (B, S, S) uint8 of {0, 255}."""
         seen = self.read(images)
-        doubts, values = self.state_doubts(images, seen), self.run(seen)
+        doubts, values = self.explain_rejections(images, seen), self.run(seen)
 
         def keep_known(value: np.ndarray) -> np.ndarray:
             return np.where((doubts == "").reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)

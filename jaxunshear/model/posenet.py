@@ -105,11 +105,11 @@ def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array
     signed: list[Array] = []
     for target in targets:
         value = jnp.asarray(batch[target.field])[:, target.column]
-        if target.circle:
+        if target.is_circular:
             angle = jnp.deg2rad(value)
             signed += [jnp.cos(angle), jnp.sin(angle)]
         else:
-            signed.append((value - target.middle) / target.reach)
+            signed.append((value - target.centre) / target.half_range)
     return (jnp.stack(signed, -1) + 1) / 2
 
 
@@ -118,7 +118,9 @@ def sample_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{c
     signed: list[Array] = []
     for target, one in zip(targets, jax.random.split(key, len(targets)), strict=True):
         drawn = jax.random.uniform(one, (count,), minval=-1.0)
-        signed += [jnp.cos(jnp.pi * drawn), jnp.sin(jnp.pi * drawn)] if target.circle else [drawn]
+        signed += (
+            [jnp.cos(jnp.pi * drawn), jnp.sin(jnp.pi * drawn)] if target.is_circular else [drawn]
+        )
     return (jnp.stack(signed, -1) + 1) / 2
 
 
@@ -127,9 +129,9 @@ def unscale_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str,
     signed = 2 * outputs - 1
     pose, column = {}, 0
     for target in targets:
-        if target.circle:
+        if target.is_circular:
             pose[target.name] = jnp.rad2deg(jnp.arctan2(signed[:, column + 1], signed[:, column]))
         else:
-            pose[target.name] = target.middle + target.reach * signed[:, column]
+            pose[target.name] = target.centre + target.half_range * signed[:, column]
         column += target.outputs
     return pose

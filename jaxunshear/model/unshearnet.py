@@ -174,17 +174,23 @@ def match_entangled_size(net: UnshearNet) -> UnshearNet:
     second decoder and two codes more."""
     wanted = count_parameters(net)
 
-    def scaled(ratio: float) -> UnshearNet:
+    def scale_widths(ratio: float) -> UnshearNet:
         widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
         return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
 
     low, high = 0.25, 4.0
-    while count_parameters(scaled(high)) < wanted:
+    while count_parameters(scale_widths(high)) < wanted:
         low, high = high, 2 * high
     for _ in range(12):  # parameters grow with the ratio
         middle = (low + high) / 2
-        low, high = (middle, high) if count_parameters(scaled(middle)) < wanted else (low, middle)
-    return min(scaled(low), scaled(high), key=lambda other: abs(count_parameters(other) - wanted))
+        low, high = (
+            (middle, high) if count_parameters(scale_widths(middle)) < wanted else (low, middle)
+        )
+    return min(
+        scale_widths(low),
+        scale_widths(high),
+        key=lambda other: abs(count_parameters(other) - wanted),
+    )
 
 
 def encode(

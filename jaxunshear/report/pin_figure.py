@@ -24,9 +24,9 @@ def plot_pins(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -
         axes.imshow(image, cmap="gray", vmin=0, vmax=400, interpolation="nearest")
         axes.set(xticks=[], yticks=[])
         axes.set_title(f"{name[-28:]}\n{_words(lattice, track)}", fontsize=8)
-        if not track.sure:
+        if not track.identified:
             continue
-        seen = track.seen
+        seen = track.visible
         ends = np.stack([lattice.rest, lattice.rest + track.motion], 1)[seen]
         axes.add_collection(LineCollection(list(ends), colors=colours[seen], linewidths=1))
         axes.scatter(*ends[:, 1].T, s=5, c=colours[seen])

@@ -25,7 +25,7 @@ PAIRING_TEXTS = {
 
 
 def build_recordings_section(results: Results) -> Markup:
-    reported, _ = results.recorded
+    reported, _ = results.recorded_facts
     rows = [
         [kind, *(str(counted[split]) for split in SPLITS)]
         for kind, counted in (("taps", reported.taps), ("slides", reported.slides))

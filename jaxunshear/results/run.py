@@ -192,7 +192,7 @@ class Results(Tables):
         return [self.source, *self.trained_by.values()]
 
     @property
-    def recorded(self) -> tuple[Recordings, Pairing]:
+    def recorded_facts(self) -> tuple[Recordings, Pairing]:
         """Of a run over recordings. Raises KeyError."""
         if self.recordings is None or self.pairing is None:
             raise KeyError("recordings")

@@ -34,7 +34,7 @@ class Outcome(Costs):
     ablation: Sequence[Mapping[str, object]] | None = None  # rows with a name each
 
     @property
-    def evaluated(self) -> Results:
+    def evaluated_results(self) -> Results:
         """Of a row that is done."""
         assert self.results is not None
         return self.results

@@ -105,6 +105,6 @@ UNSHEARING = (
     UNET,
     DISENTANGLED,
 )  # the last that a run has is the one it is about
-POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.does == "reads poses")
+POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.role == "reads poses")
 TAP_NETWORKS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
 PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].supports_pins)

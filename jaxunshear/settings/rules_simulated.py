@@ -181,7 +181,7 @@ def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) ->
     for pair, tap in zip(pairs, taps, strict=False):
         remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
         yield (
-            TEACHER not in list_trained_networks(experiment) or pair.circle == tap.circle,
+            TEACHER not in list_trained_networks(experiment) or pair.is_circular == tap.is_circular,
             "targets",
             remedy,
         )

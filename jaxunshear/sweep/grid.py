@@ -122,7 +122,7 @@ def select_training_part(experiment: Experiment, network: str) -> Experiment:
     # recordings: one set for taps and slides; pins: one training for all networks
     if not get_recorded(experiment) and not uses_pins(experiment):
         taught = len(list_required_networks(experiment, network)) > 1
-        unused += UNUSED_WITH_TEACHER if taught else REGISTRY[network].unused
+        unused += UNUSED_WITH_TEACHER if taught else REGISTRY[network].unused_groups
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if uses_pins(experiment) and network in (*POSENETS, RENDERER):
         part = dataclasses.replace(
@@ -146,7 +146,7 @@ def select_training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, pins=drop_rotation(part.pins))
     if POSENET_SHEARED not in list_required_networks(experiment, network):
         part = _without_direct(part)
-    if REGISTRY[network].does == "unshears" and not REGISTRY[network].codes:
+    if REGISTRY[network].role == "unshears" and not REGISTRY[network].has_codes:
         part = dataclasses.replace(part, unshear=drop_codes(part.unshear))
     own = _digest({"experiment": to_json(part), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")

@@ -134,7 +134,9 @@ def _made_with(
     summary: SweepResult, measured: Mapping[tuple[str, int], RowScores], command: str
 ) -> SweepResult:
     """With command, machines, versions and sources: each different one of those that the rows were run on and with."""
-    results = [row.outcome.evaluated for row in measured.values() if row.outcome.status == "done"]
+    results = [
+        row.outcome.evaluated_results for row in measured.values() if row.outcome.status == "done"
+    ]
     return replace(
         summary,
         command=command,

@@ -63,7 +63,7 @@ def list_score_names(rows: Mapping[int, RowScores]) -> list[tuple[str, str]]:
 
 def get_metric_notes(rows: Mapping[int, RowScores]) -> Notes:
     """What exactly the evaluation calls MS-SSIM, and other such notes."""
-    return next(iter(rows.values())).outcome.evaluated.metric if rows else {}
+    return next(iter(rows.values())).outcome.evaluated_results.metric if rows else {}
 
 
 def format_name(test: str, name: str, shape: str = "") -> str:
@@ -79,7 +79,7 @@ def stack_seeds(rows: Mapping[int, RowScores], test: str, name: str) -> np.ndarr
 
 def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
-    results = next(iter(rows.values())).outcome.evaluated
+    results = next(iter(rows.values())).outcome.evaluated_results
     stimuli = results.settings["paired"].get("stimuli", ())  # of recordings none is known
     if test:
         stimuli = results.tests[test].stimuli if test in results.tests else ()
@@ -110,7 +110,7 @@ def has_same_contacts(
 
 def _drawn_from(rows: Mapping[int, RowScores], test: str) -> dict[str, object]:
     """The settings that decide the contacts of a test."""
-    results = next(iter(rows.values())).outcome.evaluated
+    results = next(iter(rows.values())).outcome.evaluated_results
     settings, own = results.settings, results.tests.get(test)
     paired = {
         name: value if (drawn := getattr(own, name, None)) is None else drawn

@@ -134,7 +134,7 @@ def compute_metrics(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
         seed: {
             f"{name}/{kind}/{column}": value
             for name in TABLES
-            for kind, columns in (getattr(row.outcome.evaluated, name) or {}).items()
+            for kind, columns in (getattr(row.outcome.evaluated_results, name) or {}).items()
             for column, value in columns.items()
             if value is not None
         }

@@ -65,23 +65,23 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
     if get_recorded(experiment) is None:
         return _open_simulated_examples(experiment, network, data_dir)
     stored = open_recorded_set(experiment, data_dir)
-    targets = stored.targets(experiment.targets)
-    epoch = stored.count("slides", "train")
+    targets = stored.make_targets(experiment.targets)
+    epoch = stored.count_contacts("slides", "train")
     if network in TAP_NETWORKS:
-        reader, epoch = stored.taps(), stored.count("taps", "train")
+        reader, epoch = stored.read_taps(), stored.count_contacts("taps", "train")
     elif network == POSENET_SHEARED:
-        reader = stored.slides(
+        reader = stored.read_slides(
             _make_slide_simulator(experiment, stored, data_dir), not uses_pins(experiment)
         )
         if stored.settings.direct_taps == "recorded":
-            epoch += stored.count("taps", "train")
+            epoch += stored.count_contacts("taps", "train")
     else:
         reader = open_pairs(experiment, stored, targets, run_dir, data_dir)
     if stored.settings.pairing == "simulated":
-        epoch = stored.count("taps", "train")
-    taps = stored.taps() if stored.count("taps", "train") else None
+        epoch = stored.count_contacts("taps", "train")
+    taps = stored.read_taps() if stored.count_contacts("taps", "train") else None
     return Examples(
-        reader, targets, read_pin_layout(stored.frame), epoch, taps, stored.slide_targets()
+        reader, targets, read_pin_layout(stored.frame), epoch, taps, stored.make_slide_targets()
     )
 
 
@@ -106,7 +106,7 @@ def open_pairs(
         if settings.unlabelled == "read"
         else None
     )
-    return stored.pairs(targets, render, not uses_pins(experiment), read, drag)
+    return stored.read_pairs(targets, render, not uses_pins(experiment), read, drag)
 
 
 def _make_slide_simulator(

@@ -73,7 +73,7 @@ def add_same_pose_slides(batches: Batches, examples: Examples, count: int, seed:
         for step, pairs in zip(itertools.count(start), batches(start)):
             generator = np.random.default_rng((seed, step))
             drawn = generator.integers(len(pins), size=count)
-            yield pairs | {ONE: pins[drawn], ANOTHER: pins[siblings.others(drawn, generator)]}
+            yield pairs | {ONE: pins[drawn], ANOTHER: pins[siblings.sample_other(drawn, generator)]}
 
     return from_step
 

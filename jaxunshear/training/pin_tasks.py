@@ -53,7 +53,7 @@ def make_pin_unshear_task(
     """
     watch = make_pose_supervision(training, teacher, targets, losses.compute_absolute_pose_loss)
 
-    def named_of(variables: Tree, batch: Batch, found: Reconstruction) -> dict[str, Array]:
+    def compute_terms(variables: Tree, batch: Batch, found: Reconstruction) -> dict[str, Array]:
         off = partial(pin_networks.compute_pin_distance, variables=variables)
         named = {"supervised": supervise_both_slides(found, batch["canonical_pins"], off)}
         if watch:
@@ -62,7 +62,7 @@ def make_pin_unshear_task(
             named | compute_code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
         )
 
-    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Reconstruction:
+    def decode(variables: Tree, batch: Batch, key: Array | None = None) -> Reconstruction:
         alike = (
             batch.get(SWAPPED, batch["canonical_pins"])
             if training.agreement_weight and net.shear_code
@@ -71,27 +71,27 @@ def make_pin_unshear_task(
         other = batch.get(OTHER) if training.swap_weight else None
         return pin_networks.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
 
-    def unsheared(variables: Tree, pins: Array, key: Array, number: int) -> Array:
+    def unshear_noisy(variables: Tree, pins: Array, key: Array, number: int) -> Array:
         return pin_networks.unshear(
             net, variables, pin_networks.add_noise(net, pins, jax.random.fold_in(key, number))
         )
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        named = named_of(variables, batch, decoded(variables, batch, key))
+        named = compute_terms(variables, batch, decode(variables, batch, key))
         if TAPS in batch:
             named["tap"] = pin_networks.compute_pin_distance(
-                unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables
+                unshear_noisy(variables, batch[TAPS], key, 2), batch[TAPS], variables
             )
         if ONE in batch:
             one, another = (
-                unsheared(variables, batch[ONE], key, 3),
-                unsheared(variables, batch[ANOTHER], key, 4),
+                unshear_noisy(variables, batch[ONE], key, 3),
+                unshear_noisy(variables, batch[ANOTHER], key, 4),
             )
             named["alike"] = pin_networks.compute_pin_distance(one, another, variables)
         return named, variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        return named_of(variables, batch, decoded(variables, batch))
+        return compute_terms(variables, batch, decode(variables, batch))
 
     init = partial(pin_networks.init, net, rest, spread)
     return Task(

@@ -92,7 +92,7 @@ def find_rotation_sense(
     Taps are turned both ways and compared with those recorded nearest to where they should be. Raises UserError where the twist is no
     target over the full circle, and where neither resembles what was recorded: then what is touched does not turn with its label.
     """
-    if not any(target.name == TWIST and target.circle for target in targets):
+    if not any(target.name == TWIST and target.is_circular for target in targets):
         raise UserError(
             f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0"
         )

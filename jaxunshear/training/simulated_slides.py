@@ -59,7 +59,7 @@ def make_slide_simulator(
     )
     view = functools.cache(
         lambda: fit_label_view(
-            _taps(stored, "train"), stored.lattice(), stored.size, DEFAULT_CALIBRATION
+            _taps(stored, "train"), stored.make_lattice(), stored.size, DEFAULT_CALIBRATION
         )
     )
     if simulate is None:
@@ -85,7 +85,7 @@ def _digest() -> str:
 
 
 def _taps(stored: RecordedSet, split: str) -> RecordedTaps:
-    rows = stored.labelled_taps(split)
+    rows = stored.read_labelled_taps(split)
     return RecordedTaps(
         np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"]
     )

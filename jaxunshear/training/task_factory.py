@@ -66,7 +66,7 @@ def make_task(
         list_label_fields(examples.targets),
     )
     weighed = (
-        ("weight",) if get_recorded(experiment) and REGISTRY[network].does == "unshears" else ()
+        ("weight",) if get_recorded(experiment) and REGISTRY[network].role == "unshears" else ()
     )
     if network == RENDERER or uses_pins(experiment):
         task, fields = _make_pin_task(experiment, network, examples, folder, weighed)

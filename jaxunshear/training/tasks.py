@@ -231,7 +231,7 @@ def make_pose_supervision(
         raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
     weights = posenet.list_output_weights(targets)
 
-    def watched(unsheared: Array, canonical: Array, batch: Batch) -> Array:
+    def compute_pose_supervision(unsheared: Array, canonical: Array, batch: Batch) -> Array:
         wanted = (
             posenet.scale_poses(batch, targets)
             if training.pose_target == "label"
@@ -239,7 +239,7 @@ def make_pose_supervision(
         )
         return loss(teacher(unsheared), wanted, weights)
 
-    return watched
+    return compute_pose_supervision
 
 
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:

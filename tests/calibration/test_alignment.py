@@ -65,7 +65,7 @@ def test_a_frame_is_found_again():
     assert np.allclose(found, TRUE, atol=0.1)
     reported = find_frame(matter, LabelFrame(2.2), ("surface_mm",))
     assert reported[1:] == (0, 0, 0) and reported.surface_mm != 2.2
-    assert abs(matter.turn(found)) < 0.01
+    assert abs(matter.measure_rotation(found)) < 0.01
 
 
 def test_a_surface_without_an_edge_has_no_place_across():

@@ -120,11 +120,11 @@ def test_an_image_whose_slide_cannot_be_read_is_no_tap():
     part = RecordedImages(
         "one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves
     )
-    np.testing.assert_array_equal(part.labelled, np.arange(20) != 4)
+    np.testing.assert_array_equal(part.labelled_rows, np.arange(20) != 4)
     unmoved = replace(
         part, moves=np.full((20, 6), np.nan)
     )  # no move is known: which are taps is not
-    assert unmoved.labelled.all()
+    assert unmoved.labelled_rows.all()
 
 
 def test_what_was_held_is_not_called_undetermined(results):

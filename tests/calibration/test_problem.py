@@ -52,7 +52,7 @@ def _problem(group, lost):
     )
     held = ("mm_across", "distance_mm", "pin_spacing_mm")
     made = Problem([group], SMALL, start, held, lambda contacts: None, displacements)
-    return made, made.place(start)
+    return made, made.to_parameters(start)
 
 
 @pytest.mark.parametrize("at_start", [False, True])
@@ -60,15 +60,15 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, at_start):
     """Lost at a higher friction only, or at the start only."""
     made, x = _problem(group, lambda friction: False)
     friction = made.names.index("friction")
-    plain = made.slopes(x)[..., friction]
+    plain = made.compute_jacobian(x)[..., friction]
     made, x = _problem(group, lambda friction: (friction > FRICTION + 1e-6) != at_start)
-    slopes = made.slopes(x)[..., friction]
+    slopes = made.compute_jacobian(x)[..., friction]
     assert np.abs(plain).max() > 0.1 and not slopes[LOST].any()
     others = np.delete(np.arange(COUNT), LOST)
     assert slopes[others, :RINGS] == pytest.approx(plain[others, :RINGS], abs=1e-5)
     places = plain[others, RINGS:] - plain[others, RINGS:].mean(axis=0)
     assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
-    residual = made.all(made.values(x))
+    residual = made.compute_all_residuals(made.values(x))
     assert (residual[LOST, 0] == UNSOLVED_RESIDUAL_PX and not residual[LOST, 1:].any()) == at_start
 
 

@@ -65,7 +65,7 @@ def test_size_changes_nothing(images):
 
 def test_a_turned_camera_changes_no_ring(images):
     seen = observe_pins(images, TACTIP_331)
-    for turned in (seen.turned(False, 0.7), seen.turned(True, -1.2)):
+    for turned in (seen.rotate(False, 0.7), seen.rotate(True, -1.2)):
         for a, b in zip(summarise_pins(seen), summarise_pins(turned), strict=True):
             np.testing.assert_allclose(a.values, b.values, atol=1e-9)
 
@@ -74,13 +74,13 @@ def test_turned_is_a_turn_of_the_image(images):
     """Seen by a mirrored camera and by one turned by a quarter: the places of the transposed and the rotated image."""
     seen = observe_pins(images[:1], TACTIP_331)
     quarter = observe_pins(np.rot90(images[:1], -1, axes=(1, 2)), TACTIP_331)
-    turned = seen.turned(False, np.pi / 2)
+    turned = seen.rotate(False, np.pi / 2)
     off = np.min(
         np.linalg.norm(quarter.positions[0][:, None] - turned.positions[0][None], axis=-1), axis=1
     )
     assert off.max() < 0.1
     transposed = observe_pins(np.swapaxes(images[:1], 1, 2), TACTIP_331)
-    flipped = seen.turned(True, np.pi / 2)
+    flipped = seen.rotate(True, np.pi / 2)
     off = np.min(
         np.linalg.norm(transposed.positions[0][:, None] - flipped.positions[0][None], axis=-1),
         axis=1,

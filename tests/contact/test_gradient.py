@@ -102,7 +102,11 @@ def test_scenes_hold_every_state_and_no_switch(paths, model, found):
     assert np.all(found.margin_mm > 5 * STEP)  # else the differences below would prove nothing
     with jax.enable_x64(True):
         contacts, _ = follow(SMALL, ("disk",), paths, "reference")
-    assert contacts.stuck.sum() > 9 and contacts.slipping.sum() > 20 and np.all(contacts.free > 20)
+    assert (
+        contacts.stuck_nodes.sum() > 9
+        and contacts.slipping_nodes.sum() > 20
+        and np.all(contacts.free_nodes > 20)
+    )
     assert (
         np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02
     )  # finer increments

@@ -97,7 +97,7 @@ def test_partners_are_what_they_are_called(dropped):
     every = np.arange(len(batch["pose_id"]))
     seen = set()
     for seed in range(20):
-        other, swapped = shared.partners(every, np.random.default_rng(seed))
+        other, swapped = shared.sample_partners(every, np.random.default_rng(seed))
         changed = other != every
         for name in ("stimulus", "pose_id"):
             np.testing.assert_array_equal(batch[name][swapped], batch[name])

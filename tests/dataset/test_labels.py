@@ -114,7 +114,10 @@ def test_what_is_no_table_is_refused(tmp_path, text, says):
 
 
 def test_a_problem_can_be_printed_whatever_the_name():
-    assert Problem.at("caf\udce9\n.csv", "is  odd", 3).encode() == b"caf\\udce9 .csv, row 3: is odd"
+    assert (
+        Problem.with_place("caf\udce9\n.csv", "is  odd", 3).encode()
+        == b"caf\\udce9 .csv, row 3: is odd"
+    )
 
 
 def test_pairs(tmp_path):

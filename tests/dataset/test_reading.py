@@ -126,10 +126,12 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
             here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
                 shots.pose_id == batch["pose_id"][place]
             )
-            row = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[
-                0
-            ]
-            tap = np.flatnonzero(here & ~shots.slid & (shots.instance == batch["tap_id"][place]))[0]
+            row = np.flatnonzero(
+                here & shots.is_slide & (shots.instance == batch["slide_id"][place])
+            )[0]
+            tap = np.flatnonzero(
+                here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
+            )[0]
             still = shots.scenes.pose[row, :2] + 16
             offset = (
                 batch["sheared_pins"][place, 0] - still - 1e-3 * row

@@ -60,7 +60,7 @@ def older(
 def test_a_single_image(tmp_path):
     write_images(tmp_path / "a", ["one.png"])
     recordings = read_recordings(tmp_path / "a" / "one.png", PREPROCESS)
-    ((index, name, image),) = recordings.frames()
+    ((index, name, image),) = recordings.iterate_frames()
     assert (index, name, image.shape, image.dtype) == (0, "one.png", (64, 64), np.uint8)
     assert recordings.poses is None
     assert recordings.moves is None
@@ -81,7 +81,7 @@ def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
     np.testing.assert_array_equal(recordings.poses, 100 * np.arange(3)[:, None] + np.arange(6))
     np.testing.assert_array_equal(recordings.moves, 100 * np.arange(3)[:, None] + np.arange(6, 12))
     assert recordings.notes == []
-    assert len(list(recordings.frames())) == len(recordings) == 3
+    assert len(list(recordings.iterate_frames())) == len(recordings) == 3
 
 
 def test_the_newer_layout_with_a_broken_json(tmp_path):
@@ -107,7 +107,7 @@ def test_bad_images_are_left_out_by_name(tmp_path):
     (root / "images" / "image_2.png").write_bytes(full[: len(full) // 2])
     (root / "images" / "._image_1.png").write_bytes(b"not an image")
     recordings = read_recordings(root, PREPROCESS)
-    assert [index for index, _, _ in recordings.frames()] == [0, 2]
+    assert [index for index, _, _ in recordings.iterate_frames()] == [0, 2]
     assert len(recordings.notes) == 1
     assert "images/image_2.png" in recordings.notes[0]
 
@@ -116,7 +116,7 @@ def test_a_folder_without_one_readable_image(tmp_path):
     for name in ("a.png", "b.png"):
         (tmp_path / name).write_bytes(b"nothing")
     with pytest.raises(UserError, match="none of 2 images"):
-        list(read_recordings(tmp_path, PREPROCESS).frames())
+        list(read_recordings(tmp_path, PREPROCESS).iterate_frames())
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_broken_labels_are_reported_of_and_the_images_read(tmp_path, spoil, says
     file = root / "targets.csv"
     file.write_text(spoil(file.read_text()))
     recordings = read_recordings(root, PREPROCESS)
-    assert len(list(recordings.frames())) == 3
+    assert len(list(recordings.iterate_frames())) == 3
     assert any(says in note and "targets.csv" in note for note in recordings.notes)
 
 
@@ -164,7 +164,7 @@ def test_images_of_other_sizes_are_reported_once(tmp_path):
     root = older(tmp_path / "set")
     Image.fromarray(binary(0, 64)).save(root / "images" / "image_2.png")
     recordings = read_recordings(root, PREPROCESS)
-    assert len(list(recordings.frames())) == len(list(recordings.frames())) == 3
+    assert len(list(recordings.iterate_frames())) == len(list(recordings.iterate_frames())) == 3
     (note,) = recordings.notes
     assert note == f"{root / 'images'}: images of 2 sizes: 2 of 96 x 96, 1 of 64 x 64 (image_2.png)"
 
@@ -181,13 +181,13 @@ def test_a_ready_frame_takes_no_arithmetic(tmp_path, monkeypatch):
     root = older(tmp_path / "set")
     ready = replace(PREPROCESS, size=96)
     recordings = read_recordings(root, ready)
-    view = recordings.common_view()
+    view = recordings.find_common_view()
     long = [
         prepare_frame(ready, read_image(file).astype(np.uint16), view) for file in recordings.files
     ]
     for arithmetic in ("_both_sides", "to_grey"):
         monkeypatch.setattr(preprocess, arithmetic, None)
-    np.testing.assert_array_equal([image for _, _, image in recordings.frames(view)], long)
+    np.testing.assert_array_equal([image for _, _, image in recordings.iterate_frames(view)], long)
     assert 0 < np.mean(long) < 255
 
 
@@ -220,8 +220,8 @@ def test_colour_modes(tmp_path, mode):
     file = tmp_path / ("a.tif" if mode == "CMYK" else "a.png")
     image.save(file)
     Image.fromarray(binary(0)).save(tmp_path / "grey.png")
-    ((_, _, same),) = read_recordings(tmp_path / "grey.png", PREPROCESS).frames()
-    ((_, _, read),) = read_recordings(file, PREPROCESS).frames()
+    ((_, _, same),) = read_recordings(tmp_path / "grey.png", PREPROCESS).iterate_frames()
+    ((_, _, read),) = read_recordings(file, PREPROCESS).iterate_frames()
     np.testing.assert_array_equal(read, same)
 
 
@@ -232,7 +232,7 @@ def test_real_recordings(real_recordings, tmp_path):
         capture_output=True,
     )
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    assert [image.shape for _, _, image in recordings.frames()] == [(128, 128)] * 12
+    assert [image.shape for _, _, image in recordings.iterate_frames()] == [(128, 128)] * 12
     assert np.isfinite(recordings.poses).all()
     (note,) = recordings.notes  # broken as published
     assert "env_params.json: this JSON is broken" in note
@@ -240,10 +240,10 @@ def test_real_recordings(real_recordings, tmp_path):
         recordings.pose_ids == -1, ["franka" in name for name in recordings.names]
     )
     raw = read_recordings(real_recordings / "raw", PREPROCESS)
-    assert len(list(raw.frames())) == len(raw.poses) == 3
+    assert len(list(raw.iterate_frames())) == len(raw.poses) == 3
     newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)
     assert np.isfinite(newer.poses).all()
-    assert len(list(newer.frames())) == 40
+    assert len(list(newer.iterate_frames())) == 40
 
 
 def test_names_that_no_encoding_or_number_suits(tmp_path):
@@ -252,7 +252,7 @@ def test_names_that_no_encoding_or_number_suits(tmp_path):
     shutil.copy(tmp_path / "a" / "a.png", os.fsencode(tmp_path) + b"/a/caf\xe9.png")
     recordings = read_recordings(tmp_path / "a", PREPROCESS)
     assert set(recordings.names) == {"a.png", "caf\\xe9.png", "\u00b25.png"}
-    assert len("".join(recordings.names).encode()) and len(list(recordings.frames())) == 3
+    assert len("".join(recordings.names).encode()) and len(list(recordings.iterate_frames())) == 3
 
 
 @pytest.mark.parametrize("narrower", [0, 4])
@@ -272,10 +272,12 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
             Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
     recordings = read_recordings(tmp_path, Preprocess(size=128))
     other = (
-        recordings.common_view() if narrower else None
+        recordings.find_common_view() if narrower else None
     )  # one without a crop: the folders differ in size
     for view in (None, other):
-        middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.frames(view)]
+        middles = [
+            np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.iterate_frames(view)
+        ]
         scale = 0.375 * 128 / 90  # px of an image a px of a frame
         np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
 
@@ -297,7 +299,7 @@ def test_several_frames_in_one_file_are_refused_by_name(tmp_path):
         first.save(tmp_path / name, save_all=True, append_images=others)
     first.save(tmp_path / "d.tif")
     recordings = read_recordings(tmp_path, PREPROCESS)
-    assert [name for _, name, _ in recordings.frames()] == ["d.tif"]
+    assert [name for _, name, _ in recordings.iterate_frames()] == ["d.tif"]
     for name, note in zip(("a.tif", "b.png", "c.webp"), recordings.notes, strict=True):
         assert f"{name}: it holds 5 frames" in note and "save each as a file of its own" in note
 
@@ -350,7 +352,7 @@ def test_numbers_below_zero_are_refused(tmp_path):
         tmp_path / "a.tif"
     )
     with pytest.raises(UserError, match="below zero"):
-        list(read_recordings(tmp_path, PREPROCESS).frames())
+        list(read_recordings(tmp_path, PREPROCESS).iterate_frames())
 
 
 def test_a_flipped_bit_of_a_png_is_never_another_image(tmp_path):

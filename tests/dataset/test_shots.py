@@ -108,9 +108,9 @@ def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
         sample_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
     )
     moved = shots.scenes.pose - still.scenes.pose
-    assert not moved[shots.slid].any()
+    assert not moved[shots.is_slide].any()
     assert not moved[:, :3].any()
-    assert 0.9 < np.abs(moved[~shots.slid, 3]).max() <= 1
+    assert 0.9 < np.abs(moved[~shots.is_slide, 3]).max() <= 1
     shallow = sample_paired(
         dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01))
     )

@@ -230,7 +230,7 @@ def refusal(root):
     """What the reader says of a folder that it cannot read; nothing where it can."""
     try:
         recordings = read_recordings(root, Preprocess(size=32))
-        list(recordings.frames())
+        list(recordings.iterate_frames())
     except UserError as error:
         return str(error)
     return "".join(note for note in recordings.notes if "\n" in note)

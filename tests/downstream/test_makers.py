@@ -40,7 +40,7 @@ def makers():
     distance = place @ np.stack([np.cos(angle), np.sin(angle)]) - aside
     distance = distance.T
     pressed = 2.0 / (1 + np.exp(distance))
-    spread = 0.1 * pressed[..., None] * (LATTICE.rest - LATTICE.middle)
+    spread = 0.1 * pressed[..., None] * (LATTICE.rest - LATTICE.centre)
     motion = spread + generator.normal(0, 0.05, spread.shape)
     assert pressed.shape == (60, pins)
     return make_shape_estimators(TACTIP_331, LATTICE, motion, pressed, distance), motion

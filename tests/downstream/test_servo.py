@@ -33,7 +33,7 @@ WAYS = {"true": None}
 
 def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(tmp_path):
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
-    assert (walks.end == LATE).all() and walks.steps == 16 and not walks.unsolved.any()
+    assert (walks.end == LATE).all() and walks.steps == 16 and not walks.failed_contacts.any()
     assert np.abs(walks.true[:, -4:, 0]).max() < 0.3  # mm from the edge
     np.testing.assert_allclose(walks.way_mm, 15 * 0.5, atol=1.0)
     # friction drags the skin against the way: along the edge, y of the sensor frame

@@ -35,7 +35,7 @@ def error(track):
 
 def test_a_clean_image():
     track = track_pins(LATTICE, detect_pins(picture(slid())))
-    assert track.identified and track.seen.all() and track.extra == 0
+    assert track.identified and track.visible.all() and track.extra == 0
     assert np.sqrt(np.mean(error(track) ** 2)) < 0.15 and error(track).max() < 0.4
 
 
@@ -47,7 +47,7 @@ def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
         LATTICE,
         detect_pins(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))),
     )
-    assert track.identified and track.seen[pin] and error(track)[pin] < 0.8
+    assert track.identified and track.visible[pin] and error(track)[pin] < 0.8
     np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
 
 
@@ -56,7 +56,7 @@ def test_faint_pins_are_seen():
     faint = [7, 150, 260]
     radius[faint] = 1.5
     track = track_pins(LATTICE, detect_pins(picture(slid(), radius)))
-    assert track.identified and track.seen[faint].all() and error(track)[faint].max() < 0.5
+    assert track.identified and track.visible[faint].all() and error(track)[faint].max() < 0.5
 
 
 def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
@@ -74,7 +74,7 @@ def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
 def test_pins_that_are_not_there_are_not_made_up():
     gone = [7, 150, 260]
     track = track_pins(LATTICE, detect_pins(picture(np.delete(slid(), gone, axis=0))))
-    assert not track.seen[gone].any() and track.missed == 3
+    assert not track.visible[gone].any() and track.missed == 3
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_pins_that_are_not_there_are_not_made_up():
 )
 def test_nothing_to_see(image):
     track = track_pins(LATTICE, detect_pins(image))
-    assert not track.identified and not track.seen.any()
+    assert not track.identified and not track.visible.any()
 
 
 def test_half_an_image_is_not_sure():

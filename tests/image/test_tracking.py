@@ -78,9 +78,9 @@ def test_lattice_is_found_turned_and_shifted():
     lattice = fit_lattice(frames, make_layout(TACTIP_331))
     off = np.min(np.linalg.norm(lattice.rest[:, None] - turned[None], axis=-1), axis=1)
     assert off.max() < 0.15
-    np.testing.assert_allclose(lattice.middle, [60, 66], atol=0.1)
+    np.testing.assert_allclose(lattice.centre, [60, 66], atol=0.1)
     np.testing.assert_allclose(
-        np.linalg.norm(lattice.rest - lattice.middle, axis=-1),
+        np.linalg.norm(lattice.rest - lattice.centre, axis=-1),
         RIM_PX / 10 * compute_rings(TACTIP_331),
         atol=0.2,
     )
@@ -99,7 +99,7 @@ def test_a_pin_without_company_counts_as_not_seen():
     motion[lattice.neighbours[rim, :7]] = np.nan
     motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could say
     track = assess_track(lattice, motion, np.arange(len(place)), len(place))
-    assert not track.seen[rim] and track.missed == 8
+    assert not track.visible[rim] and track.missed == 8
 
 
 @pytest.mark.parametrize(

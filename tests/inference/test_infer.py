@@ -136,7 +136,7 @@ def test_every_readable_image_is_unsheared_in_its_place(
             -number,
         )
         recordings = read_recordings(folder / "images" / f"image_{number}.png", SEEN)
-        ((_, _, image),) = recordings.frames()
+        ((_, _, image),) = recordings.iterate_frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
         written = np.asarray(Image.open(out / row["image"]))

@@ -218,9 +218,9 @@ def test_partners_of_codes_that_are_apart(images):
     variables = quick_init(APART, jax.random.key(0))
     itself, _ = unshearnet.reconstruct(APART, variables, images, images, images)
     np.testing.assert_allclose(itself.disagreement, 0, atol=1e-9)
-    np.testing.assert_allclose(itself.exchanged, itself.sheared, atol=1e-5)
+    np.testing.assert_allclose(itself.counterfactual, itself.sheared, atol=1e-5)
     alone, statistics = unshearnet.reconstruct(APART, variables, images)
-    assert alone.exchanged is None and alone.disagreement is None and alone.same_pose is None
+    assert alone.counterfactual is None and alone.disagreement is None and alone.same_pose is None
     np.testing.assert_allclose(itself.same_pose, itself.canonical, atol=1e-5)
     for name in ("canonical", "sheared", "z_p", "z_s"):
         np.testing.assert_allclose(getattr(alone, name), getattr(itself, name), atol=1e-5)

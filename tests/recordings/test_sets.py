@@ -58,7 +58,7 @@ def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
 
 
 def test_every_pin_is_where_it_was_drawn(recording, opened):
-    reader = opened().slides()
+    reader = opened().read_slides()
     rows = reader.take(
         "train", np.arange(reader.length("train")), ("sheared_pins", "pose", "move", "sure")
     )
@@ -94,7 +94,7 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
         preprocessing.find_sensor_frame(read_contacts(s), s, TACTIP_127)
         for s in (settings, settings_of(recording))
     ]
-    np.testing.assert_array_equal(frames[0].place, frames[1].place)
+    np.testing.assert_array_equal(frames[0].rest, frames[1].rest)
     assert frames[0].view == frames[1].view
 
 
@@ -179,7 +179,7 @@ def test_pairs_of_one_pose_by_its_number(tmp_path):
     )
     make_set(settings, TACTIP_127, tmp_path / "data")
     stored = open_recorded(settings, TACTIP_127, tmp_path / "data")
-    reader = stored.pairs(stored.targets(()))
+    reader = stored.read_pairs(stored.make_targets(()))
     rows = reader.take(
         "train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id")
     )

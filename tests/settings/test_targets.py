@@ -97,8 +97,8 @@ def test_what_is_no_target_is_refused(text, line):
 def test_a_simulated_set_has_the_papers_two_and_the_edge():
     assert list_target_names(USUAL) == ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
     assert [target.weight for target in USUAL] == [1, 1, 4, 1]
-    assert [target.circle for target in USUAL] == [False, False, False, True]
-    assert [target.reach for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
+    assert [target.is_circular for target in USUAL] == [False, False, False, True]
+    assert [target.half_range for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
     assert posenet.count_outputs(USUAL) == 5 and posenet.list_output_weights(USUAL) == (
         1,
         1,
@@ -159,14 +159,14 @@ def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_ra
 )
 def test_an_angle_is_a_circle_where_it_is_asked_for_or_goes_round(half, text, circle):
     (target,) = make_range_targets((text,), Ranges(yaw_deg=half))
-    assert target.circle == circle
+    assert target.is_circular == circle
     assert target.outputs == (2 if circle else 1)
 
 
 def test_recorded_labels_that_vary_are_targets():
     targets = make_label_targets((), recorded())
     assert list_target_names(targets) == ("x_mm", "y_mm", "Rx_deg", "Rz_deg")
-    assert [target.circle for target in targets] == [False, False, False, True]
+    assert [target.is_circular for target in targets] == [False, False, False, True]
     assert [target.column for target in targets] == [0, 1, 3, 5] and list_label_fields(targets) == (
         "pose",
     )
@@ -187,20 +187,20 @@ def test_recorded_labels_fill_the_outputs_from_end_to_end():
 def test_what_slides_vary_is_felt_by_the_sensor_or_labelled():
     assert list_target_names(make_slide_targets(Ranges())) == ("slide_x_mm", "slide_y_mm")
     x, _, twist = make_slide_targets(Ranges(move_mm=2, twist_deg=20))
-    assert (x.field, x.column, x.middle, x.reach, x.circle) == ("felt", 0, 0, 2, False)
-    assert (twist.name, twist.column, twist.reach) == ("slide_twist_deg", 2, 20)
+    assert (x.field, x.column, x.centre, x.half_range, x.is_circular) == ("felt", 0, 0, 2, False)
+    assert (twist.name, twist.column, twist.half_range) == ("slide_twist_deg", 2, 20)
     assert make_slide_targets(Ranges(move_mm=0)) == ()
     moves = np.zeros((4, 6))
     moves[:3, 0], moves[:3, 5], moves[3] = [-5, 0, 3], [0, 1, 2], np.nan
     along, turn = make_move_targets(moves)
-    assert (along.name, along.field, along.column, along.middle, along.reach) == (
+    assert (along.name, along.field, along.column, along.centre, along.half_range) == (
         "slide_x_mm",
         "move",
         0,
         -1,
         4,
     )
-    assert (turn.name, turn.column, turn.middle, turn.reach) == ("slide_Rz_deg", 5, 1, 1)
+    assert (turn.name, turn.column, turn.centre, turn.half_range) == ("slide_Rz_deg", 5, 1, 1)
     assert make_move_targets(moves[3:]) == make_move_targets(moves[:0]) == ()
 
 
@@ -316,7 +316,7 @@ def test_errors_of_lengths_do_not_wrap():
     (target,) = targets = make_label_targets(
         ("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]])
     )
-    assert (target.middle, target.reach) == (0, 200)
+    assert (target.centre, target.half_range) == (0, 200)
     outputs = posenet.scale_poses({"pose": np.full((1, 6), -190, np.float32)}, targets)
     assert (
         float(

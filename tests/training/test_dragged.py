@@ -69,13 +69,13 @@ def simulator():
 
 
 def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
-    reader = stored.pairs(
+    reader = stored.read_pairs(
         (), drag=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)
     )
     # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
     assert reader.length("train") == 4 * simulated_slides.SLIDES_PER_MOTION
     pairs = next(reader.split("train", 100))
-    taps = stored.labelled_taps("train")
+    taps = stored.read_labelled_taps("train")
     for pins, pose in zip(pairs["canonical_pins"], pairs["pose"], strict=True):
         own = int(np.argmin(np.abs(taps["pins"] - pins).sum((1, 2))))
         np.testing.assert_array_equal(taps["pose"][own], pose)

@@ -210,7 +210,7 @@ def test_a_small_press_is_the_linear_one():
     gel = compute_isotropic_stiffness(TACTIP_331.gel_modulus_mpa, TACTIP_331.gel_poisson)
     full = 2 * np.pi * assemble_stiffness(mesh, np.where(mesh.skin[:, None, None], skin, gel))[0]
     in_plane = (3 * np.arange(len(mesh.nodes))[:, None] + [0, 2]).ravel()
-    free = np.setdiff1d(np.arange(2 * len(mesh.nodes)), body.held)
+    free = np.setdiff1d(np.arange(2 * len(mesh.nodes)), body.fixed_unknowns)
     matrix = full.tocsr()[in_plane][:, in_plane][free][:, free].tocsc()
     normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()[:, free]
     response = splu(matrix).solve(normal.T.toarray())

@@ -80,13 +80,13 @@ class Explorer:
         touches = list_warmup_touches(self.experiment.sensor, self.paired.friction or 0.0)
         with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
             for touch in touches:
-                self.picture(touch)
+                self.simulate_picture(touch)
                 bar.advance()
             for stimulus in self.stimuli.values():
-                self.picture(replace(touches[1], stimulus=stimulus))
+                self.simulate_picture(replace(touches[1], stimulus=stimulus))
                 bar.advance()
 
-    def picture(self, touch: Touch) -> Picture:
+    def simulate_picture(self, touch: Touch) -> Picture:
         """Raises UserError where the contact cannot be simulated."""
         felt = simulate_touch(touch)
         number, age = np.arange(BATCH), np.zeros(BATCH)
@@ -100,11 +100,11 @@ class Explorer:
         else:
             # what the simulator draws is of this sensor, however far it is pressed
             note = _add_answer(
-                images, poses, self.perceive._replace(min_plausibility=NO_MINIMUM).answer(seen[:1])
+                images, poses, self.perceive._replace(min_plausibility=NO_MINIMUM).predict(seen[:1])
             )
         return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
 
-    def recorded(self, name: str, data: bytes) -> Picture:
+    def infer_recorded(self, name: str, data: bytes) -> Picture:
         """Of an image file's bytes. Raises UserError, as `unshear` does, for what is no image or not one of the model's sensor."""
         network = self.recordings()
         try:
@@ -120,7 +120,7 @@ class Explorer:
         note = _add_answer(
             images,
             poses,
-            network._replace(min_plausibility=NO_MINIMUM).answer(images[SHEARED][None]),
+            network._replace(min_plausibility=NO_MINIMUM).predict(images[SHEARED][None]),
         )
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 

@@ -68,7 +68,7 @@ async def compute(tab: Tab) -> None:
             async with ONE_AT_A_TIME:
                 began = time.perf_counter()
                 try:
-                    picture = await run.io_bound(tab.explorer.picture, touch)
+                    picture = await run.io_bound(tab.explorer.simulate_picture, touch)
                 except UserError as error:
                     show(tab, None, str(error))
                     continue
@@ -176,7 +176,7 @@ async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
     name = event.file.name
     try:
         async with ONE_AT_A_TIME:
-            picture = await run.io_bound(tab.explorer.recorded, name, data)
+            picture = await run.io_bound(tab.explorer.infer_recorded, name, data)
     except UserError as error:
         show(tab, None, str(error))
         return

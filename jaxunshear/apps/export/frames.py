@@ -35,7 +35,7 @@ class ExportCamera(NamedTuple):
 def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> ExportCamera:
     """From an image, or a folder of them, as the camera will give them; `view` is the model's own, if it has one. Raises UserError."""
     recordings = read_recordings(path, preprocess)
-    box = (view or recordings.common_view()).box
+    box = (view or recordings.find_common_view()).box
     frames = [
         _read(file) for file in recordings.files[:: -(-len(recordings.files) // CHECKED_FRAMES)]
     ]

@@ -39,7 +39,7 @@ def unshear(
     if net.disentangled:
         x = layers.convolution(x, ("pose",), pads=(1, 1, 1, 1))
     for i in range(len(net.widths) - 1):
-        x = layers.transposed(x, ("DC", f"Up_{i}"))
+        x = layers.add_conv_transpose(x, ("DC", f"Up_{i}"))
     last = params["DC"]["Last_0"]
     logits = graph.add(
         "ConvTranspose", x, _flip_kernel(last["kernel"]), _single(last["bias"]), **QUARTER
@@ -81,11 +81,11 @@ def pose(graph: OnnxGraph, targets: Targets, outputs: str) -> str:
     columns, start = [], 0
     for target in targets:
         first = _column(graph, signed, start)
-        if target.circle:
+        if target.is_circular:
             columns.append(_degrees(graph, first, _column(graph, signed, start + 1)))
         else:
-            scaled = graph.add("Mul", first, np.float32(target.reach))
-            columns.append(graph.add("Add", scaled, np.float32(target.middle)))
+            scaled = graph.add("Mul", first, np.float32(target.half_range))
+            columns.append(graph.add("Add", scaled, np.float32(target.centre)))
         start += target.outputs
     return graph.add("Concat", *columns, axis=1)
 
@@ -111,18 +111,18 @@ class _Layers:
         self._graph, self._variables = graph, variables
 
     def convolution(self, x: str, path: tuple[str, ...], **attributes: object) -> str:
-        kernel, bias = self._folded(path)
+        kernel, bias = self._fold_normalisation(path)
         return self._graph.add(
             "Relu", self._graph.add("Conv", x, kernel.transpose(3, 2, 0, 1), bias, **attributes)
         )
 
-    def transposed(self, x: str, path: tuple[str, ...]) -> str:
-        kernel, bias = self._folded(path)
+    def add_conv_transpose(self, x: str, path: tuple[str, ...]) -> str:
+        kernel, bias = self._fold_normalisation(path)
         return self._graph.add(
             "Relu", self._graph.add("ConvTranspose", x, _flip_kernel(kernel), bias, **QUARTER)
         )
 
-    def _folded(self, path: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _fold_normalisation(self, path: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Kernel (h, w, in, out) and bias (out,) of a convolution and its normalisation together."""
         params, stats = self._variables["params"], self._variables["batch_stats"]
         for name in path:

@@ -22,7 +22,7 @@ def build_onnx(
     many: int | str = "batch" if batch is None else batch
     if camera is not None:
         white = frames.add_preprocessing(graph, camera, "frame")
-        graph.give("image", frames.add_uint8_cast(graph, white), (many, *shape), BYTE)
+        graph.add_output("image", frames.add_uint8_cast(graph, white), (many, *shape), BYTE)
         name, shape = "frame", camera.frames.shape[1:]
         seen = graph.add("Cast", white, to=FLOAT)
     else:
@@ -37,15 +37,17 @@ def build_onnx(
             graph, parts.unshear_network.net, parts.unshear_network.variables, seen
         )
         flat = graph.add("Squeeze", after, np.array([1])) if images else after
-        graph.give("unsheared", flat, (many, *parts.shape))
+        graph.add_output("unsheared", flat, (many, *parts.shape))
         if images:
-            graph.give("confidence", _confidence(graph, flat), (many,))
+            graph.add_output("confidence", _confidence(graph, flat), (many,))
     if parts.pose_network is not None:
         read = after if parts.method == UNSHEARED else seen
         outputs = networks.predict(
             graph, parts.pose_network.net, parts.pose_network.variables, read
         )
-        graph.give("pose", networks.pose(graph, parts.targets, outputs), (many, len(parts.targets)))
+        graph.add_output(
+            "pose", networks.pose(graph, parts.targets, outputs), (many, len(parts.targets))
+        )
     model = graph.model(name, (many, *shape), BYTE if images else FLOAT, metadata)
     return bytes(model.SerializeToString())
 

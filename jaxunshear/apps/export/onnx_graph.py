@@ -34,7 +34,7 @@ class OnnxGraph:
         self._nodes.append(helper.make_node(op, names, [name], **attributes))
         return name
 
-    def give(self, name: str, what: str, shape: Shape, kind: int = FLOAT) -> None:
+    def add_output(self, name: str, what: str, shape: Shape, kind: int = FLOAT) -> None:
         """Makes an output of what a node gives."""
         self._nodes.append(helper.make_node("Identity", [what], [name]))
         self._outputs.append(helper.make_tensor_value_info(name, kind, shape))

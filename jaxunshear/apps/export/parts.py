@@ -166,5 +166,7 @@ def _differences(parts: ExportedModel, found: Json, true: Json) -> Iterator[floa
     for target in parts.targets:
         off = np.abs(found["pose"][target.name] - true["pose"][target.name])
         yield float(
-            np.max(np.minimum(off, 360 - off) / 180 if target.circle else off / target.reach)
+            np.max(
+                np.minimum(off, 360 - off) / 180 if target.is_circular else off / target.half_range
+            )
         )

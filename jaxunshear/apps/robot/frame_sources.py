@@ -74,7 +74,7 @@ def make_label_reader(
 
 def _folder(path: Path, preprocess: Preprocess) -> Iterator[SourceFrame]:
     recordings = read_recordings(path, preprocess)
-    view = functools.cache(recordings.common_view)
+    view = functools.cache(recordings.find_common_view)
     return (
         _read(number, file, name, view(file.parent))
         for number, (file, name) in enumerate(zip(recordings.files, recordings.names, strict=True))

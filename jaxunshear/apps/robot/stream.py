@@ -107,7 +107,7 @@ def load_stream_model(
             after,
             {name: float(value[0]) for name, value in poses.items()},
             crisp,
-            bool(seen.sure[0]),
+            bool(seen.identified[0]),
         )
 
     step_on(np.zeros((size, size), np.uint8))  # compiles
@@ -225,9 +225,9 @@ def _answer(
     found = robot.step(image)
     answered = time.perf_counter()
     likely = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
-    if why := explain_rejection(found.sure, likely, robot.min_plausibility):
+    if why := explain_rejection(found.identified, likely, robot.min_plausibility):
         raise UserError(why)
-    return found.after, found.pose, found.crisp * likely, answered - asked
+    return found.unsheared, found.pose, found.confidence * likely, answered - asked
 
 
 def _summary(found: _StreamStats, live: bool, began: float) -> StreamResult:
@@ -260,14 +260,14 @@ def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
     views: dict[tuple[int, ...], list[View]] = {}
     common: dict[tuple[int, ...], View] = {}
 
-    def seen(raw: np.ndarray) -> View:
+    def update_view(raw: np.ndarray) -> View:
         known = views.setdefault(raw.shape, [])
         if len(known) < PROBES:
             known.append(find_view(preprocess, raw))
             common[raw.shape] = combine_views(known)
         return common[raw.shape]
 
-    return seen
+    return update_view
 
 
 def _until_lost(

@@ -41,7 +41,7 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         contacts, frame, paths = recorded_examples.prepare_recordings(
-            settings, sensor, self._unfinished
+            settings, sensor, self._get_unfinished_folder
         )
         counts, more = recorded_examples.summarise_recordings(contacts, frame, paths)
         self._keep_metadata(counts, **more)

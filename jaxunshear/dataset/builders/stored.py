@@ -69,7 +69,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         return info
 
     @property
-    def _unfinished(self) -> Path:
+    def _get_unfinished_folder(self) -> Path:
         config = self.builder_config
         return configs.get_unfinished_folder(
             config.settings, config.sensor, Path(self._data_dir_root)
@@ -78,17 +78,17 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
     def download_and_prepare(self, **options: object) -> None:
         """Makes the set unless it is there. Raises `UserError` if another process is making it."""
         if not Path(self.data_dir).exists():
-            with _alone(self._unfinished):
+            with _alone(self._get_unfinished_folder):
                 if not Path(self.data_dir).exists():
                     for left in Path(self.data_dir).parent.glob("incomplete.*"):
                         shutil.rmtree(left)  # of a killed run: under the lock no other is at work
                     defaults = {
                         "file_format": "array_record",
-                        "download_dir": self._unfinished / "downloads",
+                        "download_dir": self._get_unfinished_folder / "downloads",
                     }
                     with _full_disk_is_an_os_error():
                         super().download_and_prepare(**{**defaults, **options})
-        shutil.rmtree(self._unfinished, ignore_errors=True)
+        shutil.rmtree(self._get_unfinished_folder, ignore_errors=True)
 
     def _download_and_prepare(self, *args: object, **kwargs: object) -> None:
         super()._download_and_prepare(*args, **kwargs)
@@ -129,7 +129,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         shots = sample_contacts(settings)
         paths = simulate_chunks(
-            settings, sensor, shots, self._unfinished, self.engine or make_engine()
+            settings, sensor, shots, self._get_unfinished_folder, self.engine or make_engine()
         )
         counts = summarise_set(settings, shots, paths)
         for split, count in counts["written"].items():

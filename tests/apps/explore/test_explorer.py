@@ -51,7 +51,7 @@ def touch(explorer):
 
 @pytest.fixture(scope="module")
 def picture(explorer, touch):
-    return explorer.picture(touch)
+    return explorer.simulate_picture(touch)
 
 
 def test_shapes_of_ones_own_are_chosen_like_the_others(explorer):
@@ -168,4 +168,4 @@ def test_what_is_made_ready_reaches_as_deep_as_the_page():
 def test_pins_need_a_folder_for_recorded_images():
     skin = RELEASED / "skin"
     with pytest.raises(UserError, match="--like"):
-        make_explorer(skin, load_settings(skin)).recorded("a.png", b"")
+        make_explorer(skin, load_settings(skin)).infer_recorded("a.png", b"")

@@ -269,5 +269,5 @@ def test_frames_of_a_folder_are_cropped_as_elsewhere(tmp_path):
         Image.fromarray(disc(middle)).save(tmp_path / f"{number}.png")
     frames, _ = open_frames(str(tmp_path), Preprocess(size=128), None)
     assert {frame.view for frame in frames} == {
-        read_recordings(tmp_path, Preprocess(size=128)).common_view()
+        read_recordings(tmp_path, Preprocess(size=128)).find_common_view()
     }
