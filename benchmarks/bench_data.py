@@ -11,14 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.chunks import make_engine, simulate_chunks
-from jaxunshear.dataset.generation import make_set
-from jaxunshear.dataset.reader import open_set
-from jaxunshear.dataset.sampling import sample_contacts
-from jaxunshear.settings.configs import PAIRED, get_set_folder, get_unfinished_folder
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.splits import SPLITS
+from jaxunshear.config.configs import PAIRED, get_set_folder, get_unfinished_folder
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data.chunks import make_engine, simulate_chunks
+from jaxunshear.data.generation import make_set
+from jaxunshear.data.reader import open_set
+from jaxunshear.data.sampling import sample_contacts
 
 POSES = 12  # of each shape: some hundred contacts
 PLAN_MULTIPLE = 20  # times as many are planned: what it costs once counts less

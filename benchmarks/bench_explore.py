@@ -14,12 +14,12 @@ import numpy as np
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.explore.explorer import Explorer, make_explorer
 from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
+from jaxunshear.config.data import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.progress import Progress
-from jaxunshear.scene.stimuli import get_stimulus
-from jaxunshear.settings.data import Ranges
+from jaxunshear.simulator.stimuli import get_stimulus
 
 STIMULI = ("disk", "clover", "edge", "surface")
 PICTURES = 100  # of each

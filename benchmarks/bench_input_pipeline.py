@@ -17,16 +17,16 @@ from scipy.stats import bootstrap
 
 from benchmarks.training_steps import make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.dataset.chunks import pack_bits
-from jaxunshear.dataset.reader import Batch, Reader
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinUnshear, UnshearNet
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.training import Training
+from jaxunshear.data.chunks import pack_bits
+from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinUnshear, UnshearNet
-from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.settings.training import Training
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.tasks import Task, make_unshear_task

@@ -4,7 +4,7 @@
 
 The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
 the convolutions' multiplications over the product's. Compile time stands apart. Without the extras `torch` and `onnx` only our rows come.
-Where parts of the training are compiled for the processor (`model/fast/compiled_kernels.py`), training without them has a row of its own.
+Where parts of the training are compiled for the processor (`models/fast/compiled_kernels.py`), training without them has a row of its own.
 """
 
 import statistics
@@ -21,18 +21,18 @@ from benchmarks.training_steps import init_variables, make_noise_images, make_ti
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.apps.export.parts import ExportedModel, ExportedNetwork
 from jaxunshear.apps.robot.stream import make_perceive_function
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.registry import DISENTANGLED, POSENET
+from jaxunshear.config.targets import list_target_names
+from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.inference.perception import make_forward
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.fast import compiled_kernels
-from jaxunshear.model.inference import jit_for_inference
+from jaxunshear.models import posenet, unshearnet
+from jaxunshear.models.fast import compiled_kernels
+from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.progress import Progress
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.registry import DISENTANGLED, POSENET
-from jaxunshear.settings.targets import list_target_names
-from jaxunshear.settings.training import Training
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import SIZE, make_matrix_product, time_call
 

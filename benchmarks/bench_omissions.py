@@ -17,17 +17,17 @@ import numpy as np
 
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.registry import DISENTANGLED, ENTANGLED, POSENET
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.training import Training
 from jaxunshear.evaluation.network_outputs import make_image_run
 from jaxunshear.files import Json
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.fast import compiled_kernels
-from jaxunshear.model.weights import Variables
+from jaxunshear.models import posenet, unshearnet
+from jaxunshear.models.fast import compiled_kernels
+from jaxunshear.models.weights import Variables
 from jaxunshear.progress import Progress
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
-from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.settings.training import Training
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import time_call
 

@@ -17,16 +17,16 @@ from jax import Array
 
 from benchmarks.training_steps import make_timed_step
 from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.image import Camera, Preprocess
+from jaxunshear.config.networks import PinPoseNet, PinUnshear
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.files import Json
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.model import layer_choice, pin_networks
+from jaxunshear.models import layer_choice, pin_networks
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.image import Camera, Preprocess
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear
-from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from verification.clock import time_call
 

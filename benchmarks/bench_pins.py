@@ -11,16 +11,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.dataset.simulated_contacts import simulate_contacts
+from jaxunshear.config.configs import PAIRED, get_config_sensor
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Nuisance
+from jaxunshear.data.simulated_contacts import simulate_contacts
 from jaxunshear.files import Json
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_detection import detect_pins
-from jaxunshear.image.pin_tracking import fit_motion_prior, track_pins
-from jaxunshear.image.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.pin_tracking import fit_motion_prior, track_pins
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
-from jaxunshear.settings.configs import PAIRED, get_config_sensor
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Nuisance
 
 CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
 SIZES = (128, 256)

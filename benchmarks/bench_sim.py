@@ -14,16 +14,16 @@ import numpy as np
 
 from benchmarks.other_solvers import OTHER_SOLVERS
 from benchmarks.reference_pins import solve_reference_pins
-from jaxunshear.contact import simulate as simulator
-from jaxunshear.contact import systems
-from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.contact.level import LEVELS, Level, without_omissions
+from jaxunshear.config.reach import RING_MM, compute_ring_spacing, set_ring_spacing
+from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import RING_MM, compute_ring_spacing, set_ring_spacing
-from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.simulator import simulate as simulator
+from jaxunshear.simulator import systems
+from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.level import LEVELS, Level, without_omissions
+from jaxunshear.simulator.scene import Scenes
 from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error

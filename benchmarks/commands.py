@@ -8,9 +8,9 @@ from typing import Any
 
 from jaxunshear.cli.options import ROWS, add_json, new_parser
 from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
-from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
+from jaxunshear.simulator.level import LEVELS
 
 Found = tuple[list[Json], str]  # rows, and what is printed of them
 COMMANDS = {

@@ -1,9 +1,9 @@
 """Multiplications of the convolutions in one pass of an image through the networks."""
 
-from jaxunshear.model import posenet
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import make_range_targets
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.models import posenet
 
 TARGETS = make_range_targets((), Ranges())
 

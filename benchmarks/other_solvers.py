@@ -12,7 +12,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from jaxunshear.contact.friction import (
+from jaxunshear.simulator.friction import (
     BETWEEN_CHECKS,
     OVER_RELAXATION,
     RHO,

@@ -10,14 +10,14 @@ from importlib.resources import files
 
 import numpy as np
 
-from jaxunshear.contact.level import Level
-from jaxunshear.contact.simulate import simulate
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, cache_folder, read_npz, write_npz
 from jaxunshear.metrics.machine import list_versions
 from jaxunshear.progress import Progress
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.simulate import simulate
 
 
 def solve_reference_pins(

@@ -16,12 +16,12 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.training import Training
 from jaxunshear.files import Json
-from jaxunshear.model.fast.norm import EPSILON
-from jaxunshear.model.layers import MOMENTUM
-from jaxunshear.model.unshearnet import Variables
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.models.fast.norm import EPSILON
+from jaxunshear.models.layers import MOMENTUM
+from jaxunshear.models.unshearnet import Variables
 
 
 def _norm(width: int) -> nn.Module:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from jaxunshear.model.weights import Variables
-from jaxunshear.settings.training import Training
+from jaxunshear.config.training import Training
+from jaxunshear.models.weights import Variables
 from jaxunshear.training.step import State, make_optimiser, make_step
 from jaxunshear.training.tasks import Batch, Task
 from jaxunshear.training.trainer import get_compile_options, make_first_state

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Wedge
 
-from jaxunshear.scene.pin_layout import compute_pin_levers, compute_pin_tips
-from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.config.sensor import TACTIP_331, Sensor
+from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 from jaxunshear.style import FAINT, INK, STYLE
 
 FIGURES = Path(__file__).with_name("figures")

@@ -44,5 +44,5 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) 
         r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text
     )
     return re.sub(
-        r"\[([^\]]+)\]\((?:jaxunshear/model/fast/compiled|LICENSE|README\.md)\)", r"\1", text
+        r"\[([^\]]+)\]\((?:jaxunshear/models/fast/compiled|LICENSE|README\.md)\)", r"\1", text
     )

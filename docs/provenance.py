@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxunshear.cli import read_base
+from jaxunshear.config.serialization import to_json
 from jaxunshear.files import Json
 from jaxunshear.results.measurement import Source
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.serialization import to_json
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -42,10 +42,11 @@ IDLE = {  # settings of results that are gone, at the values at which they did n
 }
 COMPUTING = frozenset(
     (
-        *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
+        *("simulator", "perception", "data", "models", "training", "evaluation", "metrics"),
         *("sweep", "calibration", "verification", "benchmarks"),
         *("doctor", "inference", "downstream", "apps"),
-        "applications",  # the name of these four at the commits of earlier results
+        # the names of these packages at the commits of earlier results
+        *("scene", "contact", "image", "dataset", "model", "applications"),
     )
 )
 PROGRAMS = {  # the modules that a command starts from
@@ -70,14 +71,24 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
     },
     **{
         f"benchmarks {name}": (f"benchmarks.bench_{name}",)
-        for name in ("sim", "needs", "pins", "data", "input")
+        for name in ("sim", "pins", "data")
     },
+    "benchmarks needs": ("benchmarks.bench_omissions",),
+    "benchmarks input": ("benchmarks.bench_input_pipeline",),
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),
     "benchmarks explore": ("benchmarks.bench_explore",),
 }
 EARLIER = {  # where these modules were at earlier commits
-    "jaxunshear.evaluation.sim_to_real": "jaxunshear.applications.transfer",
-    "jaxunshear.inference.infer": "jaxunshear.infer",
+    "jaxunshear.evaluation.sim_to_real": (
+        "jaxunshear.evaluation.transfer",
+        "jaxunshear.applications.transfer",
+    ),
+    "jaxunshear.evaluation.other_recordings": ("jaxunshear.evaluation.unseen",),
+    "jaxunshear.evaluation.code_swap_test": ("jaxunshear.evaluation.ablation",),
+    "jaxunshear.sweep.worker": ("jaxunshear.sweep.work",),
+    "jaxunshear.inference.infer": ("jaxunshear.infer",),
+    "benchmarks.bench_omissions": ("benchmarks.bench_needs",),
+    "benchmarks.bench_input_pipeline": ("benchmarks.bench_input",),
 }
 MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits
     "jaxunshear check identify": "docs/notebooks/identify.ipynb",
@@ -262,7 +273,7 @@ def changes(name: str, root: Path = ROOT) -> list[str]:
     """Return what a result was computed with and the package no longer has, as `lost`."""
     held = read_result(name)
     starts = sorted({module for command in commands(held) for module in programs(command)})
-    starts += [EARLIER[module] for module in starts if module in EARLIER]
+    starts += [name for module in starts for name in EARLIER.get(module, ())]
     found: set[str] = set()
     for source in sources(held):
         try:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import demo
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 
 experiment = replace(
     demo.experiment,

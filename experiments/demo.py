@@ -14,10 +14,10 @@ demo undoes 69 % (docs/results/calibrated.json, one seed; demo.json, five). We t
 levers are the reason, because they show how the skin turns at an edge; this was not tested.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.training import Training
 
 POSENET = Training(
     epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.configs import PAIRED, POSE
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.configs import PAIRED, POSE
+from jaxunshear.config.sweep import Sweep
 
 BASE = parted.sweep.base
 ROWS = {

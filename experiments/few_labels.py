@@ -14,10 +14,10 @@ unsheared, .25 and 3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="few_labels",

@@ -21,8 +21,8 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.sweep import Sweep
 
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}

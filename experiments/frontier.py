@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import demo
 
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.sweep import Sweep
 
 IMAGES = [
     f"{group}.{field}"

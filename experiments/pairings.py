@@ -12,10 +12,10 @@ Its rows took 14 minutes in all, on two cores of an AMD EPYC.
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="pairings",

@@ -18,10 +18,10 @@ friction are those fitted to recordings of a TacTip (docs/calibration.md): those
 4x4 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.training import Training
 
 SIZE = 256
 

@@ -11,10 +11,10 @@ Slides are paired with taps of their own depth; against taps that miss it by up 
 own.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.training import Training
 
 SIZE = 256
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import paper
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 
 experiment = replace(
     paper.experiment,

@@ -16,10 +16,10 @@ table.
 
 from dataclasses import replace
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import PIN_TRAINING, Experiment
-from jaxunshear.settings.networks import PinNet, UnshearNet
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import PIN_TRAINING, Experiment
+from jaxunshear.config.networks import PinNet, UnshearNet
+from jaxunshear.config.sweep import Sweep
 
 WEIGHTS = ("train_pins.swap_weight", "train_pins.agreement_weight")
 ROWS = {

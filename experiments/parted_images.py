@@ -17,9 +17,9 @@ from dataclasses import replace
 import parted
 import standard
 
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
-from jaxunshear.settings.training import Training
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
+from jaxunshear.config.training import Training
 
 ROWS = {
     "disentangled": (),

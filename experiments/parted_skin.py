@@ -15,10 +15,10 @@ Expected: docs/results/parted_skin.json. For a full table
 
 from dataclasses import replace
 
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
 
 WEIGHTS = ("train_pins.agreement_weight", "train_pins.slide_weight")
 CODES = ("pins.apart", "pins.pose_code", "pins.shear_code")

@@ -11,8 +11,8 @@ Expected: docs/results/parted_skin_images.json; 20 minutes per row on a core.
 
 from dataclasses import replace
 
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.sweep import Sweep
 
 CODES = ("unshear.apart", "unshear.pose_channels", "unshear.shear_channels")
 ROWS = {

@@ -37,9 +37,9 @@ two hours on a core of an AMD EPYC, beside other work.
 
 from dataclasses import replace
 
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
 
 CHANNELS = BASE_EXPERIMENT.pins.convolved
 CONVOLVING = (("pins.convolved", "pins.direct_convolved"), (CHANNELS, CHANNELS))

@@ -19,9 +19,9 @@ docs/results/recorded_images.json: .31 mm in y, where unsheared slides are at .2
 
 from dataclasses import replace
 
+from jaxunshear.config.registry import POSENET_SHEARED
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
-from jaxunshear.settings.registry import POSENET_SHEARED
-from jaxunshear.settings.sweep import Sweep
 
 LONGER = ("train_posenet.epochs", 15.0)
 ROWS = {

@@ -11,9 +11,9 @@ Expected: minutes to simulate and to train on two cores (no file has the times);
 docs/results/skin.json for its scores on recordings of a real edge.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import PIN_TRAINING, Experiment
-from jaxunshear.settings.networks import PinNet, UnshearNet
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import PIN_TRAINING, Experiment
+from jaxunshear.config.networks import PinNet, UnshearNet
 
 experiment = Experiment(
     name="skin",

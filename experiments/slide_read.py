@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.sweep import Sweep
 
 BASE = parted.sweep.base
 TWISTS = (("paired.ranges.twist_deg", 5.0),)

@@ -13,11 +13,11 @@ own: the four shapes that no network has seen, and taps whose depth misses the s
 1 mm, as the paper pairs them.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.registry import ALL_NETWORKS
-from jaxunshear.settings.training import Training
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.registry import ALL_NETWORKS
+from jaxunshear.config.training import Training
 
 POSENET = Training(
     epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.configs import PAIRED, POSE
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.configs import PAIRED, POSE
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 
 ROWS = {"an upright sensor": (("paired.ranges.tilt_deg", 0.0),), "a sensor that leans": ()}
 

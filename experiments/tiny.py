@@ -5,10 +5,10 @@
 Expected on two cores: a minute or two, most of it compilation.
 """
 
-from jaxunshear.settings.configs import PAIRED, POSE
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.config.configs import PAIRED, POSE
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.training import Training
 
 POSENET = Training(epochs=2, batch=6, validate_every=4)
 

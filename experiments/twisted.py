@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.configs import PAIRED
-from jaxunshear.settings.experiment import PIN_TRAINING
-from jaxunshear.settings.networks import PinNet
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.configs import PAIRED
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.config.networks import PinNet
+from jaxunshear.config.sweep import Sweep
 
 ROWS = {
     "slides that do not twist": (("paired.ranges.twist_deg", 0.0),),

@@ -19,25 +19,25 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.recorded_pins import Pins, find_pins
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.targets import Targets
+from jaxunshear.data.recorded_pins import Pins, find_pins
 from jaxunshear.downstream.geometry_scores import GeometryResult, score_geometry
 from jaxunshear.downstream.object_reconstruction import ReconstructionResult, reconstruct
 from jaxunshear.downstream.servo import ServoTask
 from jaxunshear.downstream.servo_scores import ServoResult, servo
 from jaxunshear.errors import Note, UserError
-from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.sensor_check import NO_MINIMUM
 from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_frame, load_perceiver
 from jaxunshear.inference.perception import BATCH, run_in_batches
 from jaxunshear.inference.suitability import learnt_note, suits_recordings
-from jaxunshear.model.dispatch import encode
-from jaxunshear.model.inference import jit_for_inference
-from jaxunshear.model.posenet import unscale_outputs
-from jaxunshear.model.weights import Tree
 from jaxunshear.model_folders import find_model_folder, load_settings
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.settings.targets import Targets
+from jaxunshear.models.dispatch import encode
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.posenet import unscale_outputs
+from jaxunshear.models.weights import Tree
+from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.sensor_check import NO_MINIMUM
 from jaxunshear.training.checkpoint import has_model, load_best, read_net, read_slides
 
 __all__ = [

@@ -8,10 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.outlines import parse_stimulus
+from jaxunshear.config.sensor import SENSORS, Sensor, get_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.scene.stimuli import (
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.stimuli import (
     STIMULI,
     TRAINING,
     UNSEEN,
@@ -19,9 +22,6 @@ from jaxunshear.scene.stimuli import (
     compute_distances,
     make_stimulus,
 )
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.outlines import parse_stimulus
-from jaxunshear.settings.sensor import SENSORS, Sensor, get_sensor
 
 SUFFIXES = (".png", ".svg", ".pdf")
 

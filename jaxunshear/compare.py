@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxunshear.config.configs import list_differences as differing_fields
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
@@ -23,7 +24,6 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.sweep import Figure, Outcome
-from jaxunshear.settings.configs import list_differences as differing_fields
 from jaxunshear.sweep.scores import RowScores, has_same_contacts, read_tests
 from jaxunshear.sweep.summary import compute_differences, compute_metrics
 from jaxunshear.text_table import format_text_table

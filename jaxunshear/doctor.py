@@ -13,22 +13,22 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.labels import Problem
-from jaxunshear.dataset.preprocessing import MIN_FRAMES
-from jaxunshear.dataset.recorded_contacts import LARGEST_PX, MIN_MOVE
-from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
+from jaxunshear.data.labels import Problem
+from jaxunshear.data.preprocessing import MIN_FRAMES
+from jaxunshear.data.recorded_contacts import LARGEST_PX, MIN_MOVE
+from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.image.grey import check_frame, to_grey
-from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
-from jaxunshear.image.pin_detection import detect_pins
-from jaxunshear.image.pin_tracking import track_all
-from jaxunshear.image.preprocess import combine_views, find_view, prepare_frame
+from jaxunshear.perception.grey import check_frame, to_grey
+from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.pin_tracking import track_all
+from jaxunshear.perception.preprocess import combine_views, find_view, prepare_frame
 from jaxunshear.progress import Progress
 from jaxunshear.selection import select_evenly
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
-from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS
 
 LAYOUTS = (TACTIP_331, TACTIP_127)
 INSPECTED_IMAGES = 40  # frames whose pins are found, shared by the folders

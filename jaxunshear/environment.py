@@ -19,7 +19,7 @@ DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
 KERNELS_VARIABLE = (
-    "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/layer_choice.py`
+    "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `models/layer_choice.py`
 )
 KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `training/devices.py`

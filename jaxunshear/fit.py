@@ -7,16 +7,16 @@ import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.dataset.digests import compute_digest
-from jaxunshear.dataset.recorded_contacts import identify_sensor, read_contacts
+from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PinNet, UnshearNet
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
+from jaxunshear.config.training import Training
+from jaxunshear.config.types import Value
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.recorded_contacts import identify_sensor, read_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_text
-from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PinNet, UnshearNet
-from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
-from jaxunshear.settings.training import Training
-from jaxunshear.settings.types import Value
 
 BASE_EXPERIMENT = Experiment(
     name="recorded",

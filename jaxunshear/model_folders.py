@@ -4,10 +4,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.serialization import from_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.serialization import from_json
 
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 

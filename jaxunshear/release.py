@@ -8,15 +8,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from jaxunshear.config.registry import DISENTANGLED, POSENET, REGISTRY
+from jaxunshear.config.stimuli import list_stimulus_names
+from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
-from jaxunshear.settings.stimuli import list_stimulus_names
-from jaxunshear.settings.targets import to_json
 
 RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None

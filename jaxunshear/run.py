@@ -11,15 +11,15 @@ from functools import partial
 from pathlib import Path
 
 from jaxunshear.cluster import CallRunner, run_locally
+from jaxunshear.config import configs
+from jaxunshear.config.experiment import Experiment, get_recorded, get_training
+from jaxunshear.config.registry import TEACHER, TRAINABLE
+from jaxunshear.config.serialization import from_json, to_json, with_version
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
-from jaxunshear.settings import configs
-from jaxunshear.settings.experiment import Experiment, get_recorded, get_training
-from jaxunshear.settings.registry import TEACHER, TRAINABLE
-from jaxunshear.settings.serialization import from_json, to_json, with_version
 from jaxunshear.training.data_origin import check_origin, describe_origin
 from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
 
@@ -112,8 +112,8 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(experiment: Experiment, data: Path, spread: CallRunner) -> bool:
-    from jaxunshear.dataset.chunks import make_engine
-    from jaxunshear.dataset.generation import make_sets
+    from jaxunshear.data.chunks import make_engine
+    from jaxunshear.data.generation import make_sets
 
     there = all(_exist(experiment, data, configs.get_set_folder))
     for name, metadata in make_sets(experiment, data, make_engine(spread)).items():
@@ -134,7 +134,7 @@ def _slowest(counts: Json) -> str:
 
 def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:
     """Of each data set, whether its `folder_of` is there."""
-    from jaxunshear.dataset.generation import list_sets
+    from jaxunshear.data.generation import list_sets
 
     return [
         folder_of(settings, experiment.sensor, data).exists()

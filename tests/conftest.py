@@ -105,10 +105,10 @@ def absent(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """For commands that walk and reconstruct: 8 steps around the disk, and scales of few taps."""
-    from jaxunshear.dataset import simulated_contacts
+    from jaxunshear.data import simulated_contacts
     from jaxunshear.downstream import servo
     from jaxunshear.downstream.contour import trace_contour
-    from jaxunshear.scene.stimuli import STIMULI
+    from jaxunshear.simulator.stimuli import STIMULI
 
     steps = 8 * 0.5 / trace_contour(STIMULI["disk"]).length
     monkeypatch.setattr(

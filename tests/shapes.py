@@ -12,15 +12,14 @@ from beartype import beartype
 from jax import Array
 from jaxtyping import AbstractArray, install_import_hook
 
-CHECKED = ("metrics", "scene", "contact", "model")
+CHECKED = ("metrics", "simulator", "models")
 # without what follows pins: checks would take a third of its time
 CHECKED += (
-    "image.camera",
-    "image.pin_drawing",
-    "image.grey",
-    "image.lattice",
-    "image.png",
-    "image.preprocess",
+    "perception.pin_drawing",
+    "perception.grey",
+    "perception.lattice",
+    "perception.png",
+    "perception.preprocess",
 )
 CHECKED += ("training.losses", "training.rotation", "training.domain_randomisation")
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]

@@ -10,15 +10,15 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.api import ServoTask, reconstruct
 from jaxunshear.api import servo as walk
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.errors import UserError
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perceiver import UNSHEARED
-from jaxunshear.scene.stimuli import STIMULI
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import make_slide_targets
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.simulator.stimuli import STIMULI
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_example_of_uses_runs(capsys):
     page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     names: dict = {}
-    walks = 'Course("disk", starts=1, depth_mm=2.0'
+    walks = 'ServoTask("disk", starts=1, depth_mm=2.0'
     assert example.count(walks) == 1
     exec(
         example.replace(

@@ -14,9 +14,9 @@ from PIL import Image
 
 from jaxunshear import cli
 from jaxunshear.cli.program import AGAIN
-from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.serialization import to_json
-from jaxunshear.settings.sweep import load_sweep
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.sweep import load_sweep
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "experiments" / "demo.py"
@@ -364,7 +364,7 @@ def test_every_stage_of_a_command_is_one_of_run():
 
 
 def test_every_field_has_its_meaning_in_help(command):
-    from jaxunshear.settings.fields import list_field_types
+    from jaxunshear.config.fields import list_field_types
 
     groups = {name.rpartition(".")[0] for name, _ in list_field_types()}
     written = "".join(command("run", "--help-fields", group).out for group in groups)

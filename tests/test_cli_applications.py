@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.data import PairedData, PoseData
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PoseNet, UnshearNet
 from tests.inference.test_infer import init, trained
 
 
@@ -32,9 +32,9 @@ def experiment(size):
 
 def run_of(folder, size, seed=0):
     """A run with networks that have learnt nothing."""
+    from jaxunshear.config.serialization import to_json
     from jaxunshear.files import write_json
-    from jaxunshear.model import posenet, unshearnet
-    from jaxunshear.settings.serialization import to_json
+    from jaxunshear.models import posenet, unshearnet
 
     small, run = experiment(size), folder / "small"
     write_json(run / "experiment.json", to_json(small))

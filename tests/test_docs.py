@@ -11,7 +11,7 @@ from docs.make_tables import TABLES, placed, with_notes
 from docs.provenance import NOTE
 from jaxunshear import __version__
 from jaxunshear.cli import main
-from jaxunshear.settings.rules import validate
+from jaxunshear.config.rules import validate
 from verification import commands as verification
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear.config.configs import CONFIGS, compute_config_name, get_set_name
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.rules import validate
+from jaxunshear.config.sweep import check_sweep, load_sweep, override_base
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.configs import CONFIGS, compute_config_name, get_set_name
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.fields import override_fields
-from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.rules import validate
-from jaxunshear.settings.sweep import check_sweep, load_sweep, override_base
 from jaxunshear.sweep.grid import find_reference, list_cells, list_rows, select_training_part
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"

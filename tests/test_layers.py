@@ -8,14 +8,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (
-    "settings",
+    "config",
     "results",
-    "scene",
-    "contact",
-    "image",
-    "dataset",
+    "simulator",
+    "perception",
+    "data",
     "calibration",
-    "model",
+    "models",
     "training",
     "inference",
     "evaluation",
@@ -97,9 +96,9 @@ def test_nothing_imports_apps():
     assert {(module, app) for module, app in outside if "benchmarks" not in module} == commands
 
 
-def test_settings_import_no_jax():
+def test_config_imports_no_jax():
     """They are read before anything is computed, and by processes that compute nothing."""
-    seen, left = set(), [module for module in FILES if step_of(module) == STEPS.index("settings")]
+    seen, left = set(), [module for module in FILES if step_of(module) == STEPS.index("config")]
     while left:
         module = left.pop()
         seen.add(module)
@@ -109,8 +108,8 @@ def test_settings_import_no_jax():
             module
         )
     assert {
-        "jaxunshear.settings.experiment",
-        "jaxunshear.settings.rules",
+        "jaxunshear.config.experiment",
+        "jaxunshear.config.rules",
         "jaxunshear.errors",
     } <= seen
 

@@ -72,7 +72,7 @@ def test_commands_give_the_settings_of_their_results(name):
 
 
 THEN = '''"""A module."""
-from jaxunshear.model.net import layer
+from jaxunshear.models.net import layer
 
 SCALE = 2.0  # of what is returned
 
@@ -83,8 +83,8 @@ def step(x):
 NET = "def layer(x):\n    return x + 1\n\ndef other(x):\n    return x\n"
 TEXTS = {
     "jaxunshear.training.step": THEN,
-    "jaxunshear.model.net": NET,
-    "jaxunshear.image.draw": "def draw(): ...\n",
+    "jaxunshear.models.net": NET,
+    "jaxunshear.perception.draw": "def draw(): ...\n",
 }
 START = ("jaxunshear.training.step",)
 
@@ -108,10 +108,10 @@ def lost_with(**texts):
         ),
         ({"training_step": THEN.replace("SCALE * layer(x)", "(SCALE\n        * layer(x))")}, []),
         ({"training_step": THEN + "\ndef more(): ...\n"}, []),
-        ({"model_net": "", "model_layers": NET}, []),  # moved
+        ({"models_net": "", "models_layers": NET}, []),  # moved
         ({"image_draw": ""}, []),  # not used
         ({"training_step": THEN.replace("2.0", "3.0")}, ["jaxunshear.training.step: SCALE"]),
-        ({"model_net": NET.replace("x + 1", "x + 2")}, ["jaxunshear.model.net: layer"]),
+        ({"models_net": NET.replace("x + 1", "x + 2")}, ["jaxunshear.models.net: layer"]),
     ],
 )
 def test_changes_by_more_than_words_are_named(texts, expected):
@@ -127,7 +127,7 @@ def test_what_moved_out_of_the_package_is_not_lost():
 def test_what_only_shows_or_starts_does_not_count():
     texts = {
         "jaxunshear.report.html": "def page(): ...\n",
-        "jaxunshear.settings.data": "def data(): ...\n",
+        "jaxunshear.config.data": "def data(): ...\n",
     }
     assert not lost(texts, {}, tuple(texts))
 
@@ -135,7 +135,7 @@ def test_what_only_shows_or_starts_does_not_count():
 def test_changes_on_a_bridge_do_not_count(tmp_path, monkeypatch):
     if shutil.which("git") is None:
         pytest.skip("git is not installed")
-    module = tmp_path / "jaxunshear" / "model" / "net.py"
+    module = tmp_path / "jaxunshear" / "models" / "net.py"
     module.parent.mkdir(parents=True)
     git(tmp_path, "init", "-q")
     commits = []
@@ -148,10 +148,10 @@ def test_changes_on_a_bridge_do_not_count(tmp_path, monkeypatch):
 
     def changed_since(commit, *bridges):
         monkeypatch.setattr(provenance, "read_known", lambda: Known(frozenset(), {}, {}, bridges))
-        return provenance._changes_since(tmp_path, commit, ("jaxunshear.model.net",))
+        return provenance._changes_since(tmp_path, commit, ("jaxunshear.models.net",))
 
     first, second, third = commits
-    name = "jaxunshear.model.net"
+    name = "jaxunshear.models.net"
     assert changed_since(first) == [f"{name}: layer", f"{name}: other"]
     assert changed_since(first, (second, third)) == [f"{name}: other"]
     assert changed_since(first, (first, third)) == changed_since(third) == []
@@ -163,19 +163,19 @@ def test_changes_on_a_bridge_do_not_count(tmp_path, monkeypatch):
 def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
     if shutil.which("git") is None:
         pytest.skip("git is not installed")
-    (tmp_path / "jaxunshear" / "model").mkdir(parents=True)
+    (tmp_path / "jaxunshear" / "models").mkdir(parents=True)
     (tmp_path / "jaxunshear" / "__init__.py").write_text("")
-    (tmp_path / "jaxunshear" / "model" / "net.py").write_text("MORE = 'ü'\n")
+    (tmp_path / "jaxunshear" / "models" / "net.py").write_text("MORE = 'ü'\n")
     who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     for words in (("init", "-q"), ("add", "-A"), (*who, "commit", "-q", "-m", "first")):
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     commit = git(tmp_path, "rev-parse", "HEAD").decode().strip()
-    (tmp_path / "jaxunshear" / "model" / "net.py").write_text("MORE = 2\n")
+    (tmp_path / "jaxunshear" / "models" / "net.py").write_text("MORE = 2\n")
     assert read_modules(tmp_path, commit) == {
         "jaxunshear": "",
-        "jaxunshear.model.net": "MORE = 'ü'\n",
+        "jaxunshear.models.net": "MORE = 'ü'\n",
     }
-    assert read_modules(tmp_path)["jaxunshear.model.net"] == "MORE = 2\n"
+    assert read_modules(tmp_path)["jaxunshear.models.net"] == "MORE = 2\n"
     with pytest.raises(LookupError):
         read_modules(tmp_path, "0" * 40)
 

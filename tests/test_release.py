@@ -12,20 +12,20 @@ import pytest
 from PIL import Image
 
 from jaxunshear import model_folders
+from jaxunshear.config import targets
+from jaxunshear.config.data import PairedData, PoseData, Ranges
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.inference import infer
-from jaxunshear.model import posenet, unshearnet
+from jaxunshear.models import posenet, unshearnet
 from jaxunshear.release import make_card, release
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
-from jaxunshear.settings import targets
-from jaxunshear.settings.data import PairedData, PoseData, Ranges
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.rules import validate
-from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 

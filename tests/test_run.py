@@ -20,13 +20,13 @@ import pytest
 from PIL import Image
 
 from jaxunshear import run
-from jaxunshear.dataset import generation
+from jaxunshear.config import configs
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.data import generation
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.files import read_json, write_json
 from jaxunshear.locks import hold_lock
-from jaxunshear.settings import configs
-from jaxunshear.settings.experiment import Experiment
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
 from tests.golden import make_runs

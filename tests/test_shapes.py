@@ -10,7 +10,7 @@ import pytest
 from jax import Array
 from jaxtyping import Float, TypeCheckError, jaxtyped
 
-from jaxunshear.image.lattice import make_lattice
+from jaxunshear.perception.lattice import make_lattice
 from jaxunshear.training import losses
 from tests import shapes
 

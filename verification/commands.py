@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 from jaxunshear.cli.options import ROWS, add_json, new_parser
 from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
-from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
+from jaxunshear.simulator.level import LEVELS
 
 COMMANDS = {
     "verify": "compare the simulator with closed forms, conservation laws and independent solvers",
@@ -115,7 +115,7 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.settings.sensor import get_sensor
+    from jaxunshear.config.sensor import get_sensor
     from verification import plan_report
 
     given, sensor = vars(arguments), get_sensor(arguments.sensor)

@@ -9,15 +9,15 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from jaxunshear.contact.contact_results import Contacts, Skins
-from jaxunshear.contact.input_checks import get_level
-from jaxunshear.contact.level import Level
-from jaxunshear.contact.simulate import follow, simulate
-from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.stimuli import SHAPES as PLANAR
-from jaxunshear.scene.stimuli import Stimulus
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, Sensor
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, Sensor
+from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.input_checks import get_level
+from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.paths import Paths
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.simulate import follow, simulate
+from jaxunshear.simulator.stimuli import SHAPES as PLANAR
+from jaxunshear.simulator.stimuli import Stimulus
 from verification.duplicate_nodes import solve_with_duplicates
 from verification.stimuli import SHAPES
 

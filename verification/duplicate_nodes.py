@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.contact.friction import RHO, System, follow_path, make_undeformed_skins
-from jaxunshear.contact.level import Level
-from jaxunshear.contact.node_state import count_node_states
-from jaxunshear.contact.obstacle import sample_distances
-from jaxunshear.contact.scheduler import cut_increments
-from jaxunshear.contact.systems import load_shared_dome
-from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.stimuli import get_stimulus
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.friction import RHO, System, follow_path, make_undeformed_skins
+from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.node_state import count_node_states
+from jaxunshear.simulator.obstacle import sample_distances
+from jaxunshear.simulator.paths import Paths
+from jaxunshear.simulator.scheduler import cut_increments
+from jaxunshear.simulator.stimuli import get_stimulus
+from jaxunshear.simulator.systems import load_shared_dome
 
 
 def solve_with_duplicates(

@@ -12,12 +12,12 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from jaxunshear.contact.elasticity import (
+from jaxunshear.simulator.elasticity import (
     assemble_stiffness,
     compute_isotropic_stiffness,
     compute_lame_constants,
 )
-from jaxunshear.contact.mesh import Mesh, make_dome_mesh, sample_elements
+from jaxunshear.simulator.mesh import Mesh, make_dome_mesh, sample_elements
 from verification.verification_rows import Row, fit_order, make_zero_row
 
 GROUP = "elements"

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.contact.harmonics import make_sixfold_permutations
-from jaxunshear.contact.level import LEVELS, Level
-from jaxunshear.contact.simulate import follow
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.harmonics import make_sixfold_permutations
+from jaxunshear.simulator.level import LEVELS, Level
+from jaxunshear.simulator.paths import DEPTH, TILT_X, YAW, Paths
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.simulate import follow
 from verification.pin_distance import compute_pin_distance
 from verification.verification_rows import Row, make_zero_row
 

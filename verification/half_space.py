@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, compute_isotropic_stiffness, condense
-from jaxunshear.contact.friction import (
+from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
+from jaxunshear.simulator.friction import (
     RHO,
     Skin,
     System,
@@ -24,8 +24,8 @@ from jaxunshear.contact.friction import (
     compute_increment_offset,
     make_undeformed_skins,
 )
-from jaxunshear.contact.mesh import make_half_space_mesh
-from jaxunshear.contact.obstacle import Obstacles
+from jaxunshear.simulator.mesh import make_half_space_mesh
+from jaxunshear.simulator.obstacle import Obstacles
 
 SPACING_MM = 0.1  # of the rings of contact nodes, and of the mesh below them
 RINGS = 12

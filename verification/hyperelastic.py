@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from jaxunshear.contact.mesh import GAUSS, Mesh, sample_elements
+from jaxunshear.simulator.mesh import GAUSS, Mesh, sample_elements
 
 Density = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 

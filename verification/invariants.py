@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, compute_isotropic_stiffness, condense
-from jaxunshear.contact.mesh import make_dome_mesh
+from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
+from jaxunshear.simulator.mesh import make_dome_mesh
 from verification.half_space import SPACING_MM, HalfSpace, Trace, make_press_poses, trace_forces
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth
 from verification.tangential_contact import FRICTION, compute_slip_distance

@@ -17,12 +17,12 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.elasticity import compute_lame_constants
-from jaxunshear.contact.mesh import Mesh, compute_edge_shapes, find_inner_face, make_dome_mesh
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.elasticity import compute_lame_constants
+from jaxunshear.simulator.mesh import Mesh, compute_edge_shapes, find_inner_face, make_dome_mesh
+from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 from verification.hyperelastic import (
     Body,
     Density,

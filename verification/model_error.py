@@ -13,14 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.contact_results import Contacts, Skins
-from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.systems import load_shared_dome
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import make_paths
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.paths import make_paths
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.simulate import follow
+from jaxunshear.simulator.systems import load_shared_dome
 from verification.large_strain import fit_contact_radius, press_dome
 from verification.pin_distance import compute_pin_error
 

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.training import Training
 from jaxunshear.files import Json
-from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.weights import Variables
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.settings.training import Training
+from jaxunshear.models import posenet, unet, unshearnet
+from jaxunshear.models.weights import Variables
 from jaxunshear.training import checkpoint
 from jaxunshear.training.finite_check import check_state, check_terms
 from jaxunshear.training.step import State, make_optimiser, make_step

@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.settings.registry import ENTANGLED
-from jaxunshear.settings.training import Training
+from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.config.registry import ENTANGLED
+from jaxunshear.config.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import train as train_network
 from verification.network_images import (

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.config.networks import PoseNet
 from jaxunshear.metrics import images as metrics
-from jaxunshear.model import posenet
-from jaxunshear.model.weights import Variables
-from jaxunshear.settings.networks import PoseNet
+from jaxunshear.models import posenet
+from jaxunshear.models.weights import Variables
 from jaxunshear.training import checkpoint, losses
 from verification.network_images import (
     KINDS,

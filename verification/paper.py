@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from jaxunshear.scene.scene import Scenes, make_scenes, sample_poses, sample_slides
-from jaxunshear.scene.stimuli import SHAPES as NAMES
-from jaxunshear.settings.data import Ranges
+from jaxunshear.config.data import Ranges
+from jaxunshear.simulator.scene import Scenes, make_scenes, sample_poses, sample_slides
+from jaxunshear.simulator.stimuli import SHAPES as NAMES
 
 KINDS = ("slide", "tap")
 

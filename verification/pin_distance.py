@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.image.camera import project
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.camera import project
 
 
 class PinError(NamedTuple):

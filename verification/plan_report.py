@@ -10,21 +10,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.contact import batches, systems
-from jaxunshear.contact import simulate as simulator
-from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.contact.input_checks import check_paths, get_level
-from jaxunshear.contact.level import OMISSIONS, Level
-from jaxunshear.contact.obstacle import Obstacles, sample_distances
-from jaxunshear.contact.scheduler import ContactBatch
+from jaxunshear.config.outlines import parse_stimulus as named
+from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import DEPTH, YAW, Paths, make_paths
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.stimuli import make_stimulus
-from jaxunshear.settings.outlines import parse_stimulus as named
-from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.simulator import batches, systems
+from jaxunshear.simulator import simulate as simulator
+from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.input_checks import check_paths, get_level
+from jaxunshear.simulator.level import OMISSIONS, Level
+from jaxunshear.simulator.obstacle import Obstacles, sample_distances
+from jaxunshear.simulator.paths import DEPTH, YAW, Paths, make_paths
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.scheduler import ContactBatch
+from jaxunshear.simulator.stimuli import make_stimulus
 from verification.clock import time_call
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error

@@ -18,11 +18,11 @@ from itertools import chain
 
 import numpy as np
 
-from jaxunshear.contact.contact_results import Contacts
-from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
+from jaxunshear.simulator.contact_results import Contacts
+from jaxunshear.simulator.level import LEVELS
 from verification import stability_networks
 from verification.contact_cases import Case, list_cases
 from verification.network_trainings import list_training_cases

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.weights import list_leaves
+from jaxunshear.models.weights import list_leaves
 from jaxunshear.training import checkpoint
 
 FINITE, STOPPED, REFUSED = "finite", "stopped, and said so", "refused"

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.scene.shapes import make_disk, make_stroke
-from jaxunshear.scene.stimuli import Stimulus
+from jaxunshear.simulator.shapes import make_disk, make_stroke
+from jaxunshear.simulator.stimuli import Stimulus
 
 _ARM = np.array(
     [

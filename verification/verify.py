@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
+from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.progress import Progress
-from jaxunshear.settings.sensor import TACTIP_331
 from verification import (
     elements,
     full_dome,

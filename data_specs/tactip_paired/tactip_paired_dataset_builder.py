@@ -2,7 +2,7 @@
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.dataset.builders.paired import TactipPaired
+from jaxunshear.data.builders.paired import TactipPaired
 
 
 class Builder(TactipPaired):

@@ -2,7 +2,7 @@
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.dataset.builders.recorded import TactipRecorded
+from jaxunshear.data.builders.recorded import TactipRecorded
 
 
 class Builder(TactipRecorded):

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import paper
 
-from jaxunshear.settings.configs import PAIRED, POSE, get_config_sensor
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
+from jaxunshear.config.sweep import Sweep
 
 WEIGHTS = ("train.l1", "train.l2")
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import demo
 
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.sweep import Sweep
 
 sweep = Sweep(
     name="lambda_split",

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import standard
 
-from jaxunshear.settings.registry import DISENTANGLED, NETWORKS, POSENET
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.registry import DISENTANGLED, NETWORKS, POSENET
+from jaxunshear.config.sweep import Sweep
 
 ROWS = {
     "disentangled": (),

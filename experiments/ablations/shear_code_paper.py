@@ -13,7 +13,7 @@ disentangled network, 2.7 to 2.8 for the entangled one, and 1.3 for PoseNet.
 
 import paper_tenth
 
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.sweep import Sweep
 
 ROWS = {"disentangled": (), "no shear code": (("unshear.shear_channels", 0),)}
 

@@ -29,8 +29,8 @@ from jaxunshear.calibration.prediction import (
     simulate_displacements,
 )
 from jaxunshear.calibration.validation import centre_motions, compute_r2, fit_positions
-from jaxunshear.image.lattice import compute_rings
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.perception.lattice import compute_rings
 
 STEPS = {
     "surface_mm": 0.2,

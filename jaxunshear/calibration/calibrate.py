@@ -21,13 +21,13 @@ from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius, simulate_tips
 from jaxunshear.calibration.report import build_rows, compared, format_table, plot_curves
 from jaxunshear.calibration.sampling import RecordedImages, sample_folders
+from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import SENSORS, Sensor
+from jaxunshear.config.stimuli import ABS_FRICTION
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text
-from jaxunshear.image.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.progress import Progress
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.sensor import SENSORS, Sensor
-from jaxunshear.settings.stimuli import ABS_FRICTION
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
 FIRST_FIT_STRIDE = 3  # images, of which the first fit takes one

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
+from jaxunshear.config.image import FITTED_CAMERA, Camera
+from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
-from jaxunshear.settings.image import FITTED_CAMERA, Camera
-from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
 
 
 @dataclass(frozen=True)

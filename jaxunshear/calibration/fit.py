@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
 
 ROUNDS = 12
 MIN_COST_GAIN = 2e-3  # of the cost: a round that gains less is the last

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxunshear.scene.paths import Paths
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.paths import Paths
 
 EDGE_STIMULUS = "edge"  # the stimulus that stands for all recorded ones
 FLAT_DISTANCE_MM = 25.0  # from the edge, where a half plane is flat for all the dome can reach

@@ -15,12 +15,12 @@ import numpy as np
 from skimage.measure import label
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.image.lattice import Lattice, measure_spacing
-from jaxunshear.image.lattice_fitting import fit_lattice, make_layout
-from jaxunshear.image.pin_detection import DetectedPins, find_pins
-from jaxunshear.image.pin_tracking import track_all
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.perception.lattice import Lattice, measure_spacing
+from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.perception.pin_detection import DetectedPins, find_pins
+from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.progress import Progress
-from jaxunshear.settings.sensor import Sensor
 
 CENTRAL = 1  # pins up to this ring are the central ones: seven of them
 SLIDE_BINS_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)

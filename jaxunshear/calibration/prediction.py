@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
-from jaxunshear.contact.simulate import follow
-from jaxunshear.image.camera import project
-from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
-from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.reach import compute_max_depth_mm
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.image import Camera
+from jaxunshear.config.reach import compute_max_depth_mm
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.camera import project
+from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
+from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
+from jaxunshear.simulator.simulate import follow
 
 PROBE_DEG = 5.0  # between its rings
 PROBE_RINGS = 14  # to 70 degrees

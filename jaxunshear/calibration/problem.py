@@ -22,8 +22,8 @@ from jaxunshear.calibration.prediction import (
     predict_positions,
     simulate_displacements,
 )
-from jaxunshear.image.lattice import compute_rings
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.perception.lattice import compute_rings
 
 RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from
 # Standard deviations of wide priors: of logarithms, but for `surface_mm`. They hold what the images leave open.

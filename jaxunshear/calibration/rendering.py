@@ -11,14 +11,14 @@ from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths
 from jaxunshear.calibration.pin_statistics import measure_pin_diameters
 from jaxunshear.calibration.prediction import SensorValues, is_within_reach
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.contact.simulate import follow
-from jaxunshear.image.camera import compute_outer_fraction, render_frame
-from jaxunshear.image.pin_detection import find_pins
-from jaxunshear.image.preprocess import binarise
-from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.image import Camera, Nuisance, Preprocess
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.image import Camera, Nuisance, Preprocess
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.perception.pin_detection import find_pins
+from jaxunshear.perception.preprocess import binarise
+from jaxunshear.simulator.camera import compute_outer_fraction, render_frame
+from jaxunshear.simulator.paths import Paths
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.simulate import follow
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
 SIZE_IMAGES = 16  # determine the size of pins and housing

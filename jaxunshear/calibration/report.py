@@ -20,8 +20,8 @@ from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import render_images
 from jaxunshear.calibration.sampling import RecordedImages
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.files import Json
-from jaxunshear.settings.sensor import Sensor
 from jaxunshear.style import encode_png
 
 RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.calibration.pin_statistics import PinObservation, observe_pins
-from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.preprocess import is_binary, to_grey
+from jaxunshear.perception.preprocess import is_binary, to_grey
 from jaxunshear.progress import Progress
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.sensor import Sensor
 
 SIZES_PX = (128, 440)  # least and most; raw frames are made 256
 ALIGNED_BY = 100  # images of a folder, at most

@@ -17,7 +17,7 @@ from jaxunshear.calibration.pin_statistics import PinObservation, compute_camera
 from jaxunshear.calibration.prediction import simulate_displacements
 from jaxunshear.calibration.validation import fit_positions, project_positions
 from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import Lattice
+from jaxunshear.perception.lattice import Lattice
 
 ALIGNED_BY = 100  # taps that the frame is found from
 MIN_TAPS = 20  # of them

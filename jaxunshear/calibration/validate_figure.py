@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
 from jaxunshear.calibration.validation import ComparedFolder, compute_r2, compute_rms, split_by_kind
-from jaxunshear.settings.registry import DISENTANGLED
+from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE, encode_png
 
 PIN = 22  # points squared

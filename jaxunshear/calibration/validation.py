@@ -18,8 +18,8 @@ from jaxunshear.calibration.prediction import (
     interpolate_displacements,
     project_tips,
 )
-from jaxunshear.scene.pin_layout import compute_pin_tips, compute_tips_at
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.pin_layout import compute_pin_tips, compute_tips_at
 
 MAX_ANGLE_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
 POSITION_ROUNDS = (

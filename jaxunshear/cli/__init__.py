@@ -26,10 +26,10 @@ from jaxunshear.cli import (
 from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.environment import check_environment, check_links
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
-from jaxunshear.settings.experiment import Experiment
 
 MODULES: tuple[ModuleType, ...] = (
     stages,
@@ -84,7 +84,7 @@ class _Parser(Parser):
     def format_help(self) -> str:
         if not self.get_default("takes_fields"):
             return super().format_help()
-        from jaxunshear.settings.fields import list_field_types  # only for this: help must be quick
+        from jaxunshear.config.fields import list_field_types  # only for this: help must be quick
 
         groups: dict[str, list[str]] = {}
         for name, _ in list_field_types():
@@ -142,7 +142,7 @@ def _options(parser: _Parser, names: tuple[str, ...]) -> tuple[set[str], set[str
 
 def _split(parser: _Parser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the words of a command that takes an experiment, and its fields; a typo in these is refused at once."""
-    from jaxunshear.settings.fields import parse_overrides, split_overrides
+    from jaxunshear.config.fields import parse_overrides, split_overrides
 
     alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
     words, fields = split_overrides(argv, *_options(parser, alike))

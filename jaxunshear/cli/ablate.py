@@ -23,9 +23,9 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.config.serialization import from_json
     from jaxunshear.evaluation import code_exchange, code_swap_test, leakage, leakage_table
     from jaxunshear.files import read_object, write_bytes, write_json
-    from jaxunshear.settings.serialization import from_json
 
     settings = arguments.run / "experiment.json"
     if not settings.is_file():

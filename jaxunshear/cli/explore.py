@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     _check_port(arguments.port)
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.model_folders import find_model_folder, load_settings
-    from jaxunshear.scene.stimuli import make_stimulus
+    from jaxunshear.simulator.stimuli import make_stimulus
 
     own = tuple(map(make_stimulus, parse_stimuli(arguments.stimulus))) if arguments.stimulus else ()
     folder = find_model_folder(arguments.model)

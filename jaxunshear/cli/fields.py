@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from textwrap import wrap
 from typing import NamedTuple
 
-from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import NOT_SETTABLE, format_value
-from jaxunshear.settings.types import (
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import NOT_SETTABLE, format_value
+from jaxunshear.config.types import (
     describe_hint,
     get_origin,
     list_choices,
     list_groups,
     list_hints,
 )
+from jaxunshear.errors import UserError
 
 FLAG = "--help-fields"
 WIDTH = 100

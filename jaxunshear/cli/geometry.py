@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_parser
+from jaxunshear.config.experiment import require_simulated
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import GeometryScores
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.experiment import require_simulated
 
 
 def add_parser(commands: Commands) -> None:
@@ -29,12 +29,12 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScores:
-    from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.data.recordings import read_recordings
     from jaxunshear.downstream.geometry import INVERSE
     from jaxunshear.downstream.geometry_scores import score_geometry
     from jaxunshear.files import write_bytes
     from jaxunshear.report import geometry_figure
-    from jaxunshear.settings.image import Preprocess
     from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:

@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.outlines import parse_stimulus
+from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.outlines import parse_stimulus
-from jaxunshear.settings.stimuli import StimulusSetting, list_stimulus_names
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
@@ -77,7 +77,7 @@ def add_stimulus(parser: argparse.ArgumentParser) -> None:
 
 def parse_stimuli(text: str) -> tuple[StimulusSetting, ...]:
     """The objects that --stimulus names. Raises UserError."""
-    from jaxunshear.scene.stimuli import SHAPES, get_closed_stimulus
+    from jaxunshear.simulator.stimuli import SHAPES, get_closed_stimulus
 
     found = tuple(
         parse_stimulus(name.strip()) for name in (SHAPES if text == "all" else text.split(","))

@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
+from jaxunshear.config.experiment import require_simulated
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import PinScores
-from jaxunshear.settings.experiment import require_simulated
 
 
 def add_parser(commands: Commands) -> None:
@@ -46,14 +46,14 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinScores:
     import numpy as np
 
-    from jaxunshear.dataset.recorded_pins import find_pins, summary
-    from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.config.sensor import get_sensor
+    from jaxunshear.data.recorded_pins import find_pins, summary
+    from jaxunshear.data.recordings import read_recordings
     from jaxunshear.files import write_bytes, write_npz, write_text
-    from jaxunshear.image.lattice import Lattice
-    from jaxunshear.image.lattice_fitting import MarkerLayout, make_layout, read_layout
+    from jaxunshear.perception.lattice import Lattice
+    from jaxunshear.perception.lattice_fitting import MarkerLayout, make_layout, read_layout
     from jaxunshear.serialization import format_csv, to_builtins
-    from jaxunshear.settings.image import Preprocess
-    from jaxunshear.settings.sensor import get_sensor
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
     preprocess = Preprocess(size=arguments.size) if arguments.size else None
     lattice: Lattice | MarkerLayout
     if model:
-        from jaxunshear.image.rest_positions import compute_rest_lattice
+        from jaxunshear.perception.rest_positions import compute_rest_lattice
 
         experiment = model[1]
         paired, _ = require_simulated(experiment, "pins --model")

@@ -12,10 +12,10 @@ from jaxunshear.cli.options import (
     new_parser,
     parse_stimuli,
 )
+from jaxunshear.config.experiment import require_simulated
+from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
-from jaxunshear.settings.experiment import require_simulated
-from jaxunshear.settings.stimuli import list_stimulus_names
 
 
 def add_parser(commands: Commands) -> None:

@@ -13,9 +13,9 @@ from jaxunshear.cli.options import (
     new_parser,
     read_engine_options,
 )
+from jaxunshear.config.experiment import Experiment, get_recorded, list_trained_networks
 from jaxunshear.errors import UserError
 from jaxunshear.protected_folders import check_outside
-from jaxunshear.settings.experiment import Experiment, get_recorded, list_trained_networks
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -132,10 +132,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
     """Return the experiment of FILE with what the command line changes in it, before it is checked or finds recordings."""
+    from jaxunshear.config.fields import override_fields
+    from jaxunshear.config.load import load_experiment
     from jaxunshear.fit import BASE_EXPERIMENT
     from jaxunshear.model_folders import find_model_folder, load_settings
-    from jaxunshear.settings.fields import override_fields
-    from jaxunshear.settings.load import load_experiment
 
     if arguments.command == "fit":
         return override_fields(BASE_EXPERIMENT, fields)
@@ -143,7 +143,7 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
         return load_settings(folder)
     experiment = load_experiment(arguments.file)
     if arguments.sensor_from:
-        from jaxunshear.settings.preset import apply_preset
+        from jaxunshear.config.preset import apply_preset
 
         experiment = apply_preset(experiment, arguments.sensor_from)
     return override_fields(experiment, fields)
@@ -151,7 +151,7 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
 def _experiment(arguments: argparse.Namespace) -> Experiment:
     """That of a file, about what the command line says."""
-    from jaxunshear.settings.rules import validate
+    from jaxunshear.config.rules import validate
 
     experiment = read_base(arguments, arguments.fields)
     if arguments.recordings:
@@ -166,9 +166,9 @@ def _experiment(arguments: argparse.Namespace) -> Experiment:
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     """The experiment that `fit` writes beside its results."""
+    from jaxunshear.config.fields import override_fields
+    from jaxunshear.config.rules import validate
     from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
-    from jaxunshear.settings.fields import override_fields
-    from jaxunshear.settings.rules import validate
 
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")

@@ -17,8 +17,8 @@ from jaxunshear.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from jaxunshear.settings.experiment import Experiment
-    from jaxunshear.settings.sweep import Sweep
+    from jaxunshear.config.experiment import Experiment
+    from jaxunshear.config.sweep import Sweep
 
 COMMANDS = ("sweep",)
 
@@ -53,11 +53,11 @@ def add_parsers(commands: Commands) -> None:
 
 
 def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
-    from jaxunshear.settings.sweep import load_sweep, override_base
+    from jaxunshear.config.sweep import load_sweep, override_base
 
     sweep = load_sweep(arguments.file)
     if arguments.sensor_from is not None:
-        from jaxunshear.settings.preset import apply_preset
+        from jaxunshear.config.preset import apply_preset
 
         sweep = dataclasses.replace(sweep, base=apply_preset(sweep.base, arguments.sensor_from))
     return override_base(sweep, fields)
@@ -65,7 +65,7 @@ def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experiment":
     """Return the base of the sweep in FILE with what the command line changes in it, before it is checked."""
-    from jaxunshear.settings.sweep import get_base
+    from jaxunshear.config.sweep import get_base
 
     return get_base(_read(arguments, fields))
 
@@ -73,7 +73,7 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experime
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
     asked = read_engine_options(arguments)
-    from jaxunshear.settings.sweep import check_sweep, parse_seeds
+    from jaxunshear.config.sweep import check_sweep, parse_seeds
 
     sweep = _read(arguments, arguments.fields)
     if arguments.seeds is not None:

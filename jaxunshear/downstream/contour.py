@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
-from jaxunshear.contact.obstacle import REACH_MM
-from jaxunshear.scene.stimuli import (
+from jaxunshear.simulator.obstacle import REACH_MM
+from jaxunshear.simulator.stimuli import (
     Stimulus,
     compute_distances,
     compute_outward_normal,

@@ -21,11 +21,11 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Voronoi, cKDTree
 from sklearn.linear_model import Ridge
 
-from jaxunshear.dataset.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulated_contacts import SimulatedContacts
 from jaxunshear.errors import UserError
-from jaxunshear.image.identity_repair import fill_missing
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions
+from jaxunshear.perception.identity_repair import fill_missing
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions
 
 AREAS, INVERSE = HEIGHT_METHODS = ("areas", "inverse")
 NOISE_SPACINGS = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px

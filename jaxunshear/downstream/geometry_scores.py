@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset import simulated_contacts
-from jaxunshear.dataset.simulated_contacts import (
+from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.data import simulated_contacts
+from jaxunshear.data.simulated_contacts import (
     SimulatedContacts,
     render_untouched_images,
     simulate_contacts,
@@ -26,16 +27,15 @@ from jaxunshear.downstream.geometry import (
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import compute_intervals
 from jaxunshear.files import Json
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference.perception import (
     Unshear,
     compute_model_lattice,
     list_unshearing_networks,
     load_unshearers,
 )
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.results.applications import GeometryScore, GeometryScores
-from jaxunshear.settings.experiment import Experiment, require_simulated
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset import simulated_contacts
-from jaxunshear.dataset.chunks import unpack_bits
-from jaxunshear.dataset.simulated_contacts import SimulatedContacts, simulate_contacts
+from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.data import simulated_contacts
+from jaxunshear.data.chunks import unpack_bits
+from jaxunshear.data.simulated_contacts import SimulatedContacts, simulate_contacts
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
@@ -31,14 +32,13 @@ from jaxunshear.downstream.servo import (
 )
 from jaxunshear.downstream.shape_estimators import ShapeEstimator, make_shape_estimators
 from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions
 from jaxunshear.inference import perception
 from jaxunshear.inference.perception import Unshear
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import ObjectScore
-from jaxunshear.scene.stimuli import compute_distances, make_stimulus
-from jaxunshear.settings.experiment import Experiment, require_simulated
+from jaxunshear.simulator.stimuli import compute_distances, make_stimulus
 
 STEPS_PER_IMAGE = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 

@@ -18,9 +18,9 @@ from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
 from jaxunshear.angles import rotate_2d
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.contour import Contour, measure_contour_distances
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.downstream.geometry import HeightEstimator
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions
-from jaxunshear.image.sensor_check import (
+from jaxunshear.inference.perception import Unshear
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions
+from jaxunshear.perception.sensor_check import (
     compute_plausibility,
     explain_rejection,
     measure_sensor_appearance,
 )
-from jaxunshear.inference.perception import Unshear
-from jaxunshear.settings.experiment import Experiment
 
 SHOWN_IMAGES = 8
 

@@ -20,22 +20,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.contact.contact_results import Skins
-from jaxunshear.contact.simulate import follow
-from jaxunshear.dataset.chunks import RENDER_BATCH, pack_bits, render_images
+from jaxunshear.config.configs import VERSION
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.stimuli import Outline, StimulusSetting
+from jaxunshear.data.chunks import RENDER_BATCH, pack_bits, render_images
 from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_positions
 from jaxunshear.downstream.controller import ControllerGains, ControllerState, control
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
 from jaxunshear.inference.perception import EdgeEstimator
 from jaxunshear.progress import Progress
-from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.scene import make_edge_labeler
-from jaxunshear.scene.stimuli import make_stimulus
-from jaxunshear.settings.configs import VERSION
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.stimuli import Outline, StimulusSetting
+from jaxunshear.simulator.contact_results import Skins
+from jaxunshear.simulator.paths import Paths
+from jaxunshear.simulator.scene import make_edge_labeler
+from jaxunshear.simulator.simulate import follow
+from jaxunshear.simulator.stimuli import make_stimulus
 
 MAX_EDGE_DISTANCE_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step

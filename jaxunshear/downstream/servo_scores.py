@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.reach import compute_max_depth_mm
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.contour import Contour, measure_contour_distances
 from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, ServoTask, Trajectories, follow_contour
 from jaxunshear.errors import UserError
 from jaxunshear.inference import perception
 from jaxunshear.results.applications import TrajectoryScore
-from jaxunshear.scene.stimuli import get_closed_stimulus
-from jaxunshear.settings.experiment import Experiment, require_simulated
-from jaxunshear.settings.reach import compute_max_depth_mm
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.stimuli import get_closed_stimulus
 
 
 @dataclass(frozen=True)

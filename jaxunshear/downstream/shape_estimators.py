@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.geometry import (
     compute_relative_growth,
     estimate_indentation,
@@ -24,9 +25,8 @@ from jaxunshear.downstream.reconstruct import (
     extract_ridge_shape,
     interpolate_map,
 )
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 VORONOI, SKIN = "voronoi", "skin"
 NEAR_MM = (

@@ -13,20 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.factorial import IMAGE, SHEARED_PINS, FactorialReader
-from jaxunshear.dataset.reader import Reader
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PinUnshear
+from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.data.factorial import IMAGE, SHEARED_PINS, FactorialReader
+from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
 from jaxunshear.evaluation.pin_errors import compute_half_pitch
 from jaxunshear.evaluation.slide_estimation import is_slipping
 from jaxunshear.files import Json
-from jaxunshear.image.png import to_uint8
 from jaxunshear.metrics.pin_error import measure_pin_error
-from jaxunshear.model import pin_networks, unshearnet
-from jaxunshear.model.weights import Net, Variables
+from jaxunshear.models import pin_networks, unshearnet
+from jaxunshear.models.weights import Net, Variables
+from jaxunshear.perception.png import to_uint8
 from jaxunshear.selection import select_evenly
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PinUnshear
-from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 

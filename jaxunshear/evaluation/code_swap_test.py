@@ -12,6 +12,9 @@ import jax
 import numpy as np
 from jax import Array
 
+from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_intervals, number_poses
 from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
@@ -22,9 +25,6 @@ from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.progress import Progress
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples

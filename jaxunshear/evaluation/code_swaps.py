@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxunshear.config.networks import UnshearNet
 from jaxunshear.evaluation.score import CELLS
-from jaxunshear.model import unshearnet
-from jaxunshear.model.weights import Variables
-from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.models import unshearnet
+from jaxunshear.models.weights import Variables
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank; *: of another image
 SWAP_CELLS: dict[str, tuple[str, ...]] = {

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.model import pin_networks, unshearnet
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.networks import PinUnshear, UnshearNet
+from jaxunshear.config.networks import PinUnshear, UnshearNet
+from jaxunshear.models import pin_networks, unshearnet
+from jaxunshear.models.weights import Net, Variables
 
 ENCODE_BATCH = 64
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.reader import Batch, Reader
+from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.evaluation.score_collection import IMAGES, PINS
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import track_images
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import track_images
 from jaxunshear.selection import select_evenly
 
 DETECTED = "found"  # the name of this test

@@ -14,8 +14,19 @@ from types import MappingProxyType
 
 import numpy as np
 
-from jaxunshear.dataset.generation import read_metadata
-from jaxunshear.dataset.reader import open_set
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import (
+    Experiment,
+    get_recorded,
+    list_further_tests,
+    require_simulated,
+    uses_pins,
+)
+from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.config.targets import make_range_targets, read_true_values
+from jaxunshear.data.generation import read_metadata
+from jaxunshear.data.reader import open_set
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded_evaluation
 from jaxunshear.evaluation.baselines import collect_training_taps
@@ -58,24 +69,13 @@ from jaxunshear.evaluation.unambiguous_edges import (
     score_edge_angles,
 )
 from jaxunshear.files import write_bytes
-from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
 from jaxunshear.results.times import read_times
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import (
-    Experiment,
-    get_recorded,
-    list_further_tests,
-    require_simulated,
-    uses_pins,
-)
-from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import make_range_targets, read_true_values
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import open_examples, open_recorded_set

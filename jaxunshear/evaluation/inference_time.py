@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.model.dispatch import unshear
-from jaxunshear.model.inference import jit_for_inference
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.networks import PinNet, PinUnshear
-from jaxunshear.settings.registry import POSENETS
+from jaxunshear.config.networks import PinNet, PinUnshear
+from jaxunshear.config.registry import POSENETS
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.dispatch import unshear
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import load_best, read_net
 
 CALLS = 40

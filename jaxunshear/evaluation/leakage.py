@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
@@ -34,8 +36,6 @@ from jaxunshear.files import Json, write_json
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
-from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import Examples, open_examples

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
+from jaxunshear.config.targets import Targets
 from jaxunshear.evaluation.baselines import make_baseline_images
 from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
 from jaxunshear.files import Json
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.model.dispatch import unshear
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
-from jaxunshear.settings.targets import Targets
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.dispatch import unshear
+from jaxunshear.models.weights import Net, Variables
+from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from jaxunshear.training.examples import PinLayout
 

@@ -11,10 +11,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.dataset.digests import compute_digest
-from jaxunshear.dataset.preprocessing import prepare_chunks
-from jaxunshear.dataset.recorded_contacts import RecordedContacts, read_test_contacts
-from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet, parse_frame
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.preprocessing import prepare_chunks
+from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded_evaluation
 from jaxunshear.evaluation.conformal import compute_coverage
@@ -25,8 +27,6 @@ from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results, Table
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, get_recorded
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.initial_weights import check_unseen

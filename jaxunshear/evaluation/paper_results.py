@@ -3,7 +3,7 @@
 Keys are those of our results, so that the two can stand side by side. The paper does not name its MS-SSIM library.
 """
 
-from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED
+from jaxunshear.config.registry import DISENTANGLED, ENTANGLED
 
 PAPER = {
     "ms_ssim": {  # Table 1

@@ -17,16 +17,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.dataset.reader import Reader
+from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.registry import POSENET, UNSHEARING
+from jaxunshear.config.targets import Targets, list_label_fields
+from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.kernel_ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, score_poses
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions
-from jaxunshear.model.posenet import scale_poses, unscale_outputs
+from jaxunshear.models.posenet import scale_poses, unscale_outputs
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.selection import select_evenly
-from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
-from jaxunshear.settings.registry import POSENET, UNSHEARING
-from jaxunshear.settings.targets import Targets, list_label_fields
 from jaxunshear.training.examples import open_examples
 
 PIXELS, PIN_PLACES = "pixels", "pins"

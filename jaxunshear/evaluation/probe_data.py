@@ -5,20 +5,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.reader import Batch, Reader
-from jaxunshear.errors import UserError
-from jaxunshear.evaluation.bootstrap import number_poses
-from jaxunshear.evaluation.pose_estimators import compute_pin_features
-from jaxunshear.selection import select_evenly
-from jaxunshear.settings.data import PairedData, Ranges
-from jaxunshear.settings.experiment import Experiment, get_recorded, uses_pins
-from jaxunshear.settings.targets import (
+from jaxunshear.config.data import PairedData, Ranges
+from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.targets import (
     SIMULATED_FIELDS,
     Target,
     Targets,
     make_range_targets,
     read_true_values,
 )
+from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.pose_estimators import compute_pin_features
+from jaxunshear.selection import select_evenly
 from jaxunshear.training.examples import Examples, open_recorded_set
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen

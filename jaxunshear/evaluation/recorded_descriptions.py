@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from jaxunshear.dataset.reader import Reader
-from jaxunshear.dataset.recorded_set import RecordedSet
+from jaxunshear.config.data import SPLIT_TEXTS
+from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.config.targets import Targets
+from jaxunshear.data.reader import Reader
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
-from jaxunshear.settings.data import SPLIT_TEXTS
-from jaxunshear.settings.experiment import Experiment, get_recorded
-from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import Targets
 
 
 def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:

@@ -12,8 +12,11 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxunshear.dataset.reader import Batch, Reader
-from jaxunshear.dataset.recorded_set import RecordedSet
+from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.registry import POSENET, POSENETS
+from jaxunshear.config.targets import Targets, list_target_names, read_true_values
+from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses, resample_means
 from jaxunshear.evaluation.network_outputs import Run, load_run
@@ -36,9 +39,6 @@ from jaxunshear.evaluation.score_collection import (
 )
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.results.run import Results, Tables, TestData
-from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.settings.registry import POSENET, POSENETS
-from jaxunshear.settings.targets import Targets, list_target_names, read_true_values
 from jaxunshear.training.examples import open_pairs, read_pin_layout
 
 Row = TypeVar("Row")

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
+from jaxunshear.config.registry import DISENTANGLED, UNSHEARING
+from jaxunshear.config.targets import Targets
 from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, ssim
-from jaxunshear.settings.registry import DISENTANGLED, UNSHEARING
-from jaxunshear.settings.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 DIRECT_KIND = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.evaluation.score import BASELINES, Outputs, compute_differences, score_poses
-from jaxunshear.image.png import to_uint8
+from jaxunshear.perception.png import to_uint8
 from jaxunshear.progress import Progress
 from jaxunshear.selection import select_evenly
-from jaxunshear.settings.targets import Targets, read_true_values
 
 BATCH = 32  # contacts that are scored at once
 LABELS = (

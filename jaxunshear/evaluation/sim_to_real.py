@@ -20,14 +20,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.digests import compute_digest
-from jaxunshear.dataset.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.dataset.recorded_contacts import (
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.targets import (
+    MIN_VARIATION,
+    RECORDED_FIELDS,
+    Target,
+    list_target_names,
+    make_label_targets,
+)
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
+from jaxunshear.data.recorded_contacts import (
     RecordedContacts,
     find_common_view,
     read_test_contacts,
 )
-from jaxunshear.dataset.recordings import read_image
+from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import (
@@ -37,22 +46,13 @@ from jaxunshear.evaluation.pose_estimators import (
     estimate_poses,
     fit_to_features,
 )
-from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
+from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
-from jaxunshear.settings.targets import (
-    MIN_VARIATION,
-    RECORDED_FIELDS,
-    Target,
-    list_target_names,
-    make_label_targets,
-)
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together

@@ -6,11 +6,11 @@ found = score_edge_angles(gathered, poses, seed)     # `pose_smooth` of the resu
 
 import numpy as np
 
+from jaxunshear.config.data import PairedData
 from jaxunshear.evaluation.result_tables import tabulate_part
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import PartPoses
-from jaxunshear.scene.scene import NEAR_MM, TURN_DEG, has_one_edge
-from jaxunshear.settings.data import PairedData
+from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
 
 SMOOTH = "smooth"
 EDGE = "edge_deg"

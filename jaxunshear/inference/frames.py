@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxunshear.dataset.recordings import Recordings, read_image
+from jaxunshear.data.recordings import Recordings, read_image
 from jaxunshear.errors import UserError
-from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import Perceiver
+from jaxunshear.perception.preprocess import prepare_frame
+from jaxunshear.perception.sensor_check import NO_MINIMUM, invert_image, judge_images
 
 SAMPLED_FRAMES = 20  # frames that a folder is judged by
 Frames = Iterator[tuple[int, str, np.ndarray]]  # row, name, image (S, S) uint8 of {0, 255}

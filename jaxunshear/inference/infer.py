@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_text
-from jaxunshear.image.png import encode_png, to_uint8
 from jaxunshear.inference.inference_stats import (
     LabelErrors,
     Log,
@@ -26,14 +27,13 @@ from jaxunshear.inference.inference_stats import (
 from jaxunshear.inference.suitability import learnt_note
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_not_among
+from jaxunshear.perception.png import encode_png, to_uint8
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.serialization import format_csv
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, uses_pins
 
 if TYPE_CHECKING:
-    from jaxunshear.dataset.recordings import Recordings
+    from jaxunshear.data.recordings import Recordings
     from jaxunshear.inference.frames import Frames
     from jaxunshear.inference.perceiver import Perceiver, Predictions
 
@@ -171,7 +171,7 @@ def _settings_for(path: Path, model: Path) -> Experiment:
 
 
 def _read(path: Path, network: "Perceiver", force: bool) -> "tuple[Recordings, Perceiver, Frames]":
-    from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.data.recordings import read_recordings
     from jaxunshear.inference.frames import open_frames
 
     recordings = read_recordings(path, network.preprocess)

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.results.measurement import Measurement
-from jaxunshear.settings.targets import LABELLED_SLIDES, RECORDED_FIELDS
 
 if TYPE_CHECKING:
-    from jaxunshear.dataset.recordings import Recordings
+    from jaxunshear.data.recordings import Recordings
     from jaxunshear.inference.perceiver import Predictions
 
 Log = Callable[[str], None]

@@ -19,22 +19,32 @@ from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.dataset.preprocessing import (
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.targets import list_target_names
+from jaxunshear.data.preprocessing import (
     LIKE_REMEDY,
     SensorFrame,
     find_recordings_frame,
     to_detection_px,
     to_image_px,
 )
-from jaxunshear.dataset.recorded_set import parse_frame
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.data.recorded_set import parse_frame
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
-from jaxunshear.image.lattice import make_lattice
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.image.pin_tracking import track_images
-from jaxunshear.image.preprocess import View
-from jaxunshear.image.sensor_check import (
+from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
+from jaxunshear.models import posenet
+from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.weights import Tree, Variables
+from jaxunshear.perception.lattice import make_lattice
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.pin_tracking import track_images
+from jaxunshear.perception.preprocess import View
+from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
     NO_MINIMUM,
     SensorAppearance,
@@ -42,16 +52,6 @@ from jaxunshear.image.sensor_check import (
     explain_rejection,
     measure_sensor_appearance,
 )
-from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
-from jaxunshear.model import posenet
-from jaxunshear.model.dispatch import predict, unshear
-from jaxunshear.model.inference import jit_for_inference
-from jaxunshear.model.weights import Tree, Variables
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.settings.targets import list_target_names
 from jaxunshear.training.checkpoint import has_model
 from jaxunshear.training.examples import FRAME
 

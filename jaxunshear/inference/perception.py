@@ -15,16 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_tracking import measure_motions, track_images
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.model import posenet
-from jaxunshear.model.dispatch import predict, unshear
-from jaxunshear.model.inference import jit_for_inference
-from jaxunshear.model.weights import Net, Tree, Variables
-from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
-from jaxunshear.settings.registry import (
+from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.registry import (
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,
@@ -33,7 +25,15 @@ from jaxunshear.settings.registry import (
     UNET,
     UNSHEARING,
 )
-from jaxunshear.settings.targets import Targets, list_target_names
+from jaxunshear.config.targets import Targets, list_target_names
+from jaxunshear.errors import UserError
+from jaxunshear.models import posenet
+from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_tracking import measure_motions, track_images
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.training.checkpoint import (
     check_finished,
     compute_weights_digest,

@@ -1,7 +1,7 @@
 """Which frames the networks of a model suit, by what they learnt from."""
 
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, uses_pins
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, uses_pins
 
 
 def suits_recordings(experiment: Experiment) -> bool:

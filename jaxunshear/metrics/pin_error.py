@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
 
-from jaxunshear.image.pin_detection import find_pins
+from jaxunshear.perception.pin_detection import find_pins
 
 
 class PinMatch(NamedTuple):

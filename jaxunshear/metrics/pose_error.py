@@ -1,4 +1,4 @@
-"""Pose errors by target (jaxunshear/settings/targets.py). Angles wrap: their errors go the short way round."""
+"""Pose errors by target (jaxunshear/config/targets.py). Angles wrap: their errors go the short way round."""
 
 from collections.abc import Mapping
 

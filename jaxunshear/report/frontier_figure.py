@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
+from jaxunshear.config.registry import DISENTANGLED, TEACHER
 from jaxunshear.results.sweep import CellResult, SweepResult
-from jaxunshear.settings.registry import DISENTANGLED, TEACHER
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better

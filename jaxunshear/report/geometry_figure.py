@@ -3,10 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.dataset.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulated_contacts import SimulatedContacts
 from jaxunshear.downstream.geometry import HEIGHT_METHODS, INVERSE, interpolate_surface
 from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, compute_correlation
-from jaxunshear.image.lattice import Lattice
+from jaxunshear.perception.lattice import Lattice
 from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, encode_png
 
 CELLS, WIDTH = 48, 2.7

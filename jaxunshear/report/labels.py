@@ -2,9 +2,9 @@
 
 from markupsafe import Markup
 
+from jaxunshear.config.registry import REGISTRY, UNSHEARING
+from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.results.run import Results, Tables
-from jaxunshear.settings.registry import REGISTRY, UNSHEARING
-from jaxunshear.settings.targets import RECORDED_FIELDS
 
 KINDS = {
     "tap": "tap (no slide)",

@@ -5,8 +5,8 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pin_track import PinTrack
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.style import encode_png
 
 COLUMNS = 4

@@ -2,11 +2,11 @@
 
 from markupsafe import Markup
 
+from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import html, labels, score_sections
 from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.results.run import Parts, Results, Span
-from jaxunshear.settings.registry import DISENTANGLED
 
 TITLE = "What a pose network reads"
 UNSHEARED_ALIAS = "unsheared"  # in recorded results: the network that the run is about, once more

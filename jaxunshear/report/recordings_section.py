@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.config.targets import Target
 from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.report import html, labels
 from jaxunshear.report.html import format_number
 from jaxunshear.results.run import Results, Scores
-from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import Target
 
 PAIRING_TEXTS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "

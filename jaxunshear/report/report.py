@@ -8,6 +8,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.files import write_bytes, write_text
@@ -27,7 +28,6 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
 from jaxunshear.results.times import read_times
-from jaxunshear.settings.registry import TRAINABLE
 
 SIMULATED_TEXT = Markup(
     "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from jaxunshear.config.registry import REGISTRY, UNSHEARING
 from jaxunshear.downstream.contour import Contour
 from jaxunshear.downstream.servo import CLOSED, ENDS, Trajectories
-from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, encode_png, wrap_title
 
 METHOD_TITLES = {

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from jaxunshear.config.targets import Target
 from jaxunshear.results.measurement import Machine, Source, Versions
-from jaxunshear.settings.targets import Target
 
 EVALUATE_REMEDY = "run `jaxunshear evaluate` again"  # what makes a file of it anew
 Settings = Mapping[str, Any]  # as `settings.serialization.to_json` makes them

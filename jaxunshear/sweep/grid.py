@@ -13,25 +13,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from jaxunshear.errors import UserError
-from jaxunshear.files import Json
-from jaxunshear.settings.configs import VERSION, convert_to_floats
-from jaxunshear.settings.data import PairingMethod, PoseData, Recorded
-from jaxunshear.settings.experiment import (
+from jaxunshear.config.configs import VERSION, convert_to_floats
+from jaxunshear.config.data import PairingMethod, PoseData, Recorded
+from jaxunshear.config.experiment import (
     Experiment,
     drop_pair_losses,
     get_recorded,
     list_required_networks,
     uses_pins,
 )
-from jaxunshear.settings.fields import format_value, replace_field
-from jaxunshear.settings.networks import (
+from jaxunshear.config.fields import format_value, replace_field
+from jaxunshear.config.networks import (
     drop_codes,
     drop_direct,
     drop_pin_codes,
     drop_rotation,
 )
-from jaxunshear.settings.registry import (
+from jaxunshear.config.registry import (
     ALL_NETWORKS,
     DISENTANGLED,
     POSENET_SHEARED,
@@ -40,9 +38,11 @@ from jaxunshear.settings.registry import (
     RENDERER,
     TAP_NETWORKS,
 )
-from jaxunshear.settings.rules import validate
-from jaxunshear.settings.serialization import to_json
-from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
+from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it

@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
-from jaxunshear.settings.experiment import Experiment, list_required_networks, list_trained_networks
-from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.settings.serialization import from_json, to_json
 from jaxunshear.sweep.grid import Row, select_training_part
 from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_outcome
 from jaxunshear.training.data_origin import check_origin

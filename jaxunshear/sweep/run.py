@@ -9,6 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from jaxunshear.config.experiment import list_trained_networks
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.locks import hold_lock
@@ -17,8 +19,6 @@ from jaxunshear.report.frontier_figure import plot_frontier
 from jaxunshear.report.sweep_figure import plot_sweep
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.experiment import list_trained_networks
-from jaxunshear.settings.sweep import Sweep
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, run_serially
 from jaxunshear.sweep.grid import Row, find_reference, list_cells, list_rows

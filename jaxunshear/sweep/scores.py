@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.unambiguous_edges import SMOOTH
 from jaxunshear.files import BROKEN_NPZ, explain_os_error, read_npz
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
-from jaxunshear.settings.stimuli import list_stimulus_names
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 

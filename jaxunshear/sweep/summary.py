@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxunshear.config.experiment import get_recorded
+from jaxunshear.config.fields import format_value
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.sweep import Sweep, get_base, list_fields
 from jaxunshear.evaluation import bootstrap
 from jaxunshear.report.frontier_figure import list_efficient
 from jaxunshear.results.sweep import CellResult, Costs, Failure, Figure, GridAxis, SweepResult
-from jaxunshear.settings.experiment import get_recorded
-from jaxunshear.settings.fields import format_value
-from jaxunshear.settings.serialization import to_json
-from jaxunshear.settings.sweep import Sweep, get_base, list_fields
 from jaxunshear.sweep.crossed_bootstrap import compute_interval, describe_intervals, resample_means
 from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
 from jaxunshear.sweep.scores import (

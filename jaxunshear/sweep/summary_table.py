@@ -1,8 +1,8 @@
 """A sweep's summary as text, for people."""
 
+from jaxunshear.config.registry import POSENET_SHEARED
 from jaxunshear.report.frontier_figure import list_ranked
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
-from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.text_table import format_text_table
 
 DIRECT_KIND = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads

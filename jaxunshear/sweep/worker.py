@@ -17,6 +17,8 @@ from pathlib import Path
 
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.code_version import read_source
+from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.serialization import from_json
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
 from jaxunshear.files import is_disk_full
@@ -25,8 +27,6 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record, write_record
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
-from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.settings.serialization import from_json
 from jaxunshear.sweep.tasks import (
     DISK_FULL,
     LOCK,
@@ -110,7 +110,7 @@ def _to_retry(reason: str) -> str:
 
 
 def _data(order: TaskOrder, folder: Path) -> Outcome:
-    from jaxunshear.dataset.generation import make_sets
+    from jaxunshear.data.generation import make_sets
 
     for wanted in order.experiments:
         make_sets(from_json(wanted, str(folder / TASK)), Path(order.data))

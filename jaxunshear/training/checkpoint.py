@@ -24,10 +24,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import files
-from jaxunshear.errors import UserError, get_first_line
-from jaxunshear.files import Json
-from jaxunshear.model.weights import Net, Variables, list_leaves
-from jaxunshear.settings.networks import (
+from jaxunshear.config.networks import (
     PinPoseNet,
     PinRenderer,
     PinUnshear,
@@ -35,8 +32,11 @@ from jaxunshear.settings.networks import (
     UNet,
     UnshearNet,
 )
-from jaxunshear.settings.serialization import OTHERS, with_version, without_version
-from jaxunshear.settings.targets import Targets, from_json
+from jaxunshear.config.serialization import OTHERS, with_version, without_version
+from jaxunshear.config.targets import Targets, from_json
+from jaxunshear.errors import UserError, get_first_line
+from jaxunshear.files import Json
+from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"

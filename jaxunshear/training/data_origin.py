@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from jaxunshear.config.configs import describe_set, list_differences
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, get_training_data
+from jaxunshear.config.registry import POSENETS, TAP_NETWORKS
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
-from jaxunshear.settings.configs import describe_set, list_differences
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, get_training_data
-from jaxunshear.settings.registry import POSENETS, TAP_NETWORKS
 
 
 def describe_origin(experiment: Experiment, network: str) -> Json:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxunshear.angles import rotate_2d, wrap_degrees
 from jaxunshear.files import Json
-from jaxunshear.image.lattice import measure_spacing
+from jaxunshear.perception.lattice import measure_spacing
 from jaxunshear.training.rotation import ANGLES, Rotations, make_rotations, rotate_pins
 
 # Times the simulated motion of a slide, evenly in its logarithm. Skin that slips is dragged in proportion to its friction,

@@ -13,9 +13,19 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxunshear.dataset.factorial import FactorialReader
-from jaxunshear.dataset.reader import Batch, Reader, SetReader, open_set
-from jaxunshear.dataset.recorded_set import (
+from jaxunshear.config.data import RENDERED_PAIRINGS, PairedData, PoseData
+from jaxunshear.config.experiment import Experiment, get_recorded, get_training_data, uses_pins
+from jaxunshear.config.registry import POSENET_SHEARED, RENDERER, TAP_NETWORKS
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.targets import (
+    RECORDED_FIELDS,
+    Targets,
+    make_range_targets,
+    make_slide_targets,
+)
+from jaxunshear.data.factorial import FactorialReader
+from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.recorded_set import (
     PoseEstimator,
     RecordedSet,
     SlideSimulator,
@@ -24,18 +34,8 @@ from jaxunshear.dataset.recorded_set import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.data import RENDERED_PAIRINGS, PairedData, PoseData
-from jaxunshear.settings.experiment import Experiment, get_recorded, get_training_data, uses_pins
-from jaxunshear.settings.registry import POSENET_SHEARED, RENDERER, TAP_NETWORKS
-from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import (
-    RECORDED_FIELDS,
-    Targets,
-    make_range_targets,
-    make_slide_targets,
-)
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 POSES_AT_ONCE = 1024

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.pose_groups import group_by_pose
-from jaxunshear.dataset.reader import Batch, Reader, SetReader
-from jaxunshear.settings.data import PoseData
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.splits import hash_text
+from jaxunshear.config.data import PoseData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.splits import hash_text
+from jaxunshear.data.pose_groups import group_by_pose
+from jaxunshear.data.reader import Batch, Reader, SetReader
 from jaxunshear.training.examples import Examples, open_simulated
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"

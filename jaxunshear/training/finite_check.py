@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.weights import list_leaves
+from jaxunshear.models.weights import list_leaves
 from jaxunshear.training import checkpoint
 from jaxunshear.training.step import State
 from jaxunshear.training.tasks import Batch

@@ -4,13 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.dataset.digests import parse_folder_digests
-from jaxunshear.errors import UserError
-from jaxunshear.files import Json, read_object
-from jaxunshear.model_folders import find_model_folder
-from jaxunshear.settings.configs import compute_fingerprint
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import (
+from jaxunshear.config.configs import compute_fingerprint
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import (
     Experiment,
     get_training,
     get_training_data,
@@ -18,7 +14,11 @@ from jaxunshear.settings.experiment import (
     list_required_networks,
     require_simulated,
 )
-from jaxunshear.settings.serialization import OTHERS
+from jaxunshear.config.serialization import OTHERS
+from jaxunshear.data.digests import parse_folder_digests
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json, read_object
+from jaxunshear.model_folders import find_model_folder
 
 
 class InitialWeights(NamedTuple):
@@ -76,7 +76,7 @@ def begin_from(fresh: Json, start: Json) -> Json:
     """Return `fresh` variables with those of `start` in their places. Raises UserError if a shape or layer differs."""
     from jax import tree
 
-    from jaxunshear.model.weights import list_leaves
+    from jaxunshear.models.weights import list_leaves
 
     own = list_leaves(fresh)
     modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxunshear.model.weights import Variables, list_leaves
+from jaxunshear.models.weights import Variables, list_leaves
 
 
 def compute_supervised_loss(

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from jaxunshear.model.weights import Variables
+from jaxunshear.models.weights import Variables
 
 # of Jordan's quintic: steep at zero, and between 0.7 and 1.2 after all iterations
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxunshear.dataset.factorial import OTHER, SWAPPED
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.model.reconstruction import Reconstruction
-from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.settings.targets import Targets
-from jaxunshear.settings.training import Training
+from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.config.targets import Targets
+from jaxunshear.config.training import Training
+from jaxunshear.data.factorial import OTHER, SWAPPED
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.rotation import ANGLES, Rotations, rotate_outputs, rotate_pins

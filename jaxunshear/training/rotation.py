@@ -19,9 +19,9 @@ from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.dataset import pairing
+from jaxunshear.config.targets import Targets
+from jaxunshear.data import pairing
 from jaxunshear.errors import UserError
-from jaxunshear.settings.targets import Targets
 
 TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg

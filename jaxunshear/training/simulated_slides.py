@@ -19,14 +19,14 @@ from jaxunshear.angles import rotation_2d
 from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION
 from jaxunshear.calibration.labels import find_depth_axis
 from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
-from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.reader import Batch
-from jaxunshear.dataset.recorded_set import RecordedSet, SlideSimulator
+from jaxunshear.config.configs import compute_config_name
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.data.chunks import load_chunk
+from jaxunshear.data.reader import Batch
+from jaxunshear.data.recorded_set import RecordedSet, SlideSimulator
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_npz
 from jaxunshear.progress import Progress
-from jaxunshear.settings.configs import compute_config_name
-from jaxunshear.settings.sensor import Sensor
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip

@@ -9,8 +9,8 @@ import optax
 from jax import Array
 from jaxtyping import Float, Int
 
+from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
-from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.muon import muon
 from jaxunshear.training.tasks import Batch, Task, Tree

@@ -9,21 +9,15 @@ from pathlib import Path
 import jax
 from jax import Array
 
-from jaxunshear.dataset.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
-from jaxunshear.errors import UserError
-from jaxunshear.files import Json
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.model.unshearnet import match_entangled_size
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import (
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import (
     Experiment,
     get_recorded,
     get_training,
     list_trained_networks,
     uses_pins,
 )
-from jaxunshear.settings.networks import (
+from jaxunshear.config.networks import (
     PinPoseNet,
     PinRenderer,
     PinUnshear,
@@ -34,7 +28,7 @@ from jaxunshear.settings.networks import (
     drop_pin_codes,
     drop_rotation,
 )
-from jaxunshear.settings.registry import (
+from jaxunshear.config.registry import (
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,
@@ -45,8 +39,14 @@ from jaxunshear.settings.registry import (
     TEACHER,
     UNET,
 )
-from jaxunshear.settings.targets import Targets, list_label_fields
-from jaxunshear.settings.training import Training, uses_pose_labels
+from jaxunshear.config.targets import Targets, list_label_fields
+from jaxunshear.config.training import Training, uses_pose_labels
+from jaxunshear.data.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.unshearnet import match_entangled_size
+from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
+from jaxunshear.config import networks
+from jaxunshear.config.targets import Targets, read_true_values
+from jaxunshear.config.training import Training
+from jaxunshear.data.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.reconstruction import Reconstruction
-from jaxunshear.model.weights import Net, Tree
-from jaxunshear.settings import networks
-from jaxunshear.settings.targets import Targets, read_true_values
-from jaxunshear.settings.training import Training
+from jaxunshear.models import posenet, unet, unshearnet
+from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models.weights import Net, Tree
 from jaxunshear.training import losses
 
 Batch = Json

@@ -10,10 +10,10 @@ import pytest
 
 from benchmarks import bench_networks
 from benchmarks.multiplications import count_multiplications, count_posenet_multiplications
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.training import Training
+from jaxunshear.models import posenet, unshearnet
 from jaxunshear.training.losses import compute_regularisation
 from jaxunshear.training.tasks import make_unshear_task
 

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.bench_pin_networks import BATCHES, COLUMNS, NETS, bench_pin_networks
-from jaxunshear.settings.experiment import PIN_TRAINING
+from jaxunshear.config.experiment import PIN_TRAINING
 
 
 @pytest.mark.long

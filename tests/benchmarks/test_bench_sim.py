@@ -8,10 +8,10 @@ import pytest
 from benchmarks import bench_figure, bench_sim, other_solvers
 from benchmarks.bench_sim import Effort, Setting
 from benchmarks.bench_sim import bench_sim as bench
-from jaxunshear.contact.level import LEVELS
+from jaxunshear.config.reach import compute_ring_spacing, set_ring_spacing
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import compute_ring_spacing, set_ring_spacing
+from jaxunshear.simulator.level import LEVELS
+from jaxunshear.simulator.scene import Scenes
 from verification.clock import time_repeats
 from verification.contact_cases import HALF_SIZE
 from verification.paper import NAMES, sample_paper_scenes

@@ -8,10 +8,10 @@ from jaxunshear.calibration.labels import LabelFrame, apply_frame, make_paths, r
 from jaxunshear.calibration.pin_statistics import PinObservation, compute_camera_rotation
 from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio, make_probe_sensor
 from jaxunshear.calibration.validation import project_positions
-from jaxunshear.image.lattice import make_lattice
-from jaxunshear.scene.paths import DEPTH, TILT_X, X
-from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
-from jaxunshear.settings.sensor import TACTIP_331_FITTED
+from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.perception.lattice import make_lattice
+from jaxunshear.simulator.paths import DEPTH, TILT_X, X
+from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
 SENSOR = TACTIP_331_FITTED
 VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))

@@ -9,10 +9,10 @@ import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.calibration.sampling import RecordedImages
+from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.image.camera import compute_outer_fraction
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.camera import compute_outer_fraction
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxunshear.calibration.labels import FLAT_DISTANCE_MM, make_paths, read_motions
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.config.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
 # x y z mm, Rx Ry Rz deg: the work frame's z points into the object

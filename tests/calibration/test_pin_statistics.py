@@ -17,11 +17,11 @@ from jaxunshear.calibration.pin_statistics import (
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import render_images
 from jaxunshear.calibration.report import summaries_of
+from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
-from jaxunshear.image.camera import compute_outer_fraction
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.simulator.camera import compute_outer_fraction
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 
 @pytest.fixture(scope="module")

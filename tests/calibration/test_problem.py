@@ -11,8 +11,8 @@ from jaxunshear.calibration.pin_statistics import observe_pins
 from jaxunshear.calibration.prediction import PROBE_RINGS, SensorValues, compute_modulus_ratio
 from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
 from jaxunshear.calibration.rendering import render_images
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
+from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 from tests.calibration.conftest import GUESS, SMALL
 
 FRICTION, LOST, COUNT = 0.3, 2, 4

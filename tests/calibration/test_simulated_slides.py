@@ -9,8 +9,8 @@ from jaxunshear.calibration.prediction import simulate_displacements
 from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.calibration.validation import project_positions
 from jaxunshear.errors import UserError
-from jaxunshear.image.lattice import compute_rings, make_lattice
-from jaxunshear.scene.pin_layout import compute_pin_lattice
+from jaxunshear.perception.lattice import compute_rings, make_lattice
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
 KNOWN = Calibration("small", SMALL, GUESS, 0.35)

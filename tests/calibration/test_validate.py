@@ -14,8 +14,8 @@ from jaxunshear.calibration.calibration_result import (
 )
 from jaxunshear.calibration.sampling import are_among, split_folders
 from jaxunshear.calibration.validate import _list_calibration_images, validate
+from jaxunshear.config.image import Camera
 from jaxunshear.errors import UserError
-from jaxunshear.settings.image import Camera
 from tests.calibration.conftest import write_recording
 
 

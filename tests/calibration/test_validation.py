@@ -23,9 +23,9 @@ from jaxunshear.calibration.validation import (
     locate_pins,
     project_positions,
 )
-from jaxunshear.image.lattice import compute_rings
-from jaxunshear.scene.pin_layout import compute_pin_lattice, compute_pin_tips
-from jaxunshear.settings.sensor import TACTIP_331_FITTED
+from jaxunshear.config.sensor import TACTIP_331_FITTED
+from jaxunshear.perception.lattice import compute_rings
+from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
 SENSOR = TACTIP_331_FITTED
 VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))

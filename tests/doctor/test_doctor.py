@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from jaxunshear.cli import _parser, main
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.doctor import check_recordings, describe
 from jaxunshear.errors import UserError
-from jaxunshear.scene.pin_layout import compute_pin_lattice
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 256
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from jaxunshear.cli import main
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.settings.image import Preprocess
 
 COLUMNS = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
 NAMES = [f"image_{i}.png" for i in range(1, 5)]

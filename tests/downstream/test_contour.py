@@ -8,8 +8,8 @@ from jaxunshear.downstream.contour import (
     trace_contour,
     update_arc_positions,
 )
-from jaxunshear.scene.shapes import make_disk
-from jaxunshear.scene.stimuli import STIMULI, Stimulus, compute_signed_distance
+from jaxunshear.simulator.shapes import make_disk
+from jaxunshear.simulator.stimuli import STIMULI, Stimulus, compute_signed_distance
 
 
 def test_a_disk_s_outline():

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.downstream.geometry import (
     MIN_INDENTATION_MM,
     compute_cell_areas,
@@ -18,11 +20,9 @@ from jaxunshear.downstream.geometry import (
 )
 from jaxunshear.downstream.geometry_scores import compute_correlation
 from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
-from jaxunshear.image.lattice import compute_rings, make_lattice
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.scene.pin_layout import compute_pin_lattice
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.perception.lattice import compute_rings, make_lattice
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 
 @pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)

@@ -8,28 +8,28 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.chunks import render_images
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.targets import to_json as targets_json
+from jaxunshear.data.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
 from jaxunshear.files import write_json
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.image.pin_tracking import measure_motions, track_images
-from jaxunshear.image.rest_positions import compute_rest_lattice
 from jaxunshear.inference.perception import (
     list_methods,
     list_unshearing_networks,
     load_unshearers,
     make_edge_estimators,
 )
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.scene.stimuli import STIMULI
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.settings.serialization import to_json
-from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.settings.targets import to_json as targets_json
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.pin_tracking import measure_motions, track_images
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.stimuli import STIMULI
 from jaxunshear.training import checkpoint
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))

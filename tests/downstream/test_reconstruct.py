@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.reconstruct import (
     HeightMap,
@@ -13,8 +14,7 @@ from jaxunshear.downstream.reconstruct import (
     score_shape,
     transform_to_target,
 )
-from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.simulator.stimuli import STIMULI, compute_signed_distance
 
 PLACE = np.array(
     [place for place in compute_skin_positions(TACTIP_331) if np.linalg.norm(place) < 6]

@@ -5,6 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.outlines import trace_outline
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo import (
@@ -18,10 +21,7 @@ from jaxunshear.downstream.servo import (
 )
 from jaxunshear.downstream.servo_scores import compute_perceived_edge, score_trajectories
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import STIMULI
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.outlines import trace_outline
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.simulator.stimuli import STIMULI
 
 SETTINGS = PairedData()
 LENGTH = trace_contour(STIMULI["disk"]).length

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.simulated_contacts import SimulatedContacts
+from jaxunshear.config.image import Camera, Preprocess
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.data.simulated_contacts import SimulatedContacts
 from jaxunshear.downstream.reconstruct import compute_skin_positions
 from jaxunshear.downstream.shape_estimators import (
     SKIN,
@@ -12,9 +14,7 @@ from jaxunshear.downstream.shape_estimators import (
     make_shape_estimators,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.settings.image import Camera, Preprocess
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 
 LATTICE = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=128))
 

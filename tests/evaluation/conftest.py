@@ -6,11 +6,11 @@ from functools import partial
 import jax
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets, to_json
 from jaxunshear.files import write_json
-from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
-from jaxunshear.settings.targets import make_range_targets, to_json
+from jaxunshear.models import posenet, unet, unshearnet
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 

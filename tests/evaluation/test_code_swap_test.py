@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import UnshearNet
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.code_swap_test import ablate, build_rows, format_table, score_cells
 from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
 from jaxunshear.evaluation.score import get_cell_target
-from jaxunshear.model import unshearnet
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.models import unshearnet
 from jaxunshear.training.checkpoint import save, write_settings, write_weights
 from jaxunshear.training.trainer import get_compile_options
 

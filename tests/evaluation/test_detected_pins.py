@@ -8,6 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PinPoseNet, PinUnshear
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.evaluation.detected_pins import (
     DETECTED,
     DETECTED_TAP,
@@ -16,15 +21,10 @@ from jaxunshear.evaluation.detected_pins import (
 )
 from jaxunshear.evaluation.evaluate import build_results
 from jaxunshear.evaluation.network_outputs import make_pin_run
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.model import pin_networks, posenet
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.report import score_sections
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear
-from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.targets import make_range_targets
 from jaxunshear.training.examples import PinLayout
 from tests.report.conftest import made_up_gathered
 

@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import PairedData, Ranges
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.evaluation.evaluate import build_results, encode_montage, encode_scores
 from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
 from jaxunshear.evaluation.score_collection import BATCH, FIELDS, collect_scores
 from jaxunshear.evaluation.unambiguous_edges import mark_smooth
-from jaxunshear.settings.data import PairedData, Ranges
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.targets import make_range_targets, read_true_values
 
 SIZE, PITCH = 128, 8
 TARGETS = make_range_targets((), Ranges())

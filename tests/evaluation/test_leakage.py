@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.dataset.chunks import SimulationEngine
-from jaxunshear.dataset.generation import make_set
-from jaxunshear.dataset.reader import to_sensor_frame
+from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PinNet, UnshearNet
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.targets import make_slide_targets
+from jaxunshear.config.training import Training
+from jaxunshear.data.chunks import SimulationEngine
+from jaxunshear.data.generation import make_set
+from jaxunshear.data.reader import to_sensor_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import (
     code_exchange,
@@ -22,13 +29,6 @@ from jaxunshear.evaluation import (
 )
 from jaxunshear.report.leakage_figure import plot_leakage
 from jaxunshear.run import run_stages
-from jaxunshear.settings.data import PairedData, PoseData
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PinNet, UnshearNet
-from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import make_slide_targets
-from jaxunshear.settings.training import Training
 from jaxunshear.training.checkpoint import read_slides
 
 SENSOR = Sensor(name="small", rings=2)

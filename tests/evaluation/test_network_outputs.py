@@ -6,15 +6,15 @@ import jax
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.registry import ALL_NETWORKS, NETWORKS
+from jaxunshear.config.targets import list_target_names, make_range_targets
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import network_outputs
 from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, DIRECT_KIND, POSE_KINDS, TARGET_KIND
-from jaxunshear.model import unshearnet
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.registry import ALL_NETWORKS, NETWORKS
-from jaxunshear.settings.targets import list_target_names, make_range_targets
+from jaxunshear.models import unshearnet
 from jaxunshear.training.trainer import get_compile_options
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.evaluation.kernel_ridge import FEWEST, answers, fitted
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
@@ -16,10 +18,8 @@ from jaxunshear.evaluation.pose_estimators import (
 )
 from jaxunshear.evaluation.result_tables import add_estimators
 from jaxunshear.evaluation.score import Outputs
-from jaxunshear.image.lattice import make_lattice
+from jaxunshear.perception.lattice import make_lattice
 from jaxunshear.results.run import Tables
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import make_range_targets
 
 SIZE = 128
 TARGETS = make_range_targets(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())

@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
+from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import select_reproducible
@@ -15,9 +18,6 @@ from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
-from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.training import examples
 from jaxunshear.training.data_origin import describe_origin
 

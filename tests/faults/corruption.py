@@ -10,10 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.api import load_model
-from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.generation import make_set
-from jaxunshear.dataset.reader import open_set
-from jaxunshear.dataset.recordings import read_image
+from jaxunshear.config.configs import get_set_folder, get_set_name
+from jaxunshear.config.data import PairedData, PoseData, Recorded
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.serialization import from_json
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data.chunks import load_chunk
+from jaxunshear.data.generation import make_set
+from jaxunshear.data.reader import open_set
+from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 from jaxunshear.report import montage
@@ -22,11 +27,6 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.configs import get_set_folder, get_set_name
-from jaxunshear.settings.data import PairedData, PoseData, Recorded
-from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.serialization import from_json
-from jaxunshear.settings.splits import SPLITS
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim
 from tests.faults.outcome import Row, Size, attempt, commanded, digest
@@ -220,9 +220,9 @@ def _images(folder: Path) -> Act:
 
 def _cache(folder: Path, size: Size) -> Row:
     """The response of a coarse dome: made again where its file is damaged, so the same."""
-    from jaxunshear.contact.dome import load_dome
-    from jaxunshear.settings.reach import set_ring_spacing
-    from jaxunshear.settings.sensor import TACTIP_127
+    from jaxunshear.config.reach import set_ring_spacing
+    from jaxunshear.config.sensor import TACTIP_127
+    from jaxunshear.simulator.dome import load_dome
 
     coarse = set_ring_spacing(TACTIP_127, 3.0)
     with shim.environment("JAXUNSHEAR_CACHE", str(folder)):

@@ -13,15 +13,15 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from jaxunshear.dataset.labels import read_pair_table, read_table, read_targets
-from jaxunshear.dataset.recordings import read_image, read_recordings
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import list_field_types, override_fields
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.config.types import check_types
+from jaxunshear.data.labels import read_pair_table, read_table, read_targets
+from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.fields import list_field_types, override_fields
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.serialization import from_json, to_json
-from jaxunshear.settings.types import check_types
 from tests.faults.outcome import Row, Size
 from tests.faults.places import Places, flipped
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxunshear.dataset.reader import open_set
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data.reader import open_set
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.splits import SPLITS
 from jaxunshear.training.checkpoint import compute_weights_digest
 from tests.faults.corruption import bits
 from tests.faults.outcome import digest

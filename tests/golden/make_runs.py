@@ -25,7 +25,7 @@ ROOT = FILE.parents[2]
 TESTS = (
     "tests/test_run.py",
     "tests/recordings/test_laboratory.py",
-    "tests/contact/test_simulate.py",
+    "tests/simulator/test_simulate.py",
     "tests/verification/test_verify.py",
 )
 WRITE = "GOLDEN"  # a variable of the environment: the file that `hold` then writes to
@@ -127,7 +127,7 @@ def describe_machine() -> dict[str, Any]:
     """Return what decides how sums are rounded."""
     from jaxunshear.environment import count_cores
     from jaxunshear.metrics.machine import list_versions
-    from jaxunshear.model import layer_choice
+    from jaxunshear.models import layer_choice
 
     return {
         "processor": _describe_processor(),
@@ -153,8 +153,8 @@ def _describe_processor() -> str:
 
 def collect_run(folder: Path, data: Path) -> dict[str, Any]:
     """Return the first batch, losses and parameters of a run's networks, and the test scores."""
+    from jaxunshear.config.serialization import from_json
     from jaxunshear.files import read_object
-    from jaxunshear.settings.serialization import from_json
 
     folder = Path(folder)
     experiment = from_json(read_object(folder / "experiment.json"))
@@ -169,7 +169,7 @@ def collect_run(folder: Path, data: Path) -> dict[str, Any]:
 
 
 def _collect_batch(experiment: Any, network: str, data: Path, folder: Path) -> dict[str, Any]:
-    from jaxunshear.settings.experiment import get_training
+    from jaxunshear.config.experiment import get_training
     from jaxunshear.training.examples import open_examples
     from jaxunshear.training.task_factory import make_task
 

@@ -14,16 +14,16 @@ import pytest
 from PIL import Image
 
 from jaxunshear import __version__
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.config import targets
+from jaxunshear.config.data import PairedData, PoseData, Ranges
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.serialization import to_json
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json
 from jaxunshear.inference import infer
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.settings import targets
-from jaxunshear.settings.data import PairedData, PoseData, Ranges
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.serialization import to_json
+from jaxunshear.models import posenet, unshearnet
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 

@@ -7,6 +7,11 @@ import jax
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.registry import UNSHEARING
+from jaxunshear.config.targets import make_range_targets, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.inference.perception import (
@@ -17,13 +22,8 @@ from jaxunshear.inference.perception import (
     load_forward,
     make_edge_estimators,
 )
-from jaxunshear.model import posenet, unshearnet
+from jaxunshear.models import posenet, unshearnet
 from jaxunshear.release import RELEASED_PARTS
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.registry import UNSHEARING
-from jaxunshear.settings.targets import make_range_targets, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.trainer import get_compile_options
 

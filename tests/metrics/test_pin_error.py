@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxunshear.image.pin_detection import find_pins
 from jaxunshear.metrics.pin_error import match_pins, measure_pin_error
+from jaxunshear.perception.pin_detection import find_pins
 
 
 def lattice(step, size=128):

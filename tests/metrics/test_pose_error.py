@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.metrics import compute_pose_errors
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.targets import make_range_targets, read_true_values
 
 
 def quantities(x, yaw, edge, angle):

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 from PIL import Image
 
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.scene.pin_layout import compute_pin_lattice
-from jaxunshear.settings.sensor import TACTIP_127, Sensor
+from jaxunshear.config.sensor import TACTIP_127, Sensor
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 96
 DOTS = jax.jit(draw_dots, static_argnums=(1, 2))

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.dataset.digests import compute_digest
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.load import load_experiment
+from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.load import load_experiment
 from tests.golden import make_runs
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.dataset import preprocessing
-from jaxunshear.dataset.generation import make_set
-from jaxunshear.dataset.pairing import compute_pose_gaps, find_nearest
-from jaxunshear.dataset.recorded_contacts import identify_sensor, read_contacts
-from jaxunshear.dataset.recorded_set import open_recorded
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.config.targets import make_label_targets
+from jaxunshear.data import preprocessing
+from jaxunshear.data.generation import make_set
+from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
+from jaxunshear.data.recorded_contacts import identify_sensor, read_contacts
+from jaxunshear.data.recorded_set import open_recorded
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.sensor import TACTIP_127
-from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import make_label_targets
 
 SEEN = Preprocess(size=made.SIZE)
 

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from jaxunshear import load_model
+from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.errors import Note
-from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOK = "docs/notebooks/unshear.ipynb"

@@ -6,12 +6,12 @@ import made
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.digests import compute_digest, parse_folder_digests
-from jaxunshear.dataset.recorded_contacts import read_contacts
+from jaxunshear.config.configs import compute_config_name
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data.digests import compute_digest, parse_folder_digests
+from jaxunshear.data.recorded_contacts import read_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.settings.configs import compute_config_name
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.splits import SPLITS
 
 
 def both(folder, **changes):

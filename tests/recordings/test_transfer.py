@@ -10,13 +10,19 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.dataset.recorded_contacts import read_test_contacts
+from jaxunshear.config import targets
+from jaxunshear.config.data import PairedData, PoseData, Ranges, Recorded
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.config.serialization import to_json
+from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import sim_to_real
 from jaxunshear.evaluation.other_recordings import format_table
 from jaxunshear.evaluation.sim_to_real import align_to_labels, choose_scored_labels, score_transfer
 from jaxunshear.files import write_json
-from jaxunshear.image.sensor_check import measure_sensor_appearance
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
     UNSHEARED,
@@ -25,16 +31,10 @@ from jaxunshear.inference.perceiver import (
     Perceiver,
     make_frame_transforms,
 )
-from jaxunshear.model import pin_networks, posenet
-from jaxunshear.scene.pin_layout import compute_pin_lattice
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.perception.sensor_check import measure_sensor_appearance
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings import targets
-from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.settings.sensor import TACTIP_127
-from jaxunshear.settings.serialization import to_json
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.training import checkpoint
 
 RNG = np.random.default_rng(0)
@@ -282,7 +282,7 @@ def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tm
 
 
 def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
-    from jaxunshear.settings.sensor import TACTIP_331
+    from jaxunshear.config.sensor import TACTIP_331
 
     other = made.write(
         tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128

@@ -7,11 +7,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.evaluation.evaluate import build_results, encode_montage
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.experiment import Experiment
 
 VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36

@@ -18,7 +18,7 @@ from jaxunshear.report import html
 from jaxunshear.report.geometry_figure import plot_recordings
 from jaxunshear.report.object_figure import PICTURES, plot_objects
 from jaxunshear.report.trajectory_figure import METHOD_TITLES, plot_trajectories
-from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.simulator.stimuli import STIMULI
 
 PAGE_PX = 1158  # of a picture, at most
 READ_PX = 10  # height of letters

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded_evaluation
 from jaxunshear.evaluation.evaluate import encode_montage
@@ -18,8 +20,6 @@ from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.run import print_summary
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.targets import make_label_targets
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}

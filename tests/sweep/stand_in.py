@@ -17,6 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.code_version import read_source
+from jaxunshear.config.configs import describe_set
+from jaxunshear.config.experiment import Experiment, get_training_data
+from jaxunshear.config.registry import TRAINABLE
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error, read_json, write_json
 from jaxunshear.results.measurement import TrainingSummary
@@ -24,11 +29,6 @@ from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.configs import describe_set
-from jaxunshear.settings.experiment import Experiment, get_training_data
-from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.settings.serialization import to_json
-from jaxunshear.settings.sweep import Sweep
 from jaxunshear.sweep import worker
 from jaxunshear.sweep.grid import select_training_part
 

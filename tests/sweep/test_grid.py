@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from jaxunshear import run
+from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.config.fields import list_field_types, replace_field
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
+from jaxunshear.config.rules import validate
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.sweep import Sweep, check_sweep
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE_EXPERIMENT as RECORDED
-from jaxunshear.settings.experiment import Experiment, list_required_networks, list_trained_networks
-from jaxunshear.settings.fields import list_field_types, replace_field
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
-from jaxunshear.settings.rules import validate
-from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.settings.sweep import Sweep, check_sweep
 from jaxunshear.sweep.grid import (
     compute_row_digest,
     find_reference,

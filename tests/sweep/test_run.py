@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from jaxunshear.code_version import read_source
-from jaxunshear.dataset.generation import list_sets
+from jaxunshear.config.serialization import from_json
+from jaxunshear.data.generation import list_sets
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.locks import hold_lock
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.serialization import to_builtins
-from jaxunshear.settings.serialization import from_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.grid import list_cells, list_rows
 from jaxunshear.sweep.summary import select_reproducible

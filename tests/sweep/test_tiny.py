@@ -15,8 +15,8 @@ from jaxunshear.sweep.summary import select_reproducible
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = f"""
-from jaxunshear.settings.load import load_experiment
-from jaxunshear.settings.sweep import Sweep
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.sweep import Sweep
 
 sweep = Sweep(
     name="small",

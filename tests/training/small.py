@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import make_range_targets
-from jaxunshear.settings.training import Training
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets
+from jaxunshear.config.training import Training
 
 SIZE = 16
 NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets, to_json
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.settings.targets import make_range_targets, to_json
 from jaxunshear.training import checkpoint
 
 STATE = {

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment
 from jaxunshear.training.data_origin import check_origin, describe_origin
 
 SIMULATED = Experiment(name="small", claim="none", networks=("disentangled",))

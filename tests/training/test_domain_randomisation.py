@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.scene.pin_layout import compute_pin_lattice
-from jaxunshear.settings.sensor import TACTIP_127
+from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.training import domain_randomisation
 from jaxunshear.training.domain_randomisation import MOTION_FACTOR, make_randomisation
 

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.generation import list_sets
-from jaxunshear.dataset.reader import Reader, SetReader
-from jaxunshear.settings.experiment import PIN_TRAINING, Experiment, get_training
-from jaxunshear.settings.fields import override_fields
-from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.config.experiment import PIN_TRAINING, Experiment, get_training
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.data.generation import list_sets
+from jaxunshear.data.reader import Reader, SetReader
 from jaxunshear.training.examples import Examples, PinLayout
 from jaxunshear.training.few_pairs import (
     ANOTHER,

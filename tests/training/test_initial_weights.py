@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.configs import compute_fingerprint
+from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.model import unshearnet
 from jaxunshear.model_folders import RELEASED, load_settings
-from jaxunshear.settings.configs import compute_fingerprint
-from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment, list_further_tests
+from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
     InitialWeights,

@@ -10,9 +10,9 @@ import numpy as np
 import optax
 import pytest
 
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.training import Training
 from jaxunshear.training import trainer
 from jaxunshear.training.muon import muon, orthogonalise
 from jaxunshear.training.step import make_optimiser

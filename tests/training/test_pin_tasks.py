@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.factorial import OTHER, SWAPPED
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.config.targets import make_label_targets, make_slide_targets
+from jaxunshear.config.training import Training
+from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
-from jaxunshear.model.pin_networks import compute_pin_distance, encode, predict, unshear
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.settings.targets import make_label_targets, make_slide_targets
-from jaxunshear.settings.training import Training
+from jaxunshear.models.pin_networks import compute_pin_distance, encode, predict, unshear
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import (
     make_pin_posenet_task,

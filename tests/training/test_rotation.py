@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
-from jaxunshear.model.posenet import scale_poses
-from jaxunshear.settings.targets import make_label_targets
+from jaxunshear.models.posenet import scale_poses
 from jaxunshear.training.rotation import (
     ANGLES,
     find_rotation_sense,

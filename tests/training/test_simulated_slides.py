@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.recorded_set import RecordedSet, UnstoredSet
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet
 from jaxunshear.training import simulated_slides
 
 PINS, SIZE = 7, 32

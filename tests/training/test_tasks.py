@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.data import Ranges
+from jaxunshear.config.networks import UNet
+from jaxunshear.config.targets import make_slide_targets
+from jaxunshear.config.training import uses_pose_labels
 from jaxunshear.errors import UserError
-from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.dispatch import unshear
-from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.networks import UNet
-from jaxunshear.settings.targets import make_slide_targets
-from jaxunshear.settings.training import uses_pose_labels
+from jaxunshear.models import posenet, unet, unshearnet
+from jaxunshear.models.dispatch import unshear
 from jaxunshear.training import losses
 from jaxunshear.training.tasks import make_pose_supervision, make_unshear_task
 

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
-from jaxunshear.model import unshearnet
+from jaxunshear.models import unshearnet
 from jaxunshear.report.history import read_lines
-from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint, losses, trainer
 from jaxunshear.training.step import make_schedule
 from jaxunshear.training.tasks import make_posenet_task, make_unshear_task

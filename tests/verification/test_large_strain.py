@@ -11,15 +11,15 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, nnls
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.elasticity import (
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.errors import UserError
+from jaxunshear.simulator.elasticity import (
     assemble_stiffness,
     compute_isotropic_stiffness,
     compute_lame_constants,
 )
-from jaxunshear.contact.mesh import Mesh
-from jaxunshear.errors import UserError
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.simulator.mesh import Mesh
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 from verification.hyperelastic import (
     compute_deformation,
     compute_energy,

@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.settings.image import Camera
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.config.image import Camera
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.simulator.pin_layout import compute_pin_tips
 from verification.hyperelastic import neo_hookean
 from verification.model_error import compute_hencky_energy, measure_model_error
 from verification.pin_distance import compute_pin_distance, compute_pin_error

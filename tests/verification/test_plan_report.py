@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from jaxunshear.contact.level import OMISSIONS
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import Scenes
+from jaxunshear.simulator.level import OMISSIONS
+from jaxunshear.simulator.scene import Scenes
 from verification import plan_report as module
 from verification.contact_cases import HALF_SIZE
 from verification.paper import sample_paper_scenes

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.contact.contact_results import Contacts
 from jaxunshear.errors import UserError
+from jaxunshear.simulator.contact_results import Contacts
 from verification import contact_cases, stability
 
 SHALLOW = contact_cases.make_motion(0.5, slide=(0.3, 0.0))

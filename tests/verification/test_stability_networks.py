@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.config.load import load_experiment
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
-from jaxunshear.settings.load import load_experiment
 from jaxunshear.training import checkpoint, losses
 from jaxunshear.training.finite_check import check_state
 from verification import network_steps, network_trainings, network_values, stability

@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxunshear.apps.explore.outline import trace_outlines
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
-from jaxunshear.image.png import encode_png
-from jaxunshear.settings.reach import compute_reach_mm
+from jaxunshear.config.reach import compute_reach_mm
+from jaxunshear.perception.png import encode_png
 
 MAP_PX = 640
 HALF_MM = 32.0  # of the map, about the shape's target point

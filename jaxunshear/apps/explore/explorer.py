@@ -15,15 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, simulate_touch
-from jaxunshear.dataset.chunks import render_images
-from jaxunshear.dataset.preprocessing import SensorFrame
-from jaxunshear.dataset.recordings import read_image
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.targets import SIMULATED_FIELDS
+from jaxunshear.data.chunks import render_images
+from jaxunshear.data.preprocessing import SensorFrame
+from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.image.pin_detection import detect_pins
-from jaxunshear.image.png import to_uint8
-from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.image.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
     UNSHEARED,
@@ -32,14 +31,15 @@ from jaxunshear.inference.perceiver import (
     find_pin_frame,
     load_perceiver,
 )
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.png import to_uint8
+from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.sensor_check import NO_MINIMUM, invert_image, judge_images
 from jaxunshear.progress import Progress
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.scene.scene import make_edge_labeler
-from jaxunshear.scene.stimuli import STIMULI, Stimulus
-from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import Experiment, require_simulated, uses_pins
-from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import SIMULATED_FIELDS
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.scene import make_edge_labeler
+from jaxunshear.simulator.stimuli import STIMULI, Stimulus
 
 SHEARED, TAP, TRUE = "sheared", "tap", "true"
 NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this

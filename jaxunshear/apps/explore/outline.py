@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from skimage.measure import find_contours
 
-from jaxunshear.scene.stimuli import Stimulus, compute_signed_distance, make_stimulus
-from jaxunshear.settings.outlines import simplify_curve
-from jaxunshear.settings.stimuli import Outline
+from jaxunshear.config.outlines import simplify_curve
+from jaxunshear.config.stimuli import Outline
+from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance, make_stimulus
 
 DRAWN_NAME = "drawn"
 TREMBLE_MM = 0.15  # by which a hand's line is smoothed

@@ -21,7 +21,7 @@ from jaxunshear.apps.explore.tab import (
     show,
 )
 from jaxunshear.apps.explore.touch import DEEPEST_MM, Touch
-from jaxunshear.settings.sensor import SENSORS
+from jaxunshear.config.sensor import SENSORS
 
 HOST = "127.0.0.1"
 LARGEST_BYTES = 32_000_000  # of a recorded image

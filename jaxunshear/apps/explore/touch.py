@@ -11,18 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.contact.batches import plan_paths, sample_obstacles
-from jaxunshear.contact.level import LEVELS, Level
-from jaxunshear.contact.scheduler import NODE_COUNTS, pad_count
-from jaxunshear.contact.simulate import follow
-from jaxunshear.contact.systems import load_shared_dome
+from jaxunshear.config.reach import compute_ring_spacing
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import make_paths
-from jaxunshear.scene.pin_layout import compute_pin_tips
-from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.stimuli import Stimulus, get_stimulus
-from jaxunshear.settings.reach import compute_ring_spacing
-from jaxunshear.settings.sensor import Sensor
+from jaxunshear.simulator.batches import plan_paths, sample_obstacles
+from jaxunshear.simulator.level import LEVELS, Level
+from jaxunshear.simulator.paths import make_paths
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.scheduler import NODE_COUNTS, pad_count
+from jaxunshear.simulator.simulate import follow
+from jaxunshear.simulator.stimuli import Stimulus, get_stimulus
+from jaxunshear.simulator.systems import load_shared_dome
 
 # `auto`, but friction is never left out: a tap and a slide then share a batch, and programs of one kind are enough.
 LEVEL = replace(LEVELS["auto"], omit=tuple(one for one in LEVELS["auto"].omit if one != "friction"))

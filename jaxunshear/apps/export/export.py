@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear import __version__
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.inference.infer import FRAMES, OWN_FRAME
@@ -19,8 +21,6 @@ from jaxunshear.inference.suitability import learnt_note
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, uses_pins
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.frames import ExportCamera
@@ -128,7 +128,7 @@ def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
     from jax import export
 
     from jaxunshear.apps.export.parts import make_exported_function
-    from jaxunshear.model import layer_choice
+    from jaxunshear.models import layer_choice
 
     many = export.symbolic_shape("batch")[0] if batch is None else batch
     given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
@@ -158,7 +158,7 @@ def _metadata(
     parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
 ) -> dict[str, str]:
     """What a program needs to know of a file of ONNX, and its reader of the networks."""
-    from jaxunshear.settings.targets import list_target_names
+    from jaxunshear.config.targets import list_target_names
 
     names = list_target_names(parts.targets)
     known = {

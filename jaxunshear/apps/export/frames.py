@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
-from jaxunshear.dataset.recordings import read_image, read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.grey import LUMA
-from jaxunshear.image.preprocess import (
+from jaxunshear.perception.grey import LUMA
+from jaxunshear.perception.preprocess import (
     View,
     make_area_matrix,
     make_mask,
     make_mean_matrix,
     prepare_frame,
 )
-from jaxunshear.settings.image import Preprocess
 
 CHECKED_FRAMES = 8  # frames that the nodes are compared by
 

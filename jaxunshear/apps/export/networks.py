@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.apps.export.onnx_graph import OnnxGraph
-from jaxunshear.model.layers import EPSILON
-from jaxunshear.model.weights import Variables
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
-from jaxunshear.settings.targets import Targets
+from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
+from jaxunshear.config.targets import Targets
+from jaxunshear.models.layers import EPSILON
+from jaxunshear.models.weights import Variables
 
 LAYER_NORM_EPSILON = 1e-6  # Flax' own
 MIN_NORM = np.float32(1e-30)  # a cosine that may stand in a denominator

@@ -7,9 +7,9 @@ from jaxunshear.apps.export import frames, networks
 from jaxunshear.apps.export.frames import ExportCamera
 from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
 from jaxunshear.apps.export.parts import ExportedModel, Run
+from jaxunshear.config.targets import list_target_names
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import UNSHEARED
-from jaxunshear.settings.targets import list_target_names
 
 
 def build_onnx(

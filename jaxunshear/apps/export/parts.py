@@ -8,16 +8,16 @@ import jax
 import numpy as np
 from jax import Array
 
+from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
 from jaxunshear.inference.perception import confidence, load_networks, scale_to_unit
-from jaxunshear.model import posenet
-from jaxunshear.model.dispatch import predict, unshear
-from jaxunshear.model.weights import Net, Variables
-from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
-from jaxunshear.settings.targets import Targets
+from jaxunshear.models import posenet
+from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import has_model
 
 Run = Callable[[np.ndarray], Json]

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.recordings import read_image, read_recordings
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.targets import RECORDED_FIELDS
+from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.preprocess import View
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.targets import RECORDED_FIELDS
+from jaxunshear.perception.preprocess import View
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"

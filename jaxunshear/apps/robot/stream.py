@@ -19,30 +19,30 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.dataset.preprocessing import SensorFrame as PinFrame
-from jaxunshear.dataset.recordings import PROBES
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.registry import DISENTANGLED
+from jaxunshear.config.targets import list_target_names
+from jaxunshear.data.preprocessing import SensorFrame as PinFrame
+from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
-from jaxunshear.image.png import encode_png, to_uint8
-from jaxunshear.image.preprocess import View, combine_views, find_view, prepare_frame
-from jaxunshear.image.sensor_check import (
+from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
+from jaxunshear.inference.perception import Forward, confidence, load_forward
+from jaxunshear.metrics import compute_pose_errors
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.weights import Variables
+from jaxunshear.perception.png import encode_png, to_uint8
+from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
+from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
     NO_MINIMUM,
     SensorAppearance,
     compute_plausibility,
     explain_rejection,
 )
-from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
-from jaxunshear.inference.perception import Forward, confidence, load_forward
-from jaxunshear.metrics import compute_pose_errors
-from jaxunshear.model.inference import jit_for_inference
-from jaxunshear.model.weights import Variables
 from jaxunshear.results.applications import StreamResult
-from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, uses_pins
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.settings.targets import list_target_names
 
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 

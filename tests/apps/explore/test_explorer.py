@@ -27,12 +27,12 @@ from jaxunshear.apps.explore.touch import (
     list_warmup_touches,
     simulate_touch,
 )
+from jaxunshear.config.reach import compute_max_depth_mm
+from jaxunshear.config.sensor import SENSORS
+from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
 from jaxunshear.model_folders import RELEASED, load_settings
-from jaxunshear.scene.stimuli import STIMULI, make_stimulus
-from jaxunshear.settings.reach import compute_max_depth_mm
-from jaxunshear.settings.sensor import SENSORS
-from jaxunshear.settings.stimuli import Outline
+from jaxunshear.simulator.stimuli import STIMULI, make_stimulus
 
 FOLDER = RELEASED / "standard"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.apps.explore.outline import make_drawn_stimulus, trace_outlines
+from jaxunshear.config.stimuli import MAX_CORNERS
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import STIMULI, compute_signed_distance
-from jaxunshear.settings.stimuli import MAX_CORNERS
+from jaxunshear.simulator.stimuli import STIMULI, compute_signed_distance
 
 ANGLE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
 RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)

@@ -26,19 +26,19 @@ from jaxunshear.apps.export.parts import (
     measure_difference,
 )
 from jaxunshear.cli import main
-from jaxunshear.dataset.recordings import read_image
+from jaxunshear.config import targets
+from jaxunshear.config.data import PairedData, PoseData, Ranges
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
+from jaxunshear.config.serialization import to_json
+from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
-from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.inference.perception import load_forward
-from jaxunshear.model import pin_networks, posenet, unshearnet
-from jaxunshear.model.pin_grid import make_grid
 from jaxunshear.model_folders import RELEASED
-from jaxunshear.settings import targets
-from jaxunshear.settings.data import PairedData, PoseData, Ranges
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
-from jaxunshear.settings.serialization import to_json
+from jaxunshear.models import pin_networks, posenet, unshearnet
+from jaxunshear.models.pin_grid import make_grid
+from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
 
 ROOT = Path(__file__).resolve().parents[3]

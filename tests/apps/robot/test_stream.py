@@ -12,19 +12,19 @@ from PIL import Image
 from jaxunshear.apps.robot import frame_sources
 from jaxunshear.apps.robot.frame_sources import SourceFrame, open_frames
 from jaxunshear.apps.robot.stream import StreamModel, StreamOutput, make_steady_view, stream
-from jaxunshear.dataset.recordings import PROBES, read_recordings
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.load import load_experiment
+from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.pin_drawing import draw_dots
-from jaxunshear.image.rest_positions import compute_rest_lattice
-from jaxunshear.image.sensor_check import (
+from jaxunshear.inference.perceiver import load_sensor_appearance
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.sensor_check import (
     FOREIGN_REASON,
     MIN_PLAUSIBILITY,
     NO_MINIMUM,
     UNIDENTIFIED_REASON,
 )
-from jaxunshear.inference.perceiver import load_sensor_appearance
-from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.load import load_experiment
 
 EXPERIMENT = load_experiment("experiments/tiny.py")
 

@@ -1,0 +1,97 @@
+"""The camera, what disturbs its frames, and how a frame becomes a binary image."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from jaxunshear.config.types import Rule
+
+SMALLEST_PX, LARGEST_PX = 16, 4096
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole on the dome's axis that sees the pins from inside, and a square grey frame.
+
+    `mm_across` is the width, at the height of the undeformed apex pin, that fills the frame. Both lengths are fitted to
+    real 331-pin images: the outermost pins stand at 0.375 of the width from the centre, and rings draw closer together
+    towards the rim (outermost gap 0.083 of that radius, real 0.08 to 0.09). A wide lens does that to a near pinhole's view;
+    a far pinhole does it without a lens model.
+    """
+
+    frame_px: int = 256  # side of the frame
+    mm_across: float = 33.5  # that fill the frame, at the height of the undeformed apex pin
+    distance_mm: float = 200.0  # pinhole above the undeformed apex
+    # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
+    housing: float = 1.22
+
+    def rules(self) -> Iterator[Rule]:
+        yield (
+            SMALLEST_PX <= self.frame_px <= LARGEST_PX,
+            "frame_px",
+            f"use {SMALLEST_PX} to {LARGEST_PX}",
+        )
+        yield self.mm_across > 0, "mm_across", "must be above zero"
+        yield (
+            self.housing >= 1,
+            "housing",
+            "use 1 or more: the housing lies outside the outermost pins",
+        )
+
+
+FLUSH_CAMERA = Camera(mm_across=35.3)  # frames the wider ring of `sensor.TACTIP_331_FLUSH` alike
+# to the contacts of `sensor.TACTIP_331_FITTED`
+FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What a real frame has beside its pins; zero switches a term off. Grey levels are fractions of full scale."""
+
+    housing_ring: bool = True  # the lit housing around the dome
+    specks: int = 6  # mean number in a frame
+    blur_px: float = 0.6  # standard deviation, frame pixels
+    noise: float = 0.02  # standard deviation of each pixel
+    brightness: float = 0.15  # largest relative change of the pins' brightness
+    drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
+    drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
+
+    def rules(self) -> Iterator[Rule]:
+        yield 0 <= self.specks <= 1000, "specks", "use 0 to 1000"
+        for field in ("noise", "brightness", "drift_brightness"):
+            yield (
+                0 <= getattr(self, field) < 1,
+                field,
+                "use 0 up to, but not, 1 (fractions of full scale)",
+            )
+
+
+@dataclass(frozen=True)
+class Preprocess:
+    """Grey, crop, resize by area, adaptive threshold on a local mean, circular mask: for simulated and real frames alike."""
+
+    size: int = 128  # output pixels, square
+    block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
+    # a pixel is white if it exceeds the local mean by this fraction of full scale
+    offset: float = 0.08
+    mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
+    # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
+    outer_pins: float = 0.375
+
+    def rules(self) -> Iterator[Rule]:
+        yield (
+            SMALLEST_PX <= self.size <= LARGEST_PX,
+            "size",
+            f"use {SMALLEST_PX} to {LARGEST_PX} px",
+        )
+        yield 0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1"
+        yield -1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1"
+        yield (
+            0 < self.outer_pins <= 0.5,
+            "outer_pins",
+            "use a fraction of the image above 0, at most 0.5",
+        )
+        yield (
+            0 < self.mask_radius <= 1,
+            "mask_radius",
+            "use a fraction of the image above 0, at most 1",
+        )

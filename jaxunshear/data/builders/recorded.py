@@ -1,0 +1,55 @@
+"""`tactip_recorded`: taps and slides as a laboratory recorded them, with the pins that are found in them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import tensorflow_datasets as tfds
+
+from jaxunshear.config import configs
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data import recorded_examples
+from jaxunshear.data.builders.stored import StoredSet
+from jaxunshear.data.recorded_contacts import RecordedContacts
+
+
+class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-arg]
+    VERSION = tfds.core.Version(configs.RECORDED_VERSION)
+    RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
+    MANUAL_DOWNLOAD_INSTRUCTIONS = (
+        "The folders of taps and slides that the settings name, in one of the layouts of README.md."
+    )
+
+    def _info(self) -> tfds.core.DatasetInfo:
+        settings, pins = self.builder_config.settings, self.builder_config.sensor.pins
+        size = settings.preprocess.size
+        features = {
+            "image": tfds.features.Image(shape=(size, size, 1), encoding_format="png"),
+            "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
+            "sure": np.int32,
+            "slid": np.int32,
+            "pose": tfds.features.Tensor(shape=(6,), dtype=np.float32),
+            "move": tfds.features.Tensor(shape=(6,), dtype=np.float32),
+            "pose_id": np.int32,
+            "number": np.int32,
+        }
+        return self._set_info(features, ("image", "pose"))
+
+    def _split_generators(
+        self, dl_manager: tfds.download.DownloadManager
+    ) -> dict[str, Iterator[tuple[str, dict]]]:
+        settings, sensor = self.builder_config.settings, self.builder_config.sensor
+        contacts, frame, paths = recorded_examples.prepare_recordings(
+            settings, sensor, self._get_unfinished_folder
+        )
+        counts, more = recorded_examples.summarise_recordings(contacts, frame, paths)
+        self._keep_metadata(counts, **more)
+        return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
+
+    def _generate_examples(
+        self, contacts: RecordedContacts, paths: list[Path], split: str
+    ) -> Iterator[tuple[str, dict]]:
+        yield from recorded_examples.iterate_examples(
+            self.builder_config.settings, contacts, paths, split
+        )

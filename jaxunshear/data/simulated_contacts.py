@@ -1,0 +1,83 @@
+"""Contacts that no network has seen: new poses of the experiment's own shapes, simulated when they are needed.
+
+So whoever has only the weights can score them too, without the data sets they were trained on.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.splits import BLOCK
+from jaxunshear.data.chunks import render_images
+from jaxunshear.data.sampling import sample_paired
+from jaxunshear.simulator.indentation import compute_indentation
+from jaxunshear.simulator.paths import make_paths
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.simulate import follow
+
+SCALE_TAPS = 300  # simulated taps that scales are fitted to
+SEED = 1_000_003  # added to the data's
+
+
+class SimulatedContacts(NamedTuple):
+    """N slides, each with the tap at its pose; contacts that did not converge are left out and counted."""
+
+    stimulus: np.ndarray  # (N,) index into the experiment's
+    pose: np.ndarray  # (N, 4) x, y mm, yaw deg, depth mm
+    tap: np.ndarray  # (N, S, S) uint8 of {0, 255}
+    sheared: np.ndarray  # (N, S, S)
+    tap_pins: np.ndarray  # (N, P, 2) px
+    sheared_pins: np.ndarray  # (N, P, 2)
+    indentation_mm: np.ndarray  # (N, P) of the tap
+    dropped: int
+
+
+def simulate_contacts(
+    experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None
+) -> SimulatedContacts:
+    """Simulate slides at new poses, as many of each stimulus, and the tap at each pose.
+
+    There are `count` of them, rounded up to the same number for each stimulus, and at least 5 per
+    stimulus (a block of the split); less those that did not converge. `depth_mm` sets one depth for
+    all, else depths are the experiment's. The same seed gives the same contacts.
+    """
+    paired, _ = require_simulated(experiment, "this")
+    poses = max(BLOCK, -(-count // len(paired.stimuli)))
+    new = paired.seed + SEED + seed
+    settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
+    if depth_mm is not None:
+        settings = replace(
+            settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
+        )
+    shots = sample_paired(settings)
+    contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(shots.scenes))
+    slid = np.flatnonzero(shots.is_slide)
+    tapped = np.flatnonzero(~shots.is_slide)  # in the same order: one tap and one slide a pose
+    good = contacts.converged[slid] & contacts.converged[tapped]
+    slid, tapped = slid[good], tapped[good]
+    rows = np.concatenate([tapped, slid])
+    images, pins = render_images(
+        settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows]
+    )
+    half = len(slid)
+    return SimulatedContacts(
+        shots.scenes.stimulus[slid],
+        shots.scenes.pose[slid],
+        images[:half],
+        images[half:],
+        pins[:half],
+        pins[half:],
+        compute_indentation(experiment.sensor, skins.take(tapped)),
+        int(np.sum(~good)),
+    )
+
+
+def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
+    """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
+    paired, _ = require_simulated(experiment, "this")
+    tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
+    return render_images(
+        paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)
+    )[0]

@@ -1,0 +1,170 @@
+"""Convolutions whose gradients are as fast as their forward pass.
+
+XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad` derives from them
+at a few per cent of it (strided and transposed ones above all). Two rewritings cure that, on every backend exactly:
+
+1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU) is
+   compiled for the processor (native.py), or matrix products over a few images at a time where there is no compiler.
+2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
+   the channels. The transposed convolution writes blocks instead of reading them. Those next to the image have a module of
+   their own (outermost.py).
+
+>>> y = conv_valid(to_blocks(pad(x, 1)), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
+>>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
+
+*Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
+lies outside the image and must be zero (`norm.make_inside_mask`).
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxunshear.models.fast import compiled_kernels
+
+SLICE = (
+    1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
+)
+_NHWC = ("NHWC", "HWIO", "NHWC")
+
+
+def pad(x: Array, pixels: int) -> Array:
+    """(B, H, W, C) with `pixels` zeros on all four sides."""
+    return jnp.pad(x, ((0, 0), (pixels, pixels), (pixels, pixels), (0, 0)))
+
+
+def to_blocks(x: Array) -> Array:
+    """Space to depth: (B, 2 H, 2 W, C) -> (B, H, W, 4 C), channels ordered (row in block, column in block, channel)."""
+    b, h, w, c = x.shape
+    x = x.reshape(b, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, h // 2, w // 2, 4 * c)
+
+
+def from_blocks(x: Array) -> Array:
+    """Depth to space, the inverse of `to_blocks`."""
+    b, h, w, c = x.shape
+    x = x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, 2 * h, 2 * w, c // 4)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2,))
+def conv_valid(x: Array, w: Array, border: int = 0) -> Array:
+    """Convolution (as networks say; a correlation) without padding: x (B, H, W, C), w (k, k, C, N) -> (B, H-k+1,
+    W-k+1, N).
+
+    The outermost `border` < k pixels of x must be zeros that depend on nothing (padding): their gradient is left out, given as
+    zero.
+    """
+    return lax.conv_general_dilated(x, w, (1, 1), "VALID", dimension_numbers=_NHWC)
+
+
+def _forward(x: Array, w: Array, border: int) -> tuple[Array, tuple[Array, Array]]:
+    return conv_valid(x, w, border), (x, w)
+
+
+def _backward(border: int, saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
+    x, w = saved
+    return _input_gradient(dy, w, border), _kernel_gradient(x, dy, w.shape[0], border)
+
+
+conv_valid.defvjp(_forward, _backward)
+
+
+def _input_gradient(dy: Array, w: Array, border: int) -> Array:
+    turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
+    return pad(conv_valid(pad(dy, w.shape[0] - 1 - border), turned), border)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2, 3))
+def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
+    """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
+    if compiled_kernels.get_form() == "counted":
+        return _gradient_as_convolution(x, dy)
+    here = (
+        compiled_kernels.kernel_gradient
+        if compiled_kernels.can_compute_gradient(x, dy)
+        else _gradient_in_slices
+    )
+    return lax.platform_dependent(
+        x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution
+    )
+
+
+def _kernel_gradient_forward(
+    x: Array, dy: Array, k: int, border: int
+) -> tuple[Array, tuple[Array, Array]]:
+    return _kernel_gradient(x, dy, k, border), (x, dy)
+
+
+def _kernel_gradient_backward(
+    k: int, border: int, saved: tuple[Array, Array], change: Array
+) -> tuple[Array, Array]:
+    """Both are convolutions again: the sum of change * dw is that of conv_valid(x, change) * dy."""
+    x, dy = saved
+    return _input_gradient(dy, change, border), conv_valid(x, change, border)
+
+
+_kernel_gradient.defvjp(_kernel_gradient_forward, _kernel_gradient_backward)
+
+
+def _gradient_as_convolution(x: Array, dy: Array) -> Array:
+    """The images as channels, the output's gradient as kernel."""
+    return lax.conv_general_dilated(
+        x, dy, (1, 1), "VALID", dimension_numbers=("CHWN", "IHWO", "HWNC")
+    )
+
+
+def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
+    """Matrix products, one for each shift (i, j), over a few images at a time: all shifts read them from the cache.
+
+    The smaller array stays, the larger one is shifted: x, or dy where x without its border is the smaller. The one with more
+    channels is the right factor, whose rows are contiguous.
+    """
+    c, n = x.shape[-1], dy.shape[-1]
+    images, h, w = dy.shape[:3]
+    shifts = [(i, j) for i in range(k) for j in range(k)]
+    inner = k > 1 and border == k - 1
+    if inner:
+        h, w = h - border, w - border
+    step = max(
+        s for s in range(1, images + 1) if images % s == 0 and (s == 1 or s * h * w <= SLICE)
+    )
+    wide = np.promote_types(x.dtype, np.float32)
+    product = partial(jnp.matmul, preferred_element_type=wide)
+
+    def at(array: Array, turn: Array, i: int, j: int) -> Array:
+        part = lax.dynamic_slice(array, (turn * step, i, j, 0), (step, h, w, array.shape[-1]))
+        return part.reshape(-1, array.shape[-1])
+
+    def add(turn: Array, sums: list[Array]) -> list[Array]:
+        if inner:
+            still = at(x, turn, border, border)
+            pairs = [(still, at(dy, turn, i, j)) for i, j in shifts[::-1]]
+        else:
+            still = at(dy, turn, 0, 0)
+            pairs = [(at(x, turn, i, j), still) for i, j in shifts]
+        return [
+            s + (product(a.T, b) if c <= n else product(b.T, a))
+            for s, (a, b) in zip(sums, pairs, strict=True)
+        ]
+
+    zero = jnp.zeros((c, n) if c <= n else (n, c), wide)
+    sums = jnp.stack(lax.fori_loop(0, images // step, add, [zero] * len(shifts))).astype(x.dtype)
+    return (sums if c <= n else sums.swapaxes(1, 2)).reshape(k, k, c, n)
+
+
+def down_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 convolution -> (2, 2, 4C, N) between the blocks of its padded input and its output."""
+    c, n = w.shape[2:]
+    return w.reshape(2, 2, 2, 2, c, n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 4 * c, n)
+
+
+def up_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 transposed convolution (Flax's 'SAME') -> (2, 2, C, 4N) from its padded input to the
+    bordered blocks of its output."""
+    c, n = w.shape[2:]
+    w = w.reshape(2, 2, 2, 2, c, n)[:, ::-1, :, ::-1]
+    return w.transpose(0, 2, 4, 1, 3, 5).reshape(2, 2, c, 4 * n)

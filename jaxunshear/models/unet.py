@@ -1,0 +1,73 @@
+"""A U-Net in the place of UnshearNet: sheared image -> canonical one, behind the same kind of pure functions.
+
+>>> variables = init(net, jax.random.key(0))
+>>> canonical = unshear(net, variables, sheared)                  # (B, S, S, 1) in [0, 1] -> the same
+
+It is the rival that image-to-image work would try first (Ronneberger et al. 2015): every decoder layer also sees the encoder's
+array of its own size, so there is no code that could hold a pose, nor one that could be swapped.
+"""
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from jaxunshear.config import networks
+from jaxunshear.models import layer_choice, unshearnet
+from jaxunshear.models.fast import networks as fast
+from jaxunshear.models.layers import Down, Last, Up
+from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models.weights import Variables
+
+
+class Network(nn.Module):
+    """Images (B, S, S, 1) -> logits (B, S, S, 1)."""
+
+    net: networks.UNet
+
+    @nn.compact
+    def __call__(self, images: Array, train: bool) -> Array:
+        first, *widths = self.net.widths
+        arrays = [Down(first, name="First_0")(images, train)]
+        for width in widths[:-1]:
+            arrays.append(Down(width)(arrays[-1], train))
+        x = Down(widths[-1])(arrays[-1], train)
+        for width in reversed(self.net.widths[:-1]):
+            x = jnp.concatenate([Up(width)(x, train), arrays.pop()], -1)
+        return Last()(x, train)
+
+
+def _network(net: networks.UNet) -> nn.Module:
+    return layer_choice.pick_layer(Network, fast.UNet)(net)
+
+
+def init(net: networks.UNet, key: Array) -> Variables:
+    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
+    check_net(net)
+    side = 2 ** len(net.widths)
+    with layer_choice.use_layers(
+        layer_choice.FAST
+    ):  # whatever layers are chosen, a seed gives the same weights
+        return dict(_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+
+
+def check_net(net: networks.UNet) -> None:
+    """Raises UserError that names the field where a network of these settings cannot be built."""
+    unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
+
+
+def unshear(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B S S 1"]:
+    """Sheared images in [0, 1] -> canonical ones."""
+    logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
+    return jax.nn.sigmoid(logits)
+
+
+def reconstruct(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Reconstruction, Variables]:
+    """The training pass: logits of the canonical image, and new running statistics."""
+    canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
+    return Reconstruction(canonical), updates["batch_stats"]

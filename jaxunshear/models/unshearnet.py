@@ -1,0 +1,263 @@
+"""Entangled and Disentangled UnshearNet (paper section 3.3, appendix A) behind pure functions.
+
+>>> variables = init(net, jax.random.key(0))
+>>> z_p, z_s = encode(net, variables, sheared)                    # (B, S, S, 1) in [0, 1] -> (B, s, s, channels) each
+>>> canonical = jax.nn.sigmoid(decode_canonical(net, variables, z_p))
+>>> canonical = unshear(net, variables, sheared)                  # the same, in one go
+
+E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
+network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
+
+Ours, not the paper's, are codes that are `apart`: both are a few numbers without place, (B, 1, 1, channels), and z_s has an encoder of its
+own, ES.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from jaxunshear.config.networks import UnshearNet
+from jaxunshear.errors import UserError
+from jaxunshear.models import layer_choice
+from jaxunshear.models.fast import layers as fast_layers
+from jaxunshear.models.fast import networks as fast
+from jaxunshear.models.layers import Down, Last, Same, Up
+from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
+from jaxunshear.models.vector_code import VectorCode, VectorDecoder
+from jaxunshear.models.weights import Variables, check_has_sheared_decoder, has_part
+
+
+class Encoder(nn.Module):
+    """E: an image (B, S, S, 1) -> (B, S / 2**layers, S / 2**layers, widths[-1])."""
+
+    widths: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        x = Down(self.widths[0], name="First_0")(x, train)
+        for width in self.widths[1:]:
+            x = Down(width)(x, train)
+        return x
+
+
+class Decoder(nn.Module):
+    """DC and DS, the encoder's mirror: a code -> logits of an image (B, S, S, 1)."""
+
+    widths: tuple[int, ...]  # the encoder's
+
+    @nn.compact
+    def __call__(self, z: Array, train: bool) -> Array:
+        for width in reversed(self.widths[:-1]):
+            z = Up(width)(z, train)
+        return Last()(z, train)
+
+
+class Network(nn.Module):
+    """All parts under their names in the paper; use the functions below."""
+
+    net: UnshearNet
+
+    def setup(self) -> None:
+        net = self.net
+        encoder = layer_choice.pick_layer(Encoder, fast.Encoder)
+        decoder: Callable[[], nn.Module] = partial(
+            layer_choice.pick_layer(Decoder, fast.Decoder), net.widths
+        )
+        code = VectorCode if net.apart else layer_choice.pick_layer(Same, fast_layers.Same)
+        if net.apart:
+            side = net.size // 2 ** len(net.widths)
+            decoder = partial(VectorDecoder, (side, side, net.widths[-1]), decoder)
+        self.E, self.DC = encoder(net.widths), decoder()
+        if net.disentangled:
+            self.pose = code(net.pose_channels)
+            if net.shear_channels:
+                channels = net.shear_channels
+                self.shear = VectorCode(channels, normalise=False) if net.apart else code(channels)
+                self.DS = decoder()
+        if net.apart:
+            self.ES = encoder(net.widths)
+
+    def encode_pose(self, images: Array, train: bool) -> Array:
+        z = self.E(images, train)
+        return self.pose(z, train) if self.net.disentangled else z
+
+    def encode(self, images: Array, train: bool) -> tuple[Array, Array | None]:
+        z = self.E(images, train)
+        if not self.net.disentangled:
+            return z, None
+        if not self.net.shear_channels:
+            return self.pose(z, train), None
+        return self.pose(z, train), self.encode_slide(
+            images, train
+        ) if self.net.apart else self.shear(z, train)
+
+    def encode_slide(self, images: Array, train: bool) -> Array:
+        return self.shear(self.ES(images, train), train)
+
+    def decode_canonical(self, z_p: Array, train: bool) -> Array:
+        return self.DC(z_p, train)
+
+    def decode_sheared(self, z_p: Array, z_s: Array, train: bool) -> Array:
+        return self.DS(jnp.concatenate([z_p, z_s], -1), train)
+
+    def unshear(self, images: Array, train: bool) -> Array:
+        return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
+
+    def __call__(
+        self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None
+    ) -> Reconstruction:
+        """In training."""
+        if not self.net.apart:
+            z_p, z_s = self.encode(images, True)
+            sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
+            return Reconstruction(self.DC(z_p, True), z_p, sheared, z_s=z_s)
+        z_p, again = _run_both(images, same_pose, lambda seen: self.encode_pose(seen, True))
+        z_s, other = _run_both(images, same_slide, lambda seen: self.encode_slide(seen, True))
+        held = jax.lax.stop_gradient(z_p)
+        drawn = _run_both(
+            z_s,
+            other,
+            lambda z: self.decode_sheared(_repeat_like(held, z), jax.lax.stop_gradient(z), True),
+        )
+        canonical, partner = _run_both(z_p, again, lambda z: self.DC(z, True))
+        apart = None if again is None else measure_disagreement(z_p, again)
+        return Reconstruction(canonical, z_p, *drawn, apart, z_s, partner)
+
+
+def init(net: UnshearNet, key: Array) -> Variables:
+    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
+    check_net(net)
+    side = (
+        net.size if net.apart else 2 ** len(net.widths)
+    )  # shapes of other networks do not depend on the image's
+    with layer_choice.use_layers(
+        layer_choice.FAST
+    ):  # whatever layers are chosen, a seed gives the same weights
+        return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
+
+
+def check_net(net: UnshearNet) -> None:
+    """Raises UserError that names the field where a network of these settings cannot be built."""
+    if len(net.widths) < 2:
+        raise UserError(f"widths: at least two layers are needed, got {net.widths}")
+    if net.size % 2 ** len(net.widths):
+        raise UserError(
+            f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)"
+        )
+    if net.disentangled and net.pose_channels < 1:
+        raise UserError(
+            f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1"
+        )
+    if net.disentangled and net.shear_channels < 0:
+        raise UserError(
+            f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS"
+        )
+
+
+def count_parameters(net: UnshearNet) -> int:
+    """How many numbers are trained."""
+    shapes = jax.eval_shape(lambda key: init(net, key)["params"], jax.random.key(0))
+    return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+
+
+def match_entangled_size(net: UnshearNet) -> UnshearNet:
+    """The entangled network whose widths are those of `net`, all in one ratio, so that it has as many parameters as `net`,
+    or as near as multiples of 4 allow (other widths are slow). The fair rival of a disentangled one, which has a
+    second decoder and two codes more."""
+    wanted = count_parameters(net)
+
+    def scale_widths(ratio: float) -> UnshearNet:
+        widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
+        return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
+
+    low, high = 0.25, 4.0
+    while count_parameters(scale_widths(high)) < wanted:
+        low, high = high, 2 * high
+    for _ in range(12):  # parameters grow with the ratio
+        middle = (low + high) / 2
+        low, high = (
+            (middle, high) if count_parameters(scale_widths(middle)) < wanted else (low, middle)
+        )
+    return min(
+        scale_widths(low),
+        scale_widths(high),
+        key=lambda other: abs(count_parameters(other) - wanted),
+    )
+
+
+def encode(
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
+    """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights."""
+    if net.disentangled and net.shear_channels and not has_part(variables, "shear"):
+        return _apply(net, variables, "encode_pose", images), None
+    return _apply(net, variables, "encode", images)
+
+
+def decode_canonical(
+    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]
+) -> Float[Array, "B S S 1"]:
+    """DC: pose code -> logits of the canonical image."""
+    return _apply(net, variables, "decode_canonical", z_p)
+
+
+def decode_sheared(
+    net: UnshearNet,
+    variables: Variables,
+    z_p: Float[Array, "B s s _"],
+    z_s: Float[Array, "B _ _ _"],
+) -> Float[Array, "B S S 1"]:
+    """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
+    check_has_sheared_decoder(variables)
+    return _apply(net, variables, "decode_sheared", z_p, z_s)
+
+
+def unshear(
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B S S 1"]:
+    """Sheared images in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
+    return _apply(net, variables, "unshear", images)
+
+
+def reconstruct(
+    net: UnshearNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    same_pose: Float[Array, "B S S 1"] | None = None,
+    same_slide: Float[Array, "B S S 1"] | None = None,
+) -> tuple[Reconstruction, Variables]:
+    """The training pass over sheared images: what both decoders make of them, and the updated running statistics.
+
+    Of codes that are `apart`, which DS does not teach, partners: `same_pose`, the contacts after another slide, or taps there, whose pose
+    codes should agree; `same_slide`, those of another pose after that other slide, whose shear code DS is given, too."""
+    found, updates = Network(net).apply(
+        variables, images, same_pose, same_slide, mutable=["batch_stats"]
+    )
+    return found, updates["batch_stats"]
+
+
+def _run_both(
+    images: Array, others: Array | None, run: Callable[[Array], Array]
+) -> tuple[Array, Array | None]:
+    """`run` of both in one batch, whose statistics are of both."""
+    if others is None:
+        return run(images), None
+    first, second = jnp.split(run(jnp.concatenate([images, others])), 2)
+    return first, second
+
+
+def _repeat_like(one: Array, like: Array) -> Array:
+    """As often as `like` has it."""
+    return jnp.concatenate([one] * (like.shape[0] // one.shape[0]))
+
+
+def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array) -> Any:
+    return Network(net).apply(variables, *inputs, False, method=method)

@@ -1,0 +1,264 @@
+"""From a body of revolution to the compliance of its contact nodes and pins: linear elasticity by Fourier harmonics.
+
+The body is axisymmetric, its load is not: loads and displacements are expanded in exp(i m theta), and every harmonic m is a
+small 2-D problem on the (r, z) mesh (Wilson 1965, AIAA J. 3(12)). With u_r = U, u_theta = -i V, u_z = W the stiffness is
+real, K_m = K_0 + m K_1 + m^2 K_2. Elements are 8-node quadrilaterals with 2 x 2 reduced integration, which do not lock up to
+a Poisson ratio of 0.4999.
+
+Contact nodes stand in rings 1 + 6 + 12 + ... A unit force at a node is spread with a hat function along the ring's
+meridian and another around the axis, and a node's displacement is the mean with the same weights, so that the condensed
+compliance W is symmetric positive definite by construction, if there are at least as many harmonics as nodes in a ring.
+
+Read `condense` first: `compute_response` solves the harmonics, `harmonics` puts them together.
+"""
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
+from threadpoolctl import threadpool_limits
+
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.simulator.cholesky import factorise
+from jaxunshear.simulator.harmonics import (
+    compute_node_compliance,
+    compute_point_compliance,
+    compute_ring_sizes,
+    make_ring_lattice,
+)
+from jaxunshear.simulator.mesh import GAUSS, Mesh, compute_edge_shapes, sample_elements
+from jaxunshear.simulator.pin_levers import PinLevers, compute_interpolation
+
+_SAMPLES = 40  # of a surface edge
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """`nodes` (N, 3) contact nodes and `pins` (P, 3) in mm; forces and displacements are ordered node by node, (x, y, z).
+
+    `w` (3N, 3N) is displacement of the nodes per nodal force, `g` (3P, 3N) of the pins, mm/N for moduli in MPa.
+    """
+
+    nodes: np.ndarray
+    pins: np.ndarray
+    w: np.ndarray
+    g: np.ndarray
+
+
+@dataclass(frozen=True)
+class HarmonicResponse:
+    """A `Compliance` before its harmonics are summed, a tenth of its size.
+
+    `rings` (M, 3R, 3R): mean displacement (U, V, W) of each ring per unit load on each; `fields` (M, 3Q, 3R): of the pins that
+    stand at Q places of the half-plane; pin p belongs to place[p].
+    """
+
+    nodes: np.ndarray
+    pins: np.ndarray
+    positions: np.ndarray
+    rings: np.ndarray
+    fields: np.ndarray
+
+
+def compute_lame_constants(modulus: float, poisson: float) -> tuple[float, float]:
+    """Lame's constants mu and lambda in MPa."""
+    return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
+def compute_isotropic_stiffness(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
+    """Stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
+    shear, first = compute_lame_constants(modulus, poisson)
+    d = np.diag([2 * shear] * 3 + [shear] * 3)
+    d[:3, :3] += first
+    return d
+
+
+def assemble_stiffness(
+    mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]
+) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
+    """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
+    values, slopes, area, r = sample_elements(mesh, GAUSS)
+    over_r = values[None] / r[..., None]
+    in_r, in_z = slopes[..., 0], slopes[..., 1]
+
+    fixed = np.zeros((*r.shape, 6, 8, 3))
+    fixed[..., 0, :, 0] = in_r
+    fixed[..., 1, :, 0] = over_r
+    fixed[..., 2, :, 2] = in_z
+    fixed[..., 3, :, 0], fixed[..., 3, :, 2] = in_z, in_r
+    fixed[..., 4, :, 1] = in_r - over_r
+    fixed[..., 5, :, 1] = in_z
+    growing = np.zeros_like(fixed)  # times m
+    growing[..., 1, :, 1] = over_r
+    growing[..., 4, :, 0] = -over_r
+    growing[..., 5, :, 2] = -over_r
+    fixed, growing = fixed.reshape(*r.shape, 6, 24), growing.reshape(*r.shape, 6, 24)
+
+    weight = area * r
+    unknowns = (3 * mesh.elements[:, :, None] + np.arange(3)).reshape(len(mesh.elements), 24)
+    rows, columns = np.repeat(unknowns, 24, axis=1).ravel(), np.tile(unknowns, (1, 24)).ravel()
+    size = 3 * len(mesh.nodes)
+
+    def assemble(left: np.ndarray, right: np.ndarray) -> sp.csc_matrix:
+        stress = np.einsum("exy,eqyj->eqxj", materials, right)
+        blocks = np.einsum("eq,eqxi,eqxj->eij", weight, left, stress, optimize=True)
+        return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsc()
+
+    mixed = assemble(fixed, growing)
+    return assemble(fixed, fixed), (mixed + mixed.T).tocsc(), assemble(growing, growing)
+
+
+def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the surface edges at `samples` (Q,) in [-1, 1]: shape functions (Q, 3), points (S, Q, 2), speeds (S, Q)."""
+    line, slope = compute_edge_shapes(samples)
+    ends = mesh.nodes[mesh.surface]
+    speeds = np.linalg.norm(np.einsum("qn,snx->sqx", slope, ends), axis=-1)
+    return line, np.einsum("qn,snx->sqx", line, ends), speeds
+
+
+def compute_ring_loads(
+    mesh: Mesh, arcs: Float[np.ndarray, "_"]
+) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
+    """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
+
+    `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
+    """
+    line, points, speeds = _along_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
+    lengths = 2 * speeds / _SAMPLES
+    ends = np.cumsum(lengths.ravel()).reshape(lengths.shape)
+    hats = np.stack(
+        [np.interp(ends - lengths / 2, arcs, row, right=0.0) for row in np.eye(len(arcs))[:-1]], -1
+    )
+    weight = hats * (points[..., 0] * lengths)[..., None]
+    weight /= weight.sum(axis=(0, 1))
+    loads = np.zeros((len(mesh.nodes), len(arcs) - 1))
+    np.add.at(loads, mesh.surface, np.einsum("qn,sqk->snk", line, weight))
+
+    _, outline, _ = _along_surface(mesh, np.arange(1, _SAMPLES + 1) / _SAMPLES * 2 - 1)
+    outline = np.concatenate([mesh.nodes[mesh.surface[:1, 0]], outline.reshape(-1, 2)])
+    reached = np.concatenate([[0.0], ends.ravel()])
+    return loads, np.stack([np.interp(arcs[:-1], reached, axis) for axis in outline.T], -1)
+
+
+def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
+    """Columns: the free unknowns of harmonic m. On the axis a field is finite and single-valued only if
+    U = V = 0 (m = 0), U + V = 0 and W = 0 (m = 1), all zero (m > 1)."""
+    size = 3 * len(mesh.nodes)
+    keep = np.ones(size, bool)
+    keep[(3 * mesh.clamped[:, None] + np.arange(3)).ravel()] = False
+    axis = np.setdiff1d(mesh.axis, mesh.clamped)
+    keep[3 * axis + 1] = False
+    if m != 1:
+        keep[3 * axis] = False
+    if m != 0:
+        keep[3 * axis + 2] = False
+    free = np.flatnonzero(keep)
+    select = sp.csc_matrix(
+        (np.ones(len(free)), (free, np.arange(len(free)))), shape=(size, len(free))
+    )
+    if m == 1:
+        ties = sp.csc_matrix(
+            (-np.ones(len(axis)), (3 * axis + 1, np.searchsorted(free, 3 * axis))),
+            shape=select.shape,
+        )
+        select = select + ties
+    return select.tocsc()
+
+
+def compute_response(
+    mesh: Mesh,
+    materials: Float[np.ndarray, "E 6 6"],
+    ring_arcs: Float[np.ndarray, "_"],
+    pins: Float[np.ndarray, "P 3"],
+    harmonics: int,
+    levers: Float[np.ndarray, "P 3"] | None = None,
+    varied: Bool[np.ndarray, "E"] | None = None,
+    progress: Progress | None = None,
+) -> HarmonicResponse:
+    """As `condense`, before the harmonics are summed.
+
+    A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a thousandth of W, and what
+    a mesh answers to waves shorter than its elements is wrong.
+
+    With `varied`: instead its derivative by the logarithm of a factor on the moduli of these elements.
+    """
+    loads, outline = compute_ring_loads(mesh, ring_arcs)
+    sizes = compute_ring_sizes(len(loads.T))
+    harmonics = min(harmonics, sizes[-1])
+    ring, angle = make_ring_lattice(len(sizes))
+    around = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], -1)
+    nodes = outline[ring][:, [0, 0, 1]] * around
+    levers = np.zeros_like(pins) if levers is None else levers
+    stands = pins - levers
+    flat = [np.stack([np.hypot(*both.T[:2]), both[:, 2]], -1) for both in (stands, pins)]
+    places, place = np.unique(np.round(np.concatenate(flat, -1), 9), axis=0, return_inverse=True)
+    held = PinLevers(
+        places[:, :2], places[:, 2:] - places[:, :2], compute_interpolation(mesh, places[:, :2])
+    )
+
+    spatial = sp.kron(sp.csr_matrix(loads), sp.eye(3)).tocsc()  # (3V, 3R)
+    parts = assemble_stiffness(mesh, materials)
+    slopes = (
+        None
+        if varied is None
+        else assemble_stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
+    )
+    rings = np.zeros((harmonics + 1, spatial.shape[1], spatial.shape[1]))
+    fields = np.zeros((harmonics + 1, 3 * len(places), spatial.shape[1]))
+    with _one_thread():
+        for m in range(harmonics + 1):
+            free = _axis_constraints(mesh, m)
+            bears = np.flatnonzero(np.repeat(sizes >= m, 3))
+            load = spatial[:, bears]
+            try:
+                solve = factorise(free.T @ _harmonic(parts, m) @ free)
+            except np.linalg.LinAlgError:
+                raise UserError(
+                    "the dome's stiffness is singular to rounding: bring the moduli of skin and gel closer together, "
+                    "or Poisson's ratios away from 0.5"
+                ) from None
+            field = free @ solve((free.T @ load).toarray())
+            if slopes is not None:
+                field = free @ solve(-free.T @ (_harmonic(slopes, m) @ field))
+            rings[m][np.ix_(bears, bears)] = load.T @ field
+            fields[m][:, bears] = held.motion(field, m)
+            if progress is not None:
+                progress.advance(1)
+    return HarmonicResponse(nodes, pins, place.ravel(), rings, fields)
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    """For thousands of small products: threads that wait for each other made them ten times slower on busy cores."""
+    return threadpool_limits(1, user_api="blas")
+
+
+def _harmonic(parts: tuple[sp.csc_matrix, ...], m: int) -> sp.csc_matrix:
+    return parts[0] + m * parts[1] + m * m * parts[2]
+
+
+def sum_harmonics(response: HarmonicResponse) -> Compliance:
+    """Sum the harmonics."""
+    angle = np.arctan2(response.pins[:, 1], response.pins[:, 0])
+    with _one_thread():
+        g = compute_point_compliance(response.fields, response.positions, angle)
+        return Compliance(response.nodes, response.pins, compute_node_compliance(response.rings), g)
+
+
+def condense(
+    mesh: Mesh,
+    materials: Float[np.ndarray, "E 6 6"],
+    ring_arcs: Float[np.ndarray, "_"],
+    pins: Float[np.ndarray, "P 3"],
+    harmonics: int,
+    levers: Float[np.ndarray, "P 3"] | None = None,
+) -> Compliance:
+    """Compliance of contact rings and of pins with tips at `pins`, for materials as of `compute_isotropic_stiffness`.
+
+    `harmonics`: at most the number of nodes in the outer ring is used, as it should be for an answer that is definite.
+    `ring_arcs`: as for `compute_ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
+    face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
+    """
+    return sum_harmonics(compute_response(mesh, materials, ring_arcs, pins, harmonics, levers))

@@ -1,0 +1,74 @@
+"""Turns between the sensor frame, the level frame (the same with its tilt undone) and the target frame; how far a pose is from another."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS
+
+
+def compute_level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
+    """Rotations from the sensor frame to the level frame of poses: Rodrigues' formula."""
+    tilt = pose[:, TILT_X:]
+    squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
+    angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
+    zero = jnp.zeros_like(tilt[:, 0])
+    x, y = tilt[:, 0], tilt[:, 1]
+    rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
+    cross = jnp.stack(rows, 1)
+    return (
+        jnp.eye(3, dtype=pose.dtype)[None]
+        + jnp.sin(angle) / angle * cross
+        + matmul((1 - jnp.cos(angle)) / angle**2 * cross, cross)
+    )
+
+
+def matmul(
+    a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]
+) -> Float[jax.Array, "*C m n"]:
+    """Of matrices, in their own precision also on a GPU, which would round float32 to ten bits; as all of the physics."""
+    return jnp.matmul(a, b, precision="highest")
+
+
+def rotate(
+    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
+) -> Float[jax.Array, "B N 3"]:
+    return jnp.einsum("bij,bnj->bni", frame, vectors, precision="highest")
+
+
+def rotate_back(
+    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
+) -> Float[jax.Array, "B N 3"]:
+    return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
+
+
+def transform_to_level(
+    frame: Float[jax.Array, "B 3 3"] | None,
+    points: Float[jax.Array, "B N 3"],
+    centre_mm: Float[jax.Array, ""],
+) -> Float[jax.Array, "B N 3"]:
+    """Points of the sensor frame in the level frame (None: the same), whose lowest point of the dome lies at z = 0."""
+    if frame is None:
+        return points
+    zero = jnp.zeros_like(centre_mm)
+    centre = jnp.stack([zero, zero, centre_mm])[None, None]
+    return rotate(frame, points - centre) + centre
+
+
+def rotate_in_plane(
+    angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+) -> Float[jax.Array, "B N 2"]:
+    """By angles in rad."""
+    cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
+    return jnp.stack(
+        [cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1
+    )
+
+
+def compute_increment_length(
+    before: Float[jax.Array, "B 6"], after: Float[jax.Array, "B 6"], radius_mm: Float[jax.Array, ""]
+) -> Float[jax.Array, "B"]:
+    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
+    change = after - before
+    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array(TURNS)], axis=-1)
+    return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns

@@ -1,0 +1,54 @@
+"""Where the pins of a sensor stand, in its frame."""
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxunshear.config.sensor import Sensor, check_sensor
+
+
+def compute_pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
+    """Pins of the flattened dome, in mm of arc from the apex; ring by ring, each counter-clockwise from +x."""
+    points = [np.zeros((1, 2))]
+    for ring in range(1, sensor.rings + 1):
+        turn = np.arange(6 * ring) / (6 * ring)
+        if sensor.layout == "rings":
+            angle = 2 * np.pi * turn
+            points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+        else:
+            corners = np.stack(
+                [np.cos(np.arange(7) * np.pi / 3), np.sin(np.arange(7) * np.pi / 3)], axis=-1
+            )
+            side, along = np.divmod(6 * turn, 1.0)
+            side = side.astype(int)
+            points.append(
+                ring * (corners[side] * (1 - along)[:, None] + corners[side + 1] * along[:, None])
+            )
+    return sensor.pin_spacing_mm * np.concatenate(points)
+
+
+def compute_pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+    """Undeformed pin tips, in mm in the sensor frame: they stand on the skin's inner face, along the normal.
+
+    Raises `UserError` for a sensor that cannot be.
+    """
+    check_sensor(sensor)
+    return compute_tips_at(sensor, compute_pin_lattice(sensor))
+
+
+def compute_tips_at(sensor: Sensor, flat: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
+    """Undeformed tips in mm of pins that stand anywhere, at `flat` mm of arc from the apex."""
+    inner = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
+    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor, flat) * inner
+
+
+def compute_pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+    """In mm, from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
+    return -sensor.pin_length_mm * _outwards(sensor, compute_pin_lattice(sensor))
+
+
+def _outwards(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+    """Outward unit normals (P, 3) of the dome at `flat` (P, 2) mm of arc."""
+    arc = np.linalg.norm(flat, axis=-1)
+    angle = arc / sensor.dome_radius_mm
+    direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
+    return np.concatenate([np.sin(angle)[:, None] * direction, -np.cos(angle)[:, None]], axis=-1)

@@ -1,0 +1,318 @@
+"""What a scene needs, and what may be left out of its contact; scenes of like need share a batch.
+
+    batches = make_plan(obstacles, nodes, dome_radius_mm, paths, LEVELS["auto"], batch=64, wide=False)
+
+Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and increments of motions too
+short to need them. A node that was left out and would have touched after all is found afterwards (see `batches`).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxunshear.config.reach import REACHED_SHARE
+from jaxunshear.simulator.frame import (
+    compute_level_frame,
+    matmul,
+    rotate_in_plane,
+    transform_to_level,
+)
+from jaxunshear.simulator.harmonics import make_sixfold_permutations
+from jaxunshear.simulator.level import STRONG_FRICTION, Level
+from jaxunshear.simulator.obstacle import Obstacles, compute_surface_drop, interpolate_distance
+from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths
+
+MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
+WIDE_MARGINS = (1.1, 3.0)  # both, where that was not enough
+# A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
+FRICTIONLESS_TAP_MM = 1.0
+BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
+MIN_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
+# padded sizes, so that few programs are compiled
+NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
+BATCHES = (1, 4, 16, 32, 64, 256)
+MIN_SPLIT = 24  # scenes in a batch that is worth splitting
+MIN_SPLIT_SAVING = 0.9  # of the unsplit cost: more parts must save more than this
+PRODUCTS = 16  # of a matrix with the forces, an increment
+ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
+STRONG_PRESS_MM = (
+    1.0  # an increment at strong friction: a node that touches sticks where the increment began
+)
+PATH_LENGTHS = (16, 64, 256, 1024, 4096)
+
+
+class ContactBatch(NamedTuple):
+    """Scenes that are solved together: `nodes` of the turned lattice, in which scene i stands turned by 60 `rotate_in_plane[i]` deg."""
+
+    rows: np.ndarray  # (b,) of the paths
+    nodes: np.ndarray  # (n,) contact nodes; none where nothing touches
+    turn: np.ndarray  # (b,) 0 to 5
+    steps: int  # increments of the longest path
+    friction: bool  # False: pressures only
+    tilted: bool
+
+
+def cut_increments(
+    paths: Paths, level: Level, radius_mm: float
+) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
+    """Poses along the paths, angles in rad, each padded by staying at its end; numbers of increments.
+
+    Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
+    """
+    points = paths.radians
+    change = np.diff(points, axis=1)
+    pressed = np.abs(change[..., DEPTH])
+    along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
+    along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
+    pressed, along = (np.where(length < MIN_LEG_MM, 0, length) for length in (pressed, along))
+    strong = (paths.friction > STRONG_FRICTION)[:, None]
+    press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
+    press, slide = np.ceil(pressed / press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
+    if "steps" not in level.omit:
+        press, slide = (
+            np.maximum(press, level.press * (pressed > 0)),
+            np.maximum(slide, level.slide * (along > 0)),
+        )
+    count = np.maximum(press, slide).astype(int)  # (B, K - 1)
+    ends = np.cumsum(count, axis=1)
+    total = ends[:, -1]
+    number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
+    leg = np.sum(
+        number[None, :, None] > ends[:, None, :], axis=-1
+    )  # of every increment; past the end: K - 1
+    rows = np.arange(len(points))[:, None]
+    inside = np.minimum(leg, count.shape[1] - 1)
+    before = ends[rows, inside] - count[rows, inside]
+    share = np.clip((number - before) / np.maximum(count[rows, inside], 1), 0, 1)[..., None]
+    share = np.where((leg < count.shape[1])[..., None], share, 1.0)
+    poses = points[rows, inside] + share * change[rows, inside]
+    return np.concatenate([points[:, :1], poses], axis=1), total
+
+
+def _in_target_frame(
+    nodes: jax.Array, displacement: jax.Array, centre: jax.Array, pose: jax.Array, tilted: bool
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Places (B, N, 2) of displaced nodes in the target frame; heights (B, N) over the dome's lowest point, of undeformed nodes and of
+    displaced ones."""
+    frame = compute_level_frame(pose) if tilted else None
+    place = transform_to_level(frame, nodes[None] + displacement, centre)
+    height = jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
+    if frame is not None:
+        lift = jnp.array([0, 0, 1.0], nodes.dtype) * centre
+        height = matmul(frame[:, 2], (nodes - lift[None]).T) + centre
+    return rotate_in_plane(pose[:, YAW], place[..., :2]) + pose[:, None, :2], height, place[..., 2]
+
+
+@partial(jax.jit, static_argnames=("tilted", "wide"))
+def _can_touch(
+    obstacles: Obstacles,
+    nodes: jax.Array,
+    centre: jax.Array,
+    which: jax.Array,
+    poses: jax.Array,
+    tilted: bool,
+    wide: bool,
+) -> jax.Array:
+    """(B, N): whether a node can touch at any of poses (S, B, 6)."""
+    reached, margin = WIDE_MARGINS if wide else (REACHED_SHARE, MARGIN_MM)
+
+    def at(pose: jax.Array) -> jax.Array:
+        still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
+        here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
+        return (height < reached * pose[:, DEPTH, None]) & (
+            interpolate_distance(obstacles, which, here) < margin
+        )
+
+    return jnp.any(jax.lax.map(at, poses), axis=0)
+
+
+@partial(jax.jit, static_argnames="tilted")
+def _gaps(
+    obstacles: Obstacles,
+    nodes: jax.Array,
+    centre: jax.Array,
+    which: jax.Array,
+    pose: jax.Array,
+    displacement: jax.Array,
+    tilted: bool,
+) -> jax.Array:
+    here, _, height = _in_target_frame(nodes, displacement, centre, pose, tilted)
+    return height - pose[:, DEPTH, None] + compute_surface_drop(obstacles, which, here)
+
+
+def compute_gaps(
+    obstacles: Obstacles,
+    nodes: Float[np.ndarray, "N 3"],
+    centre_mm: float,
+    stimulus_index: Int[np.ndarray, "B"],
+    pose: Float[np.ndarray, "B 6"],
+    displacement: Float[np.ndarray, "B N 3"],
+) -> Float[np.ndarray, "B N"]:
+    """In mm, between displaced nodes and the stimulus at poses with angles in rad; negative inside."""
+    count, size = len(pose), pad_count(len(nodes), NODE_COUNTS)
+    rows = np.minimum(np.arange(pad_count(count, BATCHES)), count - 1)
+    columns = np.minimum(np.arange(size), len(nodes) - 1)
+    found = _gaps(
+        obstacles,
+        jnp.asarray(nodes[columns], jnp.float32),
+        jnp.float32(centre_mm),
+        jnp.asarray(stimulus_index[rows], jnp.int32),
+        jnp.asarray(pose[rows], jnp.float32),
+        jnp.asarray(displacement[rows][:, columns], jnp.float32),
+        bool(np.any(pose[:, TILT_X:])),
+    )
+    return np.asarray(found)[:count, : len(nodes)]
+
+
+def find_reachable_nodes(
+    obstacles: Obstacles,
+    nodes: Float[np.ndarray, "N 3"],
+    centre_mm: float,
+    paths: Paths,
+    wide: bool,
+) -> Bool[np.ndarray, "B N"]:
+    """The contact nodes that each path can bring into contact; `wide` searches further."""
+    points = paths.radians
+    change = np.diff(points, axis=1)
+    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
+        change[..., TURNS], axis=-1
+    )
+    pieces = 1 << int(np.ceil(np.log2(max(swept.max(initial=0) / BETWEEN_POSES_MM, 1))))
+    share = (np.arange(pieces) + 1) / pieces
+    poses = points[:, :-1, None] + share[:, None] * change[:, :, None]
+    poses = poses.reshape(len(points), -1, 6)
+    # a press passes only through poses that touch less than its end
+    poses = np.concatenate([points[:, :1], poses], axis=1).astype(np.float32)
+    tilted = bool(np.any(points[..., TILT_X:]))
+    found = []
+    for start in range(0, len(paths), 64):
+        rows = np.minimum(np.arange(start, start + 64), len(paths) - 1)
+        mask = _can_touch(
+            obstacles,
+            jnp.asarray(nodes, jnp.float32),
+            jnp.float32(centre_mm),
+            jnp.asarray(paths.stimulus[rows], jnp.int32),
+            jnp.asarray(np.swapaxes(poses[rows], 0, 1)),
+            tilted,
+            wide,
+        )
+        found.append(np.asarray(mask)[: len(paths) - start])
+    return np.concatenate(found)
+
+
+def make_plan(
+    obstacles: Obstacles,
+    nodes: Float[np.ndarray, "N 3"],
+    centre_mm: float,
+    paths: Paths,
+    level: Level,
+    batch: int,
+    wide: bool,
+) -> list[ContactBatch]:
+    """Put every path in one batch of at most `batch`; the nodes are those of complete rings.
+
+    A batch solves the nodes and increments that any of its scenes needs, so a scene's answer depends
+    on its companions, within the level's error.
+
+    The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
+    that touch with half of the dome then need the same half.
+    """
+    everything = np.ones((len(paths), len(nodes)), bool)
+    mask = (
+        find_reachable_nodes(obstacles, nodes, centre_mm, paths, wide or level.wide_margin)
+        if "nodes" in level.omit
+        else everything
+    )
+    if "untouched" not in level.omit:
+        mask[~mask.any(axis=1)] = True
+    turn = (
+        _turns(mask, nodes)
+        if "grouping" in level.omit and len(paths) > 1
+        else np.zeros(len(paths), int)
+    )
+    mask = np.take_along_axis(mask, make_sixfold_permutations(len(nodes))[turn], axis=1)
+    tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
+    friction = (
+        _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
+    )
+    _, steps = cut_increments(paths, level, centre_mm)
+    kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
+    batches = []
+    for kind in np.unique(kinds, axis=0):
+        rows = np.flatnonzero(np.all(kinds == kind, axis=-1))
+        group = _Group(mask, steps, _features(mask, steps, nodes), 3 if kind[1] else 1, batch)
+        in_turn = np.array_split(rows, range(batch, len(rows), batch))
+        for index in _split(group, rows) if "grouping" in level.omit else in_turn:
+            used = np.flatnonzero(mask[index].any(axis=0))
+            batches.append(
+                ContactBatch(
+                    index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])
+                )
+            )
+    return batches
+
+
+def _needs_friction(paths: Paths) -> np.ndarray:
+    """(B,) bool: not without friction, nor for a shallow press straight down."""
+    sideways = np.delete(paths.points, DEPTH, axis=-1)
+    straight = np.all(sideways == sideways[:, :1], axis=(1, 2))
+    shallow = np.max(paths.points[..., DEPTH], axis=1) <= FRICTIONLESS_TAP_MM
+    return (paths.friction > 0) & ~(straight & shallow)
+
+
+def _turns(mask: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(B,) sixths of a turn that bring each contact's middle nearest to +x, when undone."""
+    middle = mask @ nodes[:, :2]
+    return np.round(np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) / 60).astype(int) % 6
+
+
+class _Group(NamedTuple):
+    mask: np.ndarray
+    steps: np.ndarray
+    features: np.ndarray
+    unknowns: int
+    batch: int
+
+
+def _features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(B, 4) by which scenes are sorted: nodes, increments, and where the contact's middle lies."""
+    count = mask.sum(axis=1)
+    return np.column_stack([count, steps, mask @ nodes[:, :2] / np.maximum(count, 1)[:, None]])
+
+
+def _cost(group: _Group, rows: np.ndarray) -> float:
+    """Of one batch, in multiplications: its increments, and the inverse, which runs at half the rate of a product."""
+    unknowns = group.unknowns * pad_count(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
+    products = PRODUCTS * max(int(group.steps[rows].max()), 1)
+    batches = -(-len(rows) // group.batch)
+    return batches * (
+        products * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + 2 * unknowns**3
+    )
+
+
+def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
+    """Halved along the feature that saves most, and again, as long as the parts together cost less than the unsplit batch."""
+    fits = len(rows) <= group.batch
+    if fits and len(rows) <= MIN_SPLIT:
+        return [rows]
+    half = len(rows) // 2 if fits else group.batch * -(-(len(rows) // 2) // group.batch)
+    best, halves = np.inf, [rows]
+    for values in group.features.T:
+        order = rows[np.argsort(values[rows], kind="stable")]
+        tried = [order[:half], order[half:]]
+        cost = sum(_cost(group, part) for part in tried)
+        if cost < best:
+            best, halves = cost, tried
+    parts = [index for part in halves for index in _split(group, np.sort(part))]
+    if fits and sum(_cost(group, part) for part in parts) > MIN_SPLIT_SAVING * _cost(group, rows):
+        return [rows]
+    return parts
+
+
+def pad_count(count: int, sizes: tuple[int, ...]) -> int:
+    """The least of `sizes` that holds `count`; beyond them `count` itself."""
+    return next((size for size in sizes if size >= count), count)

@@ -1,0 +1,146 @@
+"""What is touched: planar shapes with a flat top, as exact signed distances (`shapes.py`).
+
+Each shape is written in a frame of its own and then seen from its target contact point, the edge or corner that the
+paper's Table 1 names: origin at the target, x along the outward normal (at a corner, the bisector), y along the edge.
+
+    xy = jnp.array([[0.0, 0.0], [1.0, 0.0]])
+    compute_signed_distance(STIMULI["disk"], xy)  # [0, 1] mm: on the edge, and 1 mm outside
+
+Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a friction of their own,
+are the spirals; everything else is 3D-printed ABS. Beside its seven closed shapes stand what recordings are often of: a
+straight edge and a flat surface, which have no outline to go round. Outlines of one's own are made in `config/stimuli.py`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxunshear.config.stimuli import ABS_FRICTION, Outline
+from jaxunshear.errors import UserError
+from jaxunshear.simulator.shapes import (
+    Distance,
+    compute_clover_corner,
+    compute_spiral_target,
+    make_clover,
+    make_disk,
+    make_flower,
+    make_half_plane,
+    make_leaf,
+    make_plane,
+    make_polygon,
+    make_spiral,
+    make_teardrop,
+)
+
+ACRYLIC_FRICTION = 0.45
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """`distance` maps points of the shape's own frame to mm; `target` is (x, y, degrees of the outward normal) there."""
+
+    name: str
+    distance: Distance
+    target: tuple[float, float, float]
+    extent_mm: float  # the shape lies within this radius of its own origin; what has no end is drawn so far
+    friction: float = ABS_FRICTION
+    material: str = "ABS"
+
+
+def compute_signed_distance(
+    stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
+) -> Float[jax.Array, "*B"]:
+    """Distance to the shape's edge in mm, negative inside; xy in mm in the target frame."""
+    x, y, turn = stimulus.target
+    cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    # no matrix product: on accelerators those are of fewer digits
+    own = [x + cos * xy[..., 0] - sin * xy[..., 1], y + sin * xy[..., 0] + cos * xy[..., 1]]
+    return stimulus.distance(jnp.stack(own, axis=-1))
+
+
+def compute_distances(
+    stimulus: Stimulus, xy: Float[np.ndarray, "N M 2"]
+) -> Float[np.ndarray, "N M"]:
+    """`compute_signed_distance` of rows of points, row by row, since a shape of many segments needs memory."""
+    by_row = jax.jit(partial(jax.lax.map, partial(compute_signed_distance, stimulus)))
+    return np.asarray(by_row(jnp.asarray(xy, jnp.float32)))
+
+
+def compute_outward_normal(
+    stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
+) -> Float[jax.Array, "*B 2"]:
+    """Unit gradient of the signed distance: the direction away from the nearest edge."""
+    flat = xy.reshape(-1, 2)
+    slope = jax.vmap(jax.grad(lambda p: compute_signed_distance(stimulus, p)))(flat)
+    length = jnp.linalg.norm(slope, axis=-1, keepdims=True)
+    return (slope / jnp.where(length > 0, length, 1)).reshape(xy.shape)
+
+
+_CORNER = compute_clover_corner(28.0, 28.0, 4.0)
+
+STIMULI = {  # their names: `StimulusName` of config/stimuli.py
+    stimulus.name: stimulus
+    for stimulus in (
+        Stimulus("disk", make_disk(50.0), (50.0, 0.0, 0.0), 50.0),
+        Stimulus("clover", make_clover(28.0, 28.0, 4.0), (_CORNER, _CORNER, 45.0), 56.0),
+        Stimulus("teardrop", make_teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
+        Stimulus("flower", make_flower(38.0, 7.0, 5), (45.0, 0.0, 0.0), 45.0),
+        Stimulus("leaf", make_leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
+        Stimulus(
+            "spiral_1",
+            make_spiral(9.0, 20.0, 2.0, 5.0),
+            compute_spiral_target(9.0, 20.0, 5.0, 1.5),
+            54.0,
+            ACRYLIC_FRICTION,
+            "acrylic",
+        ),
+        Stimulus(
+            "spiral_2",
+            make_spiral(14.0, 30.0, 1.25, 8.0),
+            compute_spiral_target(14.0, 30.0, 8.0, 5 / 6),
+            60.0,
+            ACRYLIC_FRICTION,
+            "acrylic",
+        ),
+        Stimulus("edge", make_half_plane(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("surface", make_plane(), (0.0, 0.0, 0.0), 25.0),
+    )
+}
+TRAINING = ("disk", "clover", "teardrop")
+UNSEEN = ("flower", "leaf", "spiral_1", "spiral_2")
+SHAPES = (*TRAINING, *UNSEEN)  # the paper's: each has an outline that closes
+
+
+def get_stimulus(name: str) -> Stimulus:
+    if name not in STIMULI:
+        raise UserError(f"stimulus '{name}' is unknown: use one of {', '.join(STIMULI)}")
+    return STIMULI[name]
+
+
+@lru_cache(maxsize=64)
+def _make_from_outline(outline: Outline) -> Stimulus:
+    distance = make_polygon(np.array(outline.points))
+    return Stimulus(
+        outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own"
+    )
+
+
+def make_stimulus(shape: str | Outline | Stimulus) -> Stimulus:
+    """A shape by its name, or of an outline; the same one each time. Raises UserError for a name that there is not."""
+    if isinstance(shape, Stimulus):
+        return shape
+    return _make_from_outline(shape) if isinstance(shape, Outline) else get_stimulus(shape)
+
+
+def get_closed_stimulus(shape: str | Outline) -> Stimulus:
+    """One with an outline to follow. Raises UserError."""
+    if isinstance(shape, str) and get_stimulus(shape).name not in SHAPES:
+        raise UserError(
+            f"stimulus '{shape}' has no outline that closes: use one of {', '.join(SHAPES)}"
+        )
+    return make_stimulus(shape)

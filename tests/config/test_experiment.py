@@ -1,0 +1,260 @@
+"""Experiments are read, changed by name, checked and kept without loss."""
+
+import dataclasses
+import json
+import math
+import sys
+from typing import get_args
+
+import pytest
+
+from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.fields import list_field_types, override_fields, replace_field
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.rules import list_rules, validate
+from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.config.stimuli import StimulusName
+from jaxunshear.config.training import Training
+from jaxunshear.config.types import check_types
+from jaxunshear.errors import UserError
+
+PLAIN = Experiment(name="plain", claim="none")
+MISSING = object()
+
+
+def changed(*argv: str) -> Experiment:
+    return override_fields(PLAIN, argv)
+
+
+def test_each_kind_of_value_is_overridden_by_name():
+    experiment = changed(
+        *(
+            "--seed",
+            "7",
+            "--train.epochs=2.5",
+            "--train.drops",
+            "40:0.2,80:.1",
+            "--unshear.widths",
+            "8, 16,32",
+        ),
+        *(
+            "--paired.stimuli",
+            "disk",
+            "--paired.nuisance.housing_ring",
+            "false",
+            "--claim",
+            "a b",
+            "--sensor",
+            "tactip127",
+        ),
+    )
+    assert experiment.seed == 7
+    assert experiment.train == Training(epochs=2.5, drops=((40.0, 0.2), (80.0, 0.1)))
+    assert experiment.unshear.widths == (8, 16, 32)
+    assert experiment.paired.stimuli == ("disk",)
+    assert not experiment.paired.nuisance.housing_ring
+    assert experiment.claim == "a b"
+    assert experiment.sensor.pins == 127
+    assert experiment.train_posenet == PLAIN.train_posenet
+    assert changed("--train.drops=").train.drops == ()
+
+
+def test_the_last_of_two_wins_and_negative_numbers_are_values():
+    assert changed("--train.batch", "4", "--train.batch", "8").train.batch == 8
+    assert changed("--paired.preprocess.offset", "-1e-2").paired.preprocess.offset == -0.01
+
+
+def test_every_field_can_be_overridden_by_what_it_is_shown_as():
+    from jaxunshear.config.fields import format_value
+
+    recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
+    shown = set()
+    for name, _ in list_field_types():
+        for experiment in (
+            PLAIN,
+            recorded,
+        ):  # some fields are of simulated sets, some of recordings
+            value = experiment
+            for part in name.split("."):
+                value = getattr(value, part, MISSING)
+            if value is not MISSING:
+                shown.add(name)
+                text = format_value(value).strip("'")
+                assert override_fields(experiment, [f"--{name}={text}"]) == experiment, name
+            else:
+                with pytest.raises(UserError, match="has other fields"):
+                    replace_field(experiment, name, None)
+    assert shown == {name for name, _ in list_field_types()}
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        (["--train.epoch", "5"], "there is no field --train.epoch: did you mean --train.epochs?"),
+        (
+            ["--epochs", "5"],
+            "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs or --train_teacher.epochs?",
+        ),
+        (["--train", "5"], "--train: it is a group"),
+        (["--train.epochs"], "--train.epochs needs a value: a number"),
+        (["--train.epochs", "--seed"], "--train.epochs needs a value"),
+        (["--train.epochs", "many"], "--train.epochs takes a number, not 'many'"),
+        (["--train.batch", "1.5"], "--train.batch takes an integer, not '1.5'"),
+        (["--train.drops", "40"], "--train.drops takes pairs a:b separated by commas, not '40'"),
+        (["--unshear.widths", "8,,8"], "--unshear.widths takes integers separated by commas"),
+        (["--unshear.disentangled", "1"], "--unshear.disentangled takes true or false, not '1'"),
+        (["--sensor", "gelsight"], "sensor 'gelsight' is unknown"),
+        (["stray"], "argument 'stray' is not understood"),
+    ],
+)
+def test_refusals_name_the_field(argv, line):
+    with pytest.raises(UserError) as refusal:
+        changed(*argv)
+    assert line in str(refusal.value)
+
+
+def test_json_keeps_everything():
+    experiment = changed("--train.drops", "40:0.2", "--sensor", "tactip127")
+    assert from_json(json.loads(json.dumps(to_json(experiment)))) == experiment
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")],
+)
+def test_json_of_another_version_is_refused(damage):
+    data = to_json(PLAIN)
+    damage(data)
+    with pytest.raises(UserError, match=r"experiment\.json"):
+        from_json(data)
+
+
+def test_the_default_experiment_is_valid():
+    validate(PLAIN)
+
+
+def test_wrong_types_and_nan_in_a_file_are_refused_by_name():
+    for value in ("many", math.nan, True):
+        with pytest.raises(UserError, match=r"--train\.epochs"):
+            validate(dataclasses.replace(PLAIN, train=Training(epochs=value)))
+    with pytest.raises(UserError, match="train is of type dict, not Training"):
+        validate(dataclasses.replace(PLAIN, train={}))
+
+
+def test_the_names_of_the_stimuli_are_those_of_the_scene():
+    from jaxunshear.simulator.stimuli import STIMULI
+
+    assert tuple(STIMULI) == get_args(StimulusName)
+
+
+def test_depths_beyond_the_contact_model_are_refused():
+    from jaxunshear.config.reach import compute_max_depth_mm
+
+    for excess, refused in ((-0.01, False), (0.01, True)):
+        ranges = dataclasses.replace(
+            PLAIN.pose.ranges, depth_max_mm=compute_max_depth_mm(PLAIN.sensor) + excess
+        )
+        deep = dataclasses.replace(
+            PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges)
+        )
+        wrong = [name for holds, name, _ in list_rules(deep) if not holds]
+        assert ("pose.ranges.depth_max_mm" in wrong) == refused
+
+
+def test_train_share_of_the_rules_is_that_of_the_split():
+    from jaxunshear.config.data import PoseData
+    from jaxunshear.config.rules_simulated import count_training_poses
+    from jaxunshear.data.sampling import sample_taps
+
+    every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
+    for settings in (*every, PoseData(poses=13)):
+        assert (sample_taps(settings).split == 0).sum() == count_training_poses(settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("import jaxunshear\nexperiment = (", "syntax error in line 2"),
+        ("\n1 / 0", "fails in line 2: ZeroDivisionError"),
+        ("import sys; sys.exit(3)", "SystemExit"),
+        (
+            "from jaxunshear.config.experiment import Experiment\nexperiment = Experiment(nam='x')",
+            "unexpected keyword argument 'nam'",
+        ),
+        (
+            "from jaxunshear.config.experiment import Experiment\nexperiment = Experiment(name='x')",
+            "missing 1 required",
+        ),
+        ("setup = 1", "defines no variable `experiment`"),
+        ("sweep = 1", "defines a sweep: run it with `jaxunshear sweep"),
+        ("experiment = {'name': 'x'}", "of type dict, not Experiment"),
+        ("\0", "is not text"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, text, line):
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    with pytest.raises(UserError) as refusal:
+        load_experiment(path)
+    assert line in str(refusal.value)
+    assert "bad.py" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_builds_on_its_own_neighbour(tmp_path):
+    for folder, seed in (("one", 1), ("two", 2)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "base.py").write_text(f"seed = {seed}")
+        (tmp_path / folder / "built.py").write_text(
+            "import base\nfrom jaxunshear.config.experiment import Experiment\n"
+            "experiment = Experiment(name='built', claim='', seed=base.seed)"
+        )
+    before = list(sys.path)
+    assert [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")] == [
+        1,
+        2,
+    ]
+    assert sys.path == before and "base" not in sys.modules
+
+
+def test_a_file_builds_on_one_of_the_folder_above(tmp_path):
+    """As those of experiments/ablations do; a neighbour of the same name comes first."""
+    inner = tmp_path / "ablations"
+    inner.mkdir()
+    (tmp_path / "base_above.py").write_text("seed = 5")
+    text = (
+        "import base_above\nfrom jaxunshear.config.experiment import Experiment\n"
+        "experiment = Experiment(name='built', claim='', seed=base_above.seed)"
+    )
+    (inner / "built.py").write_text(text)
+    before = list(sys.path)
+    assert load_experiment(inner / "built.py").seed == 5
+    (inner / "base_above.py").write_text("seed = 6")
+    assert load_experiment(inner / "built.py").seed == 6
+    assert sys.path == before and "base_above" not in sys.modules
+
+
+def test_a_fault_of_a_neighbour_is_refused_in_one_line(tmp_path):
+    (tmp_path / "base.py").write_text("1 / 0")
+    (tmp_path / "built.py").write_text("import base")
+    with pytest.raises(UserError, match=r"built\.py fails in line 1: ZeroDivisionError"):
+        load_experiment(tmp_path / "built.py")
+
+
+def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\xff")
+    for path, line in (
+        (tmp_path / "image.png", "not text"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "no.py", "does not exist"),
+    ):
+        with pytest.raises(UserError, match=line):
+            load_experiment(path)
+
+
+@pytest.mark.parametrize("epochs", [float("inf"), 10**400])
+def test_infinity_within_a_tuple_is_refused(epochs):
+    endless = replace_field(Experiment(name="x", claim="y"), "train.drops", ((epochs, 0.5),))
+    with pytest.raises(UserError, match=r"--train\.drops takes"):
+        check_types(endless)

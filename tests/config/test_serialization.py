@@ -1,0 +1,94 @@
+"""Stored settings: of this version alone, of the kind that they fit best, refused for what differs."""
+
+import dataclasses
+
+import pytest
+
+from jaxunshear import __version__
+from jaxunshear.config.data import Recorded, RecordedTaps
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.networks import PinUnshear
+from jaxunshear.config.serialization import from_json, to_json, with_version
+from jaxunshear.errors import UserError
+from jaxunshear.files import read_json, write_json
+from jaxunshear.run import run_stages
+from jaxunshear.training.checkpoint import read_net, write_settings
+
+NOW = Experiment(name="now", claim="none")
+RECORDED = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
+OTHER = rf"was written by jaxunshear 0\.2\.0, and this is {__version__}: use that version, or make"
+
+
+@pytest.mark.parametrize("name", ["epochs", "claim"])
+def test_settings_that_lack_one_are_refused_by_its_name(name):
+    held = to_json(NOW)
+    (held if name in held else held["train"]).pop(name)
+    with pytest.raises(
+        UserError, match=rf"does not fit version .*: (train\.)?{name} is missing; .*run"
+    ):
+        from_json(held)
+
+
+def test_settings_of_another_version_are_refused_with_its_name():
+    assert from_json(with_version(to_json(NOW))) == NOW
+    patch = ".".join([*__version__.split(".")[:2], "99"])
+    assert from_json(to_json(NOW) | {"version": patch}) == NOW
+    with pytest.raises(UserError, match=OTHER):
+        from_json(to_json(NOW) | {"version": "0.2.0"})
+
+
+def test_settings_that_went_are_refused_by_name():
+    held = to_json(NOW)
+    held["pins"]["shear_noise"] = 0.0
+    with pytest.raises(
+        UserError, match=r"pins\.shear_noise = 0\.0 is no setting; files of version 0\.2\.0"
+    ):
+        from_json(held)
+
+
+def test_settings_of_another_kind_are_compared_with_the_nearest_one():
+    recorded = to_json(RECORDED)
+    del recorded["paired"]["tap_folder"]
+    with pytest.raises(UserError, match=r"paired\.tap_folder is missing; .*run"):
+        from_json(recorded)
+    with pytest.raises(UserError, match=r"version .*: paired is no group; run"):
+        from_json(to_json(NOW) | {"paired": 3})
+
+
+def test_a_group_without_settings_is_itself():
+    assert from_json(to_json(RECORDED)) == RECORDED
+
+
+def test_a_run_of_another_version_does_not_go_on(tmp_path):
+    folder = tmp_path / NOW.name
+    write_json(folder / "experiment.json", to_json(NOW) | {"version": "0.2.0"})
+    (folder / "disentangled").mkdir()
+    with pytest.raises(UserError, match=OTHER):
+        run_stages(NOW, (), tmp_path, tmp_path, "none")
+    write_json(folder / "experiment.json", to_json(NOW))
+    run_stages(NOW, (), tmp_path, tmp_path, "none")
+    assert read_json(folder / "experiment.json") == with_version(
+        read_json(folder / "experiment.json")
+    )
+
+
+def test_a_training_of_another_version_is_neither_continued_nor_read(tmp_path):
+    net = PinUnshear()
+    settings = {
+        "kind": "pin_unshear",
+        "net": vars(net),
+        "training": dataclasses.asdict(NOW.train_pins),
+    }
+    write_settings(tmp_path, settings)
+    write_settings(tmp_path, settings)
+    assert read_net(tmp_path) == net
+    write_json(tmp_path / "model.json", settings | {"version": "0.2.0"})
+    for act in (read_net, lambda folder: write_settings(folder, settings)):
+        with pytest.raises(UserError, match=OTHER):
+            act(tmp_path)
+    del settings["net"]["apart"]
+    write_json(tmp_path / "model.json", settings)
+    with pytest.raises(
+        UserError, match=r"'apart' \(files of version 0\.2\.0 and earlier are not read\)"
+    ):
+        read_net(tmp_path)

@@ -1,0 +1,85 @@
+"""A stand-in for the simulator: microseconds a contact, and every image says which contact it is of."""
+
+import os
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.data.chunks import SimulationEngine
+
+SENSOR = Sensor(name="small", rings=2)
+SIZE = 32
+PINS_PER_CONTACT = 1e-3  # px by which the pins of each contact differ from those of the one before
+PAIRED = PairedData(
+    config="tiny",
+    stimuli=("disk", "spiral_1"),
+    poses=10,
+    slides=3,
+    taps=2,
+    preprocess=Preprocess(size=SIZE),
+)
+POSE = PoseData(
+    config="tiny", stimuli=("disk", "spiral_1"), poses=10, preprocess=Preprocess(size=SIZE)
+)
+
+
+def plan(sensor, names, scenes):
+    order = np.argsort(scenes.pose[:, 3], kind="stable")
+    return [order[start : start + 16] for start in range(0, len(order), 16)]
+
+
+def simulate(sensor, names, scenes):
+    time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
+    count = len(scenes)
+    pins = np.repeat(scenes.pose[:, None, :3], sensor.pins, axis=1).astype(np.float32)
+    number = np.arange(count)
+    return SimpleNamespace(
+        pins=pins,
+        residual_mm=np.full(count, 1e-3, np.float32),
+        converged=np.ones(count, bool),
+        retried=np.zeros(count, bool),
+        iterations=number,
+        stuck=number + 1,
+        slipping=number + 2,
+        free=number + 3,
+    )
+
+
+def render(settings, sensor, tips, number, age):
+    size = settings.preprocess.size
+    images = [
+        np.random.default_rng([settings.seed, int(index)]).random((size, size)) < 0.3
+        for index in number
+    ]
+    pins = np.asarray(tips[..., :2] + size / 2, np.float32) + PINS_PER_CONTACT * np.reshape(
+        number, (-1, 1, 1)
+    )
+    return np.stack(images).astype(np.uint8) * np.uint8(255), pins.astype(np.float32)
+
+
+ENGINE = SimulationEngine(plan, simulate, render)
+
+
+@pytest.fixture
+def engine() -> SimulationEngine:
+    return ENGINE
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return SENSOR
+
+
+@pytest.fixture
+def paired() -> PairedData:
+    return PAIRED
+
+
+@pytest.fixture
+def pose() -> PoseData:
+    return POSE

@@ -1,0 +1,92 @@
+"""Pins measured once more where finding them left doubt: glints, faint pins, the housing."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.perception.lattice import compute_rings, make_lattice
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.pin_tracking import track_pins
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
+
+SIZE, RADIUS = 256, 2.9
+PLACE = compute_pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5
+LATTICE = make_lattice(PLACE, compute_rings(TACTIP_331))
+
+
+def picture(place, radius=None):
+    """(S, S) uint8 with a disc at each place (P, 2) px."""
+    radius = np.full(len(place), RADIUS) if radius is None else radius
+    image = np.zeros((SIZE, SIZE), bool)
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    for (x, y), r in zip(place, radius, strict=True):
+        image |= (columns - x) ** 2 + (rows - y) ** 2 <= r**2
+    return image.astype(np.uint8) * 255
+
+
+def slid():
+    bell = np.exp(-np.sum((PLACE - 127.5) ** 2, axis=-1) / (2 * 45**2))
+    return PLACE + 9 * np.stack([bell, 0.4 * bell], axis=-1)
+
+
+def error(track):
+    return np.linalg.norm(LATTICE.rest + track.motion - slid(), axis=-1)
+
+
+def test_a_clean_image():
+    track = track_pins(LATTICE, detect_pins(picture(slid())))
+    assert track.identified and track.visible.all() and track.extra == 0
+    assert np.sqrt(np.mean(error(track) ** 2)) < 0.15 and error(track).max() < 0.4
+
+
+def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
+    pin = 331 - 30
+    outward = (PLACE[pin] - 127.5) / np.linalg.norm(PLACE[pin] - 127.5)
+    glint = slid()[pin] + 4.4 * outward
+    track = track_pins(
+        LATTICE,
+        detect_pins(picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))),
+    )
+    assert track.identified and track.visible[pin] and error(track)[pin] < 0.8
+    np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
+
+
+def test_faint_pins_are_seen():
+    radius = np.full(331, RADIUS)
+    faint = [7, 150, 260]
+    radius[faint] = 1.5
+    track = track_pins(LATTICE, detect_pins(picture(slid(), radius)))
+    assert track.identified and track.visible[faint].all() and error(track)[faint].max() < 0.5
+
+
+def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
+    place, radius = PLACE.copy(), np.full(331, 2.2)
+    place[100] += [
+        0.0,
+        1.3,
+    ]  # a lever that turns at an edge; a window smaller than the pin finds white wherever it looks
+    radius[100] *= 1.1
+    track = track_pins(LATTICE, detect_pins(picture(place, radius)))
+    assert track.identified and track.max_offset > 0.1
+    assert np.linalg.norm(LATTICE.rest + track.motion - place, axis=-1)[100] < 0.2
+
+
+def test_pins_that_are_not_there_are_not_made_up():
+    gone = [7, 150, 260]
+    track = track_pins(LATTICE, detect_pins(picture(np.delete(slid(), gone, axis=0))))
+    assert not track.visible[gone].any() and track.missed == 3
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)]
+)
+def test_nothing_to_see(image):
+    track = track_pins(LATTICE, detect_pins(image))
+    assert not track.identified and not track.visible.any()
+
+
+def test_half_an_image_is_not_sure():
+    image = picture(slid())
+    image[:, 120:] = 0
+    track = track_pins(LATTICE, detect_pins(image))
+    assert not track.identified

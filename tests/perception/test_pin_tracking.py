@@ -1,0 +1,123 @@
+"""Pins keep their identities through motions larger than half their spacing."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.errors import UserError
+from jaxunshear.perception.lattice import compute_rings, estimate_rings, make_lattice
+from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice, make_layout
+from jaxunshear.perception.pin_detection import DetectedPins
+from jaxunshear.perception.pin_track import assess_track
+from jaxunshear.perception.pin_tracking import track_pins
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
+
+RIM_PX = 46.0  # as at 128 px
+
+
+def _flat(sensor: Sensor) -> np.ndarray:
+    return compute_pin_lattice(sensor) / (sensor.rings * sensor.pin_spacing_mm) * RIM_PX + 64
+
+
+def _slid(place: np.ndarray, shift_px: float, width_px: float = 22.0) -> np.ndarray:
+    """A field that moves the middle by `shift_px` along the columns and hardly the rim."""
+    bell = np.exp(-np.sum((place - 64) ** 2, axis=-1) / (2 * width_px**2))
+    return place + shift_px * np.stack([bell, 0.3 * bell], axis=-1)
+
+
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_127])
+@pytest.mark.parametrize("shift_px", [0.0, 3.0, 7.0])
+def test_identities(sensor, shift_px):
+    rng = np.random.default_rng(0)
+    place = _flat(sensor)
+    order = rng.permutation(len(place))
+    found = (_slid(place, shift_px) + rng.normal(0, 0.1, place.shape))[order]
+    track = track_pins(make_lattice(place, compute_rings(sensor)), DetectedPins(found))
+    assert track.identified and track.missed == track.extra == 0
+    np.testing.assert_array_equal(order[track.identity], np.arange(len(place)))
+
+
+def test_nearest_would_be_wrong():
+    """The slide of the test above does mix up pins that are matched to the nearest place."""
+    place = _flat(TACTIP_331)
+    nearest = np.argmin(np.linalg.norm(_slid(place, 7.0)[:, None] - place[None], axis=-1), axis=1)
+    assert np.mean(nearest != np.arange(len(place))) > 0.2
+
+
+def test_missing_and_extra_pins_are_counted():
+    place = _flat(TACTIP_331)
+    found = np.concatenate(
+        [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
+    )
+    track = track_pins(make_lattice(place), DetectedPins(found))
+    assert (
+        track.missed <= 3 and track.extra >= 1
+    )  # an extra pin may stand in for a missing neighbour
+    assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
+
+
+def test_scrambled_pins_are_not_sure():
+    rng = np.random.default_rng(1)
+    place = _flat(TACTIP_331)
+    assert not track_pins(
+        make_lattice(place), DetectedPins(rng.uniform(16, 112, place.shape))
+    ).identified
+    assert not track_pins(make_lattice(place), DetectedPins(place[:100])).identified
+
+
+def test_lattice_is_found_turned_and_shifted():
+    """Whatever the camera's turn, the lattice is found again: each pin within a tenth of a pixel, up to the lattice's symmetry."""
+    place = _flat(TACTIP_331) - 64
+    turn = np.radians(17)
+    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [
+        60.0,
+        66.0,
+    ]
+    rng = np.random.default_rng(2)
+    frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
+    lattice = fit_lattice(frames, make_layout(TACTIP_331))
+    off = np.min(np.linalg.norm(lattice.rest[:, None] - turned[None], axis=-1), axis=1)
+    assert off.max() < 0.15
+    np.testing.assert_allclose(lattice.centre, [60, 66], atol=0.1)
+    np.testing.assert_allclose(
+        np.linalg.norm(lattice.rest - lattice.centre, axis=-1),
+        RIM_PX / 10 * compute_rings(TACTIP_331),
+        atol=0.2,
+    )
+
+
+def test_another_sensor_is_refused():
+    with pytest.raises(UserError, match="tactip127"):
+        fit_lattice([_flat(TACTIP_331)], make_layout(TACTIP_127))
+
+
+def test_a_pin_without_company_counts_as_not_seen():
+    place = _flat(TACTIP_331)
+    lattice = make_lattice(place, compute_rings(TACTIP_331))
+    motion = np.zeros_like(place)
+    rim = int(np.argmax(place[:, 0]))
+    motion[lattice.neighbours[rim, :7]] = np.nan
+    motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could say
+    track = assess_track(lattice, motion, np.arange(len(place)), len(place))
+    assert not track.visible[rim] and track.missed == 8
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))]
+)
+@pytest.mark.parametrize("lattice", ["square", "hexagons"])
+@pytest.mark.parametrize("turn_deg", [-2.0, 0.0, 3.0])
+def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
+    """Of a user's layout nobody knows the symmetry; pins are named for the least turn."""
+    flat = compute_pin_lattice(TACTIP_127)
+    if lattice == "square":
+        flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
+    flat = flat / np.linalg.norm(flat, axis=-1).max()
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    place = 46 * flat @ np.array([[cos, sin], [-sin, cos]]) + 64
+    rng = np.random.default_rng(seed)
+    frames = [
+        place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
+    ]
+    found = fit_lattice(frames, MarkerLayout("layout", flat, estimate_rings(flat), 360.0))
+    np.testing.assert_allclose(found.rest, place, atol=0.5)

@@ -1,0 +1,236 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from jaxunshear.config.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
+from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
+from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
+from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.sensor_check import (
+    SensorAppearance,
+    compute_plausibility,
+    invert_image,
+    judge_images,
+    measure_image_appearance,
+    measure_sensor_appearance,
+)
+from jaxunshear.simulator.camera import render_frame
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from tests.perception.strangers import STRANGERS, touched, varied
+
+SENSORS = {
+    "331": (TACTIP_331, Camera()),
+    "127": (TACTIP_127, Camera()),
+    "fitted": (TACTIP_331_FITTED, FITTED_CAMERA),
+}
+FULL_VIEW = View((0, 0, 256, 256))
+
+
+@pytest.fixture(scope="module")
+def sets():
+    """By sensor, 16 images (16, 128, 128) of it and what its models expect."""
+    return {
+        name: SimpleNamespace(
+            images=touched(sensor, camera, 16, seed=5),
+            expected=measure_sensor_appearance(
+                compute_rest_lattice(sensor, camera, Preprocess()).rest, 128
+            ),
+        )
+        for name, (sensor, camera) in SENSORS.items()
+    }
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_known_images_are_plausible_also_turned_drifted_and_with_specks(sets, name):
+    rng = np.random.default_rng(2)
+    images, expected = sets[name].images, sets[name].expected
+    plain = [compute_plausibility(image, expected) for image in images]
+    other_day = [compute_plausibility(varied(image, rng), expected) for image in images]
+    assert np.median(plain) > 0.95 and np.mean(np.array(plain) > 0.5) > 0.9
+    assert np.median(other_day) > 0.9 and np.mean(np.array(other_day) > 0.5) > 0.8
+    assert judge_images(images, expected).ok and judge_images(images, expected).reason == ""
+
+
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_strangers_are_not(sets, kind):
+    rng = np.random.default_rng(3)
+    for name in ("331", "127"):
+        made = np.array([STRANGERS[kind](image, rng) for image in sets[name].images[:8]])
+        likely = [compute_plausibility(image, sets[name].expected) for image in made]
+        assert np.median(likely) < 0.05, name
+        assert not judge_images(made, sets[name].expected).ok
+
+
+def test_the_order_of_known_images_and_strangers(sets):
+    rng = np.random.default_rng(4)
+    known = [
+        compute_plausibility(image, each.expected)
+        for each in sets.values()
+        for image in each.images
+    ]
+    strange = [
+        compute_plausibility(make(image, rng), each.expected)
+        for each in sets.values()
+        for make in STRANGERS.values()
+        for image in each.images[:3]
+    ]
+    assert np.mean(np.array(known)[:, None] > np.array(strange)) >= 0.99
+
+
+@pytest.fixture(scope="module")
+def grey():
+    """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
+    draw = jax.jit(render_frame, static_argnums=(0, 1, 2))
+    return np.asarray(
+        draw(Camera(), TACTIP_331, Nuisance(), compute_pin_tips(TACTIP_331), jax.random.key(0))
+    )
+
+
+def test_what_is_seen_is_where_the_pins_are(sets, grey):
+    place = compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest
+    expected = sets["331"].expected
+    seen = measure_image_appearance(prepare_frame(Preprocess(), grey, FULL_VIEW))
+    assert seen.pins == expected.pins == 331
+    assert seen.spacing == pytest.approx(expected.spacing, rel=0.02)
+    assert seen.rim == pytest.approx(expected.rim, rel=0.02)
+    assert (seen.column, seen.row) == pytest.approx((0.5, 0.5), abs=0.01)
+    assert seen.regular == pytest.approx(expected.regular, abs=0.15)
+    # 48 px from the middle, 5 px apart: the lattice's own numbers
+    assert expected.rim * 128 == pytest.approx(np.hypot(*(place - 63.5).T).max(), rel=0.01)
+    assert 4.5 < expected.spacing * 128 < 5.5
+
+
+def test_a_glance_finds_what_find_pins_finds(sets):
+    for each in sets.values():
+        found, seen = find_pins(each.images[3]), detect_pins_fast(each.images[3])
+        off = cKDTree(found).query(seen)[0]
+        assert abs(len(found) - len(seen)) <= 0.03 * len(found)
+        assert np.median(off) < 1e-9 and np.mean(off < 0.7) > 0.97
+
+
+def test_a_glance_sets_touching_pins_apart():
+    rows, columns = np.mgrid[:128, :128]
+    place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
+    place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
+    white = (
+        np.min(
+            (columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0
+        )
+        <= 3**2
+    )
+    found = detect_pins_fast(white.astype(np.uint8) * np.uint8(255))
+    off = cKDTree(found).query(place)[0]
+    assert len(found) == 64 and off.max() < 0.5
+
+
+def test_light_images_with_dark_pins_are_noticed(sets, grey):
+    expected = sets["331"].expected
+    turned = np.array([invert_image(image) for image in sets["331"].images[:5]])
+    said = judge_images(turned, expected)
+    assert said.inverted and not said.ok and "dark pins" in said.reason
+    assert not judge_images(sets["331"].images[:5], expected).inverted
+    assert not judge_images(np.zeros((3, 128, 128), np.uint8), expected).inverted
+    # as a camera with the other polarity gives them, before the threshold
+    light = prepare_frame(Preprocess(), 1 - grey, FULL_VIEW)
+    assert judge_images(light[None], expected).inverted
+    # and of a sensor whose pins are others
+    assert not judge_images(turned, sets["127"].expected).inverted
+
+
+def test_inverse_twice_is_the_image_within_the_mask(sets):
+    image = sets["331"].images[0]
+    assert np.array_equal(invert_image(invert_image(image)), image)
+    assert invert_image(image)[0, 0] == 0 and invert_image(image)[64, 64] == 255 - image[64, 64]
+
+
+def test_reasons(sets):
+    rng = np.random.default_rng(6)
+    images, expected = sets["331"].images, sets["331"].expected
+
+    def reason(kind):
+        return judge_images(
+            np.array([STRANGERS[kind](image, rng) for image in images]), expected
+        ).reason
+
+    assert reason("white noise") == reason("scattered dots") == "dots are scattered, not a lattice"
+    assert reason("blank") == "no pins are found"
+    number = "127 pins are found, the model's sensor has 331: it is another sensor"
+    assert number in judge_images(sets["127"].images, expected).reason
+    assert "the model's sensor has 127: it" in judge_images(images, sets["127"].expected).reason
+    assert "crop the frames alike" in reason("shrunk by 15 % and more")
+    for kind in ("zoomed by 15 % and more", "half covered", "off by 15 % and more"):
+        assert reason(kind).endswith("or the frames are cropped otherwise"), kind
+
+
+def test_reasons_give_another_framing(sets):
+    expected = sets["331"].expected
+    for other in (replace(expected, rim=expected.rim / 1.5), replace(expected, column=0.3)):
+        assert "crop the frames alike" in judge_images(sets["331"].images, other).reason
+
+
+def test_half_of_a_folder_is_enough(sets):
+    images, expected = sets["331"].images[:4], sets["331"].expected
+    noise = np.array(
+        [STRANGERS["shuffled pixels"](image, np.random.default_rng(0)) for image in images]
+    )
+    assert judge_images(np.concatenate([images, noise]), expected).ok
+    assert not judge_images(np.concatenate([images[:3], noise]), expected).ok
+
+
+@pytest.mark.parametrize("size", [1, 2, 16, 128])
+def test_images_without_pins(sets, size):
+    for value in (0, 255):
+        image = np.full((size, size), value, np.uint8)
+        assert compute_plausibility(image, sets["331"].expected) == 0
+        assert judge_images(image[None], sets["331"].expected).reason
+
+
+def test_other_sizes_are_the_same_sensor(sets):
+    large = [np.kron(image, np.ones((2, 2), np.uint8)) for image in sets["331"].images[:4]]
+    assert all(compute_plausibility(image, sets["331"].expected) > 0.9 for image in large)
+
+
+def test_what_cannot_be():
+    with pytest.raises(ValueError, match="at least 10"):
+        measure_sensor_appearance(np.zeros((9, 2)), 128)
+    with pytest.raises(ValueError, match="no images"):
+        judge_images(
+            np.zeros((0, 128, 128), np.uint8), SensorAppearance(331, 0.04, 0.38, 0.5, 0.5, 0.6)
+        )
+
+
+def test_real_images(real_recordings):
+    """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
+    taps, slides = (
+        _packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear")
+    )
+    expected = measure_sensor_appearance(
+        fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331)).rest, 128
+    )
+    likely = np.array([compute_plausibility(image, expected) for image in slides])
+    assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
+    assert judge_images(slides[:20], expected).ok
+    hexagonal = measure_sensor_appearance(
+        compute_rest_lattice(TACTIP_127, Camera(), Preprocess()).rest, 128
+    )
+    assert judge_images(slides[:20], hexagonal).reason.startswith(
+        "about 331 pins are found, the model's sensor has 127"
+    )
+    simulated = measure_sensor_appearance(
+        compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest, 128
+    )
+    assert judge_images(
+        slides[:20], simulated
+    ).ok  # a model of simulated images may be asked about real ones
+
+
+def _packed(file, count):
+    packed = np.load(file)
+    rows = np.random.default_rng(0).permutation(int(packed["shape"][0]))[:count]
+    return np.unpackbits(packed["image_bits"][rows], axis=-1)[:, :128, :128] * np.uint8(255)

@@ -1,0 +1,188 @@
+"""The solver in float32, as it is used; closed forms and the laws of every answer stand in tests/verification/test_verify.py."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.simulator.frame import compute_level_frame
+from jaxunshear.simulator.friction import (
+    BETWEEN_CHECKS,
+    RHO,
+    Skin,
+    System,
+    follow_path,
+    make_undeformed_skins,
+    project,
+)
+from jaxunshear.simulator.node_state import count_node_states
+from jaxunshear.simulator.obstacle import Obstacles
+from verification.half_space import HalfSpace, make_press_poses, trace_forces
+from verification.normal_contact import SPHERE_MM, compute_hertz_depth
+from verification.tangential_contact import FRICTION, compute_slip_distance
+
+FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
+RADIUS_MM = 0.45
+SHARES = np.array([0.0, 0.6, 1.5])  # of the slip distance
+
+
+@pytest.fixture(scope="module")
+def near(half_space: HalfSpace) -> np.ndarray:
+    return np.flatnonzero(half_space.radius < 1.4 * RADIUS_MM)
+
+
+@pytest.fixture(scope="module")
+def system(half_space: HalfSpace, near: np.ndarray) -> System:
+    rows = (3 * near[:, None] + np.arange(3)).ravel()
+    w = half_space.w[np.ix_(rows, rows)]
+    w = w / (np.trace(w) / len(w))
+    nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
+    inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
+    return System(*(jnp.asarray(field, jnp.float32) for field in (w, inverse, w, nodes, 1.0)))
+
+
+def slides(half_space: HalfSpace) -> np.ndarray:
+    poses = make_press_poses(np.full(len(SHARES), compute_hertz_depth(RADIUS_MM)), 4)
+    poses[2:, :, 0] = (
+        np.linspace(0, 1, 5)[1:, None] * SHARES * compute_slip_distance(half_space, RADIUS_MM)
+    )
+    return poses
+
+
+def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
+    path = jnp.asarray(poses, jnp.float32)
+    count = path.shape[1]
+    mu = jnp.full(count, friction, jnp.float32)
+    start = make_undeformed_skins(system, path[0])
+    skin, quality = follow_path(
+        system, FLAT, jnp.zeros(count, jnp.int32), mu, path[1:], start, 1e-3, 4000
+    )
+    assert np.all(quality.residual_mm <= quality.tolerance_mm)
+    return skin
+
+
+def test_float32_agrees_with_float64(half_space, near, system):
+    poses = slides(half_space)
+    single = np.asarray(follow(system, poses, FRICTION).force)
+    double = trace_forces(
+        half_space, half_space.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.4 * RADIUS_MM
+    ).force[-1][:, near]
+    single, double = (force / force[0, :, 2].sum() for force in (single, double))
+    np.testing.assert_allclose(single.sum(1), double.sum(1), atol=5e-3)
+    np.testing.assert_allclose(single, double, atol=1e-2)
+
+
+def test_what_sticks_what_slips_and_what_is_free(half_space, system):
+    skin = follow(system, slides(half_space), FRICTION)
+    stuck, slipping, free = (
+        np.asarray(part) for part in count_node_states(skin, jnp.full(3, FRICTION))
+    )
+    np.testing.assert_array_equal(stuck + slipping + free, len(system.nodes))
+    assert stuck[0] > 0.8 * (stuck[0] + slipping[0])  # pressed only
+    assert 0 < stuck[1] < stuck[0]
+    assert stuck[2] == 0 and slipping[2] > 0
+
+
+@pytest.mark.parametrize("friction", [0.3, 1e-5, 1e-18, 1e-20, 1e-30, 1e-35, 1e-37])
+def test_tiny_frictions_give_stuck_from_slipping(friction):
+    rng = np.random.default_rng(0)
+    force = np.concatenate([100 * rng.normal(size=(1, 99, 2)), rng.uniform(0.1, 2, (1, 99, 1))], -1)
+    mu = jnp.full(1, friction, jnp.float32)
+    held = project(jnp.asarray(force, jnp.float32), mu)
+    level, tilted = jnp.zeros((1, 6)), jnp.zeros((1, 6)).at[:, 4].set(0.2)
+
+    def found(force, pose):
+        skin = Skin(
+            force @ compute_level_frame(pose), force, force, pose
+        )  # from the level frame to the sensor's
+        return [int(part[0]) for part in count_node_states(skin, mu, pose is tilted)]
+
+    assert found(held, level) == found(held, tilted) == [0, 99, 0]
+    if friction > 1e-31:
+        assert found(held.at[..., :2].multiply(0.5), level) == [99, 0, 0]
+
+
+def test_no_friction_no_pull(half_space, system):
+    skin = follow(system, slides(half_space), 0.0)
+    assert not np.any(np.asarray(skin.force)[..., :2]) and np.any(skin.force)
+
+
+def test_no_contact_needs_no_iteration(system):
+    path = (
+        jnp.zeros((3, 2, 6)).at[:, :, 3].set(-0.01).at[:, :, 0].set(jnp.linspace(0, 5, 3)[:, None])
+    )
+    which, mu = jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
+    skin, quality = follow_path(
+        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, 4000
+    )
+    assert (
+        not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
+    )
+
+
+def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, system):
+    """One of two cannot converge within the limit: it says so, and costs no more than the increment that failed."""
+    poses = np.repeat(slides(half_space)[:, 1:2], 2, axis=1)
+    poses[1:, 1, 3] = (
+        0.0  # the second one never touches, then is pressed hard in the first of the other's slides
+    )
+    poses[2:, 1, 3] = 40 * poses[-1, 0, 3]
+    path, which, mu = (
+        jnp.asarray(poses, jnp.float32),
+        jnp.zeros(2, jnp.int32),
+        jnp.full(2, FRICTION),
+    )
+    limit = 40
+    skin, quality = follow_path(
+        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, limit
+    )
+    assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(
+        np.isfinite(skin.force)
+    )
+    assert int(quality.iterations[1]) <= 2 * (limit + BETWEEN_CHECKS)
+    alone = follow_path(
+        system,
+        FLAT,
+        which[:1],
+        mu[:1],
+        path[1:, :1],
+        make_undeformed_skins(system, path[0, :1]),
+        1e-3,
+        limit,
+    )
+    assert bool(quality.residual_mm[0] <= quality.tolerance_mm[0])
+    np.testing.assert_allclose(skin.force[0].sum(0), alone[0].force[0].sum(0), rtol=0.01, atol=1e-4)
+
+
+def test_projection_and_jit():
+    force = jax.random.normal(jax.random.key(0), (3, 50, 3))
+    friction = jnp.asarray([0.0, 0.3, 2.0])
+    once = project(force, friction)
+    np.testing.assert_allclose(project(once, friction), once, rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(project)(force, friction), once, rtol=1e-6)
+    assert np.all(
+        np.linalg.norm(once[..., :2], axis=-1) <= friction[:, None] * once[..., 2] * (1 + 1e-6)
+    )
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+def test_no_product_is_left_to_the_rounding_of_a_gpu(system, tilted):
+    path = jnp.zeros((2, 1, 6), jnp.float32)
+
+    def run(path, system):
+        mu = jnp.ones(1, jnp.float32)
+        return follow_path(
+            system,
+            FLAT,
+            jnp.zeros(1, jnp.int32),
+            mu,
+            path,
+            make_undeformed_skins(system, path[0]),
+            0.1,
+            9,
+            tilted,
+        )
+
+    text = jax.jit(run).lower(path, system).as_text()
+    products = [line for line in text.splitlines() if "dot_general" in line]
+    assert products and all("HIGHEST" in line for line in products)
