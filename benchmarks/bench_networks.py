@@ -140,10 +140,10 @@ def _training_sides(size: int, batch: int) -> Sides:
         return work
 
     def theirs(compiled: bool) -> Work:
-        torch, torch_twin = _twins()
+        torch, torch_networks = _import_torch_networks()
         torch.manual_seed(0)
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).train()
-        step = torch_twin.training_step(twin, training, compiled)
+        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).train()
+        step = torch_networks.training_step(twin, training, compiled)
         given = [
             torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place())
             for images in (canonical, sheared)
@@ -170,8 +170,8 @@ def _inference_sides(size: int, batch: int) -> Sides:
         return lambda: np.asarray(run(given)) is None
 
     def theirs(compiled: bool) -> Work:
-        torch, torch_twin = _twins()
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
+        torch, torch_networks = _import_torch_networks()
+        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).eval()
         run = (
             torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
         )
@@ -220,10 +220,10 @@ def _stream_sides(size: int, batch: int) -> Sides:
         return lambda: run(image[None]) is None
 
     def theirs(compiled: bool) -> Work:
-        torch, torch_twin = _twins()
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
+        torch, torch_networks = _import_torch_networks()
+        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).eval()
         pose = (
-            torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.count_outputs(TARGETS)))
+            torch_networks.use_channels_last(torch_networks.TorchPoseNet(pose_net, posenet.count_outputs(TARGETS)))
             .to(_place())
             .eval()
         )
@@ -248,7 +248,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _twins() -> tuple[Any, Any]:
+def _import_torch_networks() -> tuple[Any, Any]:
     """PyTorch, and our networks in it. Each size is compiled for itself (`dynamic=False`): one for all sizes is what PyTorch makes of
     the second, and slower."""
     import torch

@@ -51,15 +51,13 @@ def pytest_unconfigure() -> None:
 
 
 STRICT = {
-    "scene",
-    "contact",
+    "simulator",
     "metrics",
-    "model",
+    "models",
     "test_losses.py",
-    "test_turning.py",
-    "test_drawing.py",
-    "test_dots.py",
-    "test_camera.py",
+    "test_rotation.py",
+    "test_domain_randomisation.py",
+    "test_pin_drawing.py",
     "test_large_strain.py",
 }
 
@@ -81,7 +79,7 @@ FIRST = (
     "test_run.py",
     "test_laboratory.py",
     "test_gradient.py",
-    "test_loop.py",
+    "test_trainer.py",
     "test_notebooks.py",
 )
 

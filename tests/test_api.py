@@ -46,7 +46,7 @@ def test_images_codes_and_poses_of_released_weights(model, images):
     )  # released weights leave it out
     pose = model.pose(images)
     np.testing.assert_array_equal(
-        pose[UNSHEARED]["edge_mm"], model.perceiver.answer(images).poses[UNSHEARED]["edge_mm"]
+        pose[UNSHEARED]["edge_mm"], model.perceiver.predict(images).poses[UNSHEARED]["edge_mm"]
     )
 
 

@@ -150,7 +150,7 @@ def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
     shapes = {
         "nodes": (1 + 3 * rings * (rings - 1), 3),
         "pins": (sensor.pins, 3),
-        "place": (sensor.pins,),
+        "positions": (sensor.pins,),
         "rings": (harmonics, 3 * rings, 3 * rings),
         "fields": (harmonics, 3 * places, 3 * rings),
     }

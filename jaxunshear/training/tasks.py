@@ -61,7 +61,7 @@ def make_unshear_task(
     watch = make_pose_supervision(training, teacher, targets, losses.compute_pose_loss)
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: ModuleType = unet if kind == "unet" else unshearnet
-    module.check(net)
+    module.check_net(net)
     decoded = partial(_decode, net, training)
     of_codes = partial(
         compute_code_terms, fields=("sheared", SWAPPED_IMAGE), distance=_off_image, slides=slides

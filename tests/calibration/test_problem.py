@@ -85,8 +85,8 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
     generator = np.random.default_rng(0)
     found, half = [], []
     for _ in range(12):
-        widened = group.seen.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
-        seen = group.seen.take(np.zeros(20, int))._replace(place=widened)
+        widened = group.observation.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
+        seen = group.observation.take(np.zeros(20, int))._replace(place=widened)
         fitted = fit([RecordedGroup("one", seen)], SMALL, start, fixed=("distance_mm",))
         found.append(fitted.values.mm_across)
         half.append((fitted.high["mm_across"] - fitted.low["mm_across"]) / 2)

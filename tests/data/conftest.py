@@ -44,9 +44,9 @@ def simulate(sensor, names, scenes):
         converged=np.ones(count, bool),
         retried=np.zeros(count, bool),
         iterations=number,
-        stuck=number + 1,
-        slipping=number + 2,
-        free=number + 3,
+        stuck_nodes=number + 1,
+        slipping_nodes=number + 2,
+        free_nodes=number + 3,
     )
 
 

@@ -57,9 +57,11 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
             here = shots.scenes.stimulus == paired.stimuli.index(example["stimulus"])
             here &= (shots.pose_id == example["pose_id"]) & (shots.split == SPLITS.index(split))
             slide = int(
-                np.flatnonzero(here & shots.slid & (shots.instance == example["slide_id"]))[0]
+                np.flatnonzero(here & shots.is_slide & (shots.instance == example["slide_id"]))[0]
             )
-            tap = int(np.flatnonzero(here & ~shots.slid & (shots.instance == example["tap_id"]))[0])
+            tap = int(
+                np.flatnonzero(here & ~shots.is_slide & (shots.instance == example["tap_id"]))[0]
+            )
             for name, row in (("sheared", slide), ("canonical", tap)):
                 image = np.asarray(Image.open(io.BytesIO(example[name])))
                 np.testing.assert_array_equal(
@@ -72,7 +74,7 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
             )
             assert example["tap_id"] == example["slide_id"] % paired.taps
             seen.add(key)
-    assert len(seen) == shots.slid.sum()
+    assert len(seen) == shots.is_slide.sum()
 
 
 def test_chunks_do_not_change_an_example(paired, sensor, engine, tmp_path):
@@ -138,7 +140,7 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
         "median"
     ] == np.median(spent)
     assert counts["iterations"]["slowest_number"] in slowest
-    assert sum(counts["written"].values()) == shots.slid.sum()
+    assert sum(counts["written"].values()) == shots.is_slide.sum()
 
 
 def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engine, tmp_path):

@@ -76,8 +76,8 @@ def simulate(sensor, names, scenes):
         residual_mm=np.zeros(len(scenes), np.float32),
         converged=converged,
         retried=np.zeros(len(scenes), bool),
-        stuck=1 - slips,
-        slipping=count + slips,
+        stuck_nodes=1 - slips,
+        slipping_nodes=count + slips,
         **dict.fromkeys(("iterations", "free"), count),
     )
 

@@ -198,7 +198,7 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
     taught = {
         "canonical": {"E", "pose", "DC"},
         "sheared": {"DS"},
-        "exchanged": {"DS"},
+        "counterfactual": {"DS"},
         "disagreement": {"E", "pose"},
         "same_pose": {"E", "pose", "DC"},
         "z_s": {"ES", "shear"},

@@ -101,7 +101,7 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
 def test_targets_are_those_that_the_training_labels_vary(opened):
     targets = opened().targets(())
     assert [target.name for target in targets] == ["y_mm", "z_mm", "Rz_deg"]
-    assert [target.circle for target in targets] == [False, False, True]
+    assert [target.is_circular for target in targets] == [False, False, True]
     with pytest.raises(UserError, match="'x_mm' does not vary"):
         opened().targets(("x_mm",))
 

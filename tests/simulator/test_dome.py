@@ -249,7 +249,7 @@ def _without(path):
         (lambda path: path.write_bytes(hashlib.sha256(b"text").digest() + b"text"), "pickle"),
         (_changed(settings=np.array("{}")), "other settings"),
         (_changed(rings=np.zeros((2, 3, 3))), "rings are not"),
-        (_changed(place=np.zeros(5, int)), "place are not"),
+        (_changed(positions=np.zeros(5, int)), "positions are not"),
         (_not_finite, "rings are not"),
         (_without, "fields"),
     ],

@@ -53,8 +53,8 @@ def contacts():
 def test_contacts_say_how_good_they_are(contacts):
     assert contacts.converged.all() and contacts.pins.shape == (12, 331, 3)
     assert np.all(contacts.residual_mm > 0) and np.all(contacts.iterations > 0)
-    assert np.all(contacts.stuck + contacts.slipping > 0)
-    assert np.all(contacts.stuck + contacts.slipping <= contacts.nodes)
+    assert np.all(contacts.stuck_nodes + contacts.slipping_nodes > 0)
+    assert np.all(contacts.stuck_nodes + contacts.slipping_nodes <= contacts.nodes)
     assert np.all(contacts.force_n[:, 2] > 0)
     assert not contacts.retried.any()
 

@@ -163,11 +163,11 @@ def test_a_cylinder_squeezed_without_friction(stretch):
     )  # no stress at the side
     nominal = shear * (stretch - 1 / stretch) + first * np.log(side**2 * stretch) / stretch
     np.testing.assert_allclose(
-        made.moved, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7
+        made.displacement, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7
     )
     assert made.push.sum() == pytest.approx(-nominal * np.pi * 2**2, rel=1e-7)
     np.testing.assert_allclose(
-        compute_deformation(body, made.moved)[1], side**2 * stretch, rtol=1e-7
+        compute_deformation(body, made.displacement)[1], side**2 * stretch, rtol=1e-7
     )
 
 
@@ -182,10 +182,12 @@ def inflation_error(columns, rows):
         change = wide**2 - 1  # r^2 = R^2 + change where no volume is lost
         moved = np.zeros_like(mesh.nodes)
         moved[:, 0] = np.sqrt(mesh.nodes[:, 0] ** 2 + change) - mesh.nodes[:, 0]
-        moved[:, 0] += np.where(mesh.nodes[:, 0] > 1, 0.2 * (made.moved[:, 0] - moved[:, 0]), 0)
+        moved[:, 0] += np.where(
+            mesh.nodes[:, 0] > 1, 0.2 * (made.displacement[:, 0] - moved[:, 0]), 0
+        )
         made = solve_equilibrium(body, unloaded(mesh), 0.0, started(moved, 0), held)
         assert made.converged
-    pressure = compute_forces(body, made.moved)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
+    pressure = compute_forces(body, made.displacement)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
     shear, _ = compute_lame_constants(1.0, 0.4999)
     exact, _ = quad(
         lambda r: shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r,
@@ -250,16 +252,16 @@ def test_pins_are_levers_on_the_inner_face():
 def test_the_plate_pushes_only_where_it_touches(pressed):
     body, face, states = pressed
     state = states[1]
-    gap = face.place[:, 1] + face.rows @ state.moved[:, 1] - 2.0
+    gap = face.place[:, 1] + face.rows @ state.displacement[:, 1] - 2.0
     assert state.converged and state.push.min() >= -1e-9 and gap.min() > -1e-8
     assert np.abs(state.push * gap).max() < 1e-8
-    at_base = compute_forces(body, state.moved)[2 * body.mesh.clamped + 1].sum()
+    at_base = compute_forces(body, state.displacement)[2 * body.mesh.clamped + 1].sum()
     assert at_base == pytest.approx(-state.push.sum(), rel=1e-8)
 
 
 def test_the_force_is_the_slope_of_the_energy_over_depth(pressed):
     body, _, states = pressed
-    below, _, above = (compute_energy(body, state.moved) for state in states)
+    below, _, above = (compute_energy(body, state.displacement) for state in states)
     assert states[1].push.sum() == pytest.approx((above - below) / 0.002, rel=1e-5)
 
 

@@ -79,7 +79,7 @@ def test_a_picture_holds_both_kinds_of_image_and_what_is_read_of_them(explorer, 
 
 
 def test_the_same_touch_gives_the_same_bits(explorer, touch, picture):
-    again = explorer.picture(touch)
+    again = explorer.simulate_picture(touch)
     assert all(np.array_equal(again.images[name], image) for name, image in picture.images.items())
     assert again.poses == picture.poses
 
@@ -112,7 +112,7 @@ def test_skin_slips_where_friction_is_used_up():
 )
 def test_what_cannot_be_is_refused(explorer, touch, changes, reason):
     with pytest.raises(UserError, match=reason):
-        explorer.picture(replace(touch, **changes))
+        explorer.simulate_picture(replace(touch, **changes))
 
 
 @pytest.mark.long
@@ -128,7 +128,7 @@ def png_of(image):
 
 
 def test_a_recorded_image_is_read_as_unshear_reads_it(explorer, picture):
-    seen = explorer.recorded("slide.png", png_of(picture.images[SHEARED]))
+    seen = explorer.infer_recorded("slide.png", png_of(picture.images[SHEARED]))
     assert np.array_equal(seen.images[UNSHEARED], picture.images[UNSHEARED])
     assert TRUE not in seen.poses and seen.poses[UNSHEARED] == picture.poses[UNSHEARED]
 
@@ -141,7 +141,7 @@ def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
         ("flat.png", png_of(np.full((64, 64), 9, np.uint8)), "flat.png: "),
     ):
         with pytest.raises(UserError, match=reason) as refused:
-            explorer.recorded(name, data)
+            explorer.infer_recorded(name, data)
         assert "\n" not in str(refused.value)
 
 

@@ -96,7 +96,7 @@ def pins(turned=0.0, convolved=(), read_by=()):
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
-    "no reader": lambda: images()._replace(reads=None, targets=(), way=""),
+    "no reader": lambda: images()._replace(pose_network=None, targets=(), way=""),
     "reader alone": lambda: images()._replace(unshear_network=None, way="as_recorded"),
     "reader of slides": lambda: images()._replace(way="learnt"),
     "pins": pins,
@@ -121,10 +121,15 @@ def test_onnxruntime_computes_what_jax_does(case, batch):
 
 def test_another_network_differs():
     parts = pins()
-    other = jax.tree.map(np.copy, parts.reads.variables)
+    other = jax.tree.map(np.copy, parts.pose_network.variables)
     other["params"]["Dense_0"]["bias"] += 0.05
     run = make_onnx_runner(
-        build_onnx(parts._replace(reads=ExportedNetwork(parts.reads.net, other)), None, None, {}),
+        build_onnx(
+            parts._replace(pose_network=ExportedNetwork(parts.pose_network.net, other)),
+            None,
+            None,
+            {},
+        ),
         parts,
     )
     assert measure_difference(parts, run, make_check_inputs(parts), None) > MAX_DIFFERENCE
@@ -204,8 +209,8 @@ def test_frames_prepared_otherwise_differ(tmp_path):
 def run_dir(tmp_path_factory):
     folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
     for name, kind, part in (
-        ("disentangled", "unshear", parts.unshears),
-        ("posenet", "posenet", parts.reads),
+        ("disentangled", "unshear", parts.unshear_network),
+        ("posenet", "posenet", parts.pose_network),
     ):
         settings = {
             "kind": kind,
@@ -297,7 +302,7 @@ def test_skin_takes_pins(tmp_path):
 def test_what_differs_is_refused_and_leaves_nothing(run_dir, tmp_path, capsys):
     out = tmp_path / "touch.onnx"
     out.write_bytes(b"an earlier one")
-    variables = jax.tree.map(np.copy, images().unshears.variables)
+    variables = jax.tree.map(np.copy, images().unshear_network.variables)
     variables["params"]["pose"]["kernel"][0] = np.nan
     shutil.copytree(run_dir, tmp_path / "spoilt")
     checkpoint.write_weights(tmp_path / "spoilt" / "disentangled", variables)

@@ -109,13 +109,13 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
         compiled_kernels.kernel_gradient(*few, 2, 0)
 
 
-def reported(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
+def reported(environment, code="print(compiled_kernels.is_available(), compiled_kernels.is_available())") -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
     command = [
         sys.executable,
         "-c",
-        f"from jaxunshear.models.fast import native; native.FLAGS += ('-O0',); {code}",
+        f"from jaxunshear.models.fast import compiled_kernels; compiled_kernels.FLAGS += ('-O0',); {code}",
     ]
     process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
@@ -148,9 +148,9 @@ def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
 @compiled
 def test_any_number_of_threads_gives_the_same_bits(tmp_path):
     code = (
-        "import hashlib, numpy as np; native.available(); rng = np.random.default_rng(0); "
+        "import hashlib, numpy as np; compiled_kernels.is_available(); rng = np.random.default_rng(0); "
         "x, dy = (rng.normal(size=(3, 20, side, c)).astype(np.float32) for side, c in ((19, 40), (18, 24))); "
-        "print(hashlib.sha256(np.asarray(native.kernel_gradient(x, dy[:, 1:], 2, 0))).hexdigest())"
+        "print(hashlib.sha256(np.asarray(compiled_kernels.kernel_gradient(x, dy[:, 1:], 2, 0))).hexdigest())"
     )
     cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
     sums = {reported({**cache, "NPROC": threads}, code)[0] for threads in ("1", "2", "5", "60")}

@@ -110,7 +110,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     asked = batches(sim_to_real.BATCH)
 
     def values(seen):
-        assert len(seen.given) == sim_to_real.BATCH
+        assert len(seen.values) == sim_to_real.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):
