@@ -17,11 +17,9 @@ from scipy.stats import bootstrap
 
 from benchmarks.training_steps import make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader
@@ -82,15 +80,13 @@ def _images(widths: tuple[int, ...]) -> Case:
 
 
 def _pins() -> Case:
-    training = replace(PIN_TRAINING, pose_weight=0.0)
+    training = replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3})
     pins = (
         np.random.default_rng(0)
         .normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2))
         .astype(np.float32)
     )
-    task = make_pin_unshear_task(
-        PinUnshear(), training, make_range_targets((), Ranges()), pins[0].mean(axis=0), 20.0
-    )
+    task = make_pin_unshear_task(PinUnshear(), training, pins[0].mean(axis=0), 20.0)
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
     return Case("pins", task, training, stored | _poses(), 128, 40)
 

@@ -114,7 +114,12 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Computation, Computation
     )
     training = Training(batch=BATCH)
     regular, usual = replace(training, l1=1e-3, l2=1e-3), _step(net, training)
-    yield "training step", "crops: lambda 0", usual, _step(net, replace(training, patch_weight=0.0))
+    yield (
+        "training step",
+        "crops: lambda 0",
+        usual,
+        _step(net, replace(training, losses={"supervised": 1.0, "reconstruction": 1.0})),
+    )
     yield "training step", "shear channels", usual, _step(replace(net, shear_channels=0), training)
     yield "training step", "weights on kernels: l1 and l2 of 0", _step(net, regular), usual
     yield _evaluation(net, variables)

@@ -17,12 +17,10 @@ from jax import Array
 
 from benchmarks.training_steps import make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.config.targets import make_range_targets
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
 from jaxunshear.perception.rest_positions import compute_rest_lattice
@@ -107,8 +105,8 @@ def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 
 
 def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
-    training = replace(PIN_TRAINING, pose_weight=0.0)
-    task = make_pin_unshear_task(net, training, make_range_targets((), Ranges()), rest, SPREAD)
+    training = replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3})
+    task = make_pin_unshear_task(net, training, rest, SPREAD)
     step, first = make_timed_step(task, training)
     state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}

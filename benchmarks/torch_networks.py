@@ -192,14 +192,14 @@ def compute_losses(
     logits, again = twin(sheared)
     image = torch.sigmoid(logits)
     total = torch.mean((image - canonical) ** 2)
-    if training.patch_weight:
+    if "patch" in training.losses:
         counts = _coverage(len(image), twin.net.size, training, image.device)
         far = torch.abs(image - canonical)[:, 0]
-        total = total + training.patch_weight * torch.mean(
+        total = total + training.losses["patch"] * torch.mean(
             (counts * far).sum((1, 2)) / counts.sum((1, 2))
         )
-    if again is not None:
-        total = total + training.reconstruction_weight * torch.mean(
+    if again is not None and "reconstruction" in training.losses:
+        total = total + training.losses["reconstruction"] * torch.mean(
             (torch.sigmoid(again) - sheared) ** 2
         )
     if training.l1 or training.l2:

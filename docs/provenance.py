@@ -69,10 +69,7 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
         f"benchmarks {name}": ("benchmarks.bench_networks",)
         for name in ("train", "infer", "stream")
     },
-    **{
-        f"benchmarks {name}": (f"benchmarks.bench_{name}",)
-        for name in ("sim", "pins", "data")
-    },
+    **{f"benchmarks {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "pins", "data")},
     "benchmarks needs": ("benchmarks.bench_omissions",),
     "benchmarks input": ("benchmarks.bench_input_pipeline",),
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),

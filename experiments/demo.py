@@ -14,13 +14,21 @@ demo undoes 69 % (docs/results/calibrated.json, one seed; demo.json, five). We t
 levers are the reason, because they show how the skin turns at an edge; this was not tested.
 """
 
+from dataclasses import replace
+
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 
-POSENET = Training(
-    epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375
+POSENET = replace(
+    POSENET_TRAINING,
+    epochs=8,
+    batch=16,
+    optimiser="muon",
+    learning_rate=1.5e-3,
+    shift=0.01,
+    validate_every=375,
 )
 
 experiment = Experiment(
@@ -36,7 +44,7 @@ experiment = Experiment(
         optimiser="muon",
         learning_rate=6e-3,
         shift=0.01,
-        reconstruction_weight=0.3,
+        losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 0.3},
         validate_every=270,
     ),
     train_posenet=POSENET,

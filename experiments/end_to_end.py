@@ -5,7 +5,7 @@ if the encoder convolves and true poses supervise it a little; without these pos
 
 The parted network of `parted.py`, four times its poses, for images of 256 px. It learns from the simulator's true pins, made as noisy as
 found ones are, and is also scored on pins that are found in images with noise and drift, each image by itself (test `found`).
-A PoseNet of taps reads the unsheared pins in training, and what it reads should be the true pose (`train_pins.pose_weight`); another one,
+A PoseNet of taps reads the unsheared pins in training, and what it reads should be the true pose (the loss `pose_label`); another one,
 which teaches nothing, reads them in the test. `posenet_sheared` learns poses of the same slides directly: it shows how much of the pose a
 slide still holds for such a network.
 
@@ -23,8 +23,8 @@ from jaxunshear.config.sweep import Sweep
 BASE = parted.sweep.base
 ROWS = {
     "E convolves, poses teach": (),
-    "E convolves": (("train_pins.pose_weight", 0.0),),
-    "E is dense": ((("train_pins.pose_weight", "pins.convolved"), (0.0, ())),),
+    "E convolves": (("train_pins.losses.pose_label", 0.0),),
+    "E is dense": ((("train_pins.losses.pose_label", "pins.convolved"), (0.0, ())),),
 }
 
 sweep = Sweep(
@@ -41,7 +41,9 @@ sweep = Sweep(
         pins=replace(
             BASE.pins, convolved=(16, 32, 64), noise_px=0.14
         ),  # by which pins found in these images are off
-        train_pins=replace(BASE.train_pins, epochs=25, pose_weight=0.1),
+        train_pins=replace(
+            BASE.train_pins, epochs=25, losses={**BASE.train_pins.losses, "pose_label": 0.1}
+        ),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -24,7 +24,7 @@ import parted
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.sweep import Sweep
 
-FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
+FIELDS = ("train_pins.losses.tap", "train_pins.losses.consistency")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}
 SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
 
@@ -35,7 +35,11 @@ sweep = Sweep(
         parted.sweep.base,
         name="few_pairs",
         claim="With taps that no slide belongs to, a tenth of the pairs is enough.",
-        train_pins=replace(PIN_TRAINING, epochs=13, pose_weight=0.0, slide_weight=1.0),
+        train_pins=replace(
+            PIN_TRAINING,
+            epochs=13,
+            losses={"supervised": 1.0, "reconstruction": 0.3, "slide": 1.0},
+        ),
     ),
     rows=tuple(
         ((("train_pins.paired_share", share), (FIELDS, WAYS[way])))

@@ -18,14 +18,17 @@ friction are those fitted to recordings of a TacTip (docs/calibration.md): those
 4x4 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 
+from dataclasses import replace
+
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 
 SIZE = 256
 
-POSENET = Training(
+POSENET = replace(
+    POSENET_TRAINING,
     epochs=250,
     batch=256,
     learning_rate=1e-4,
@@ -63,7 +66,7 @@ experiment = Experiment(
         l1=1e-3,
         l2=1e-3,
         kernels="mean",
-        patch_weight=0.1,
+        losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0},
         crops=100,
         crop_px=20,
         averaging=0.0,

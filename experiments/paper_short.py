@@ -11,15 +11,23 @@ Slides are paired with taps of their own depth; against taps that miss it by up 
 own.
 """
 
+from dataclasses import replace
+
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 
 SIZE = 256
 
-POSENET = Training(
-    epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675
+POSENET = replace(
+    POSENET_TRAINING,
+    epochs=8,
+    batch=16,
+    optimiser="muon",
+    learning_rate=1.5e-3,
+    shift=0.01,
+    validate_every=675,
 )
 
 experiment = Experiment(
@@ -41,7 +49,7 @@ experiment = Experiment(
         optimiser="muon",
         learning_rate=6e-3,
         shift=0.01,
-        reconstruction_weight=0.3,
+        losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 0.3},
         crop_px=40,
         validate_every=540,
     ),

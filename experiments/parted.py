@@ -21,15 +21,15 @@ from jaxunshear.config.experiment import PIN_TRAINING, Experiment
 from jaxunshear.config.networks import PinNet, UnshearNet
 from jaxunshear.config.sweep import Sweep
 
-WEIGHTS = ("train_pins.swap_weight", "train_pins.agreement_weight")
+WEIGHTS = ("train_pins.losses.counterfactual", "train_pins.losses.code_agreement")
 ROWS = {
     "disentangled": (),
-    "no exchanged codes": (("train_pins.swap_weight", 0.0),),
-    "no agreement": (("train_pins.agreement_weight", 0.0),),
+    "no exchanged codes": (("train_pins.losses.counterfactual", 0.0),),
+    "no agreement": (("train_pins.losses.code_agreement", 0.0),),
     "one encoder, and DS teaches both codes": (("pins.apart", False),),
     "the paper's losses": (
         (WEIGHTS, (0.0, 0.0)),
-        (("pins.apart", "train_pins.slide_weight"), (False, 0.0)),
+        (("pins.apart", "train_pins.losses.slide"), (False, 0.0)),
         ("pins.pose_code", 16),
     ),
 }
@@ -50,10 +50,13 @@ sweep = Sweep(
         train_pins=replace(
             PIN_TRAINING,
             epochs=50,
-            pose_weight=0.0,
-            swap_weight=1.0,
-            agreement_weight=2.0,
-            slide_weight=1.0,
+            losses={
+                "supervised": 1.0,
+                "reconstruction": 0.3,
+                "counterfactual": 1.0,
+                "code_agreement": 2.0,
+                "slide": 1.0,
+            },
         ),
     ),
     rows=tuple(ROWS.values()),

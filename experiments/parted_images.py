@@ -23,10 +23,10 @@ from jaxunshear.config.training import Training
 
 ROWS = {
     "disentangled": (),
-    "no agreement": (("train.agreement_weight", 0.0),),
+    "no agreement": (("train.losses.code_agreement", 0.0),),
     "the paper's losses": (
         (("unshear.apart", "unshear.pose_channels", "unshear.shear_channels"), (False, 256, 256)),
-        (("train.agreement_weight", "train.slide_weight"), (0.0, 0.0)),
+        (("train.losses.code_agreement", "train.losses.slide"), (0.0, 0.0)),
     ),
 }
 
@@ -38,7 +38,11 @@ sweep = Sweep(
         name="parted_images",
         unshear=replace(standard.experiment.unshear, pose_channels=8, shear_channels=2, apart=True),
         pins=PinNet(),
-        train=replace(standard.experiment.train, epochs=4, agreement_weight=2.0, slide_weight=1.0),
+        train=replace(
+            standard.experiment.train,
+            epochs=4,
+            losses={**standard.experiment.train.losses, "code_agreement": 2.0, "slide": 1.0},
+        ),
         train_pins=Training(),
         train_posenet=standard.experiment.train_posenet,
     ),

@@ -20,7 +20,7 @@ from jaxunshear.config.networks import PinNet
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.fit import BASE_EXPERIMENT
 
-WEIGHTS = ("train_pins.agreement_weight", "train_pins.slide_weight")
+WEIGHTS = ("train_pins.losses.code_agreement", "train_pins.losses.slide")
 CODES = ("pins.apart", "pins.pose_code", "pins.shear_code")
 ROWS = {
     "as recorded.py trains": (),

@@ -19,7 +19,7 @@ ROWS = {
     "as recorded.py trains": (),
     "disentangled": (
         (CODES, (True, 8, 2)),
-        (("train.agreement_weight", "train.slide_weight"), (2.0, 1.0)),
+        (("train.losses.code_agreement", "train.losses.slide"), (2.0, 1.0)),
     ),
 }
 

@@ -26,7 +26,7 @@ OPTIONS are the first or second of these lines, and the third or fourth where a 
     dense                       --pins.convolved=
     convolving                  --pins.direct_convolved 24,48,96
     direct from rendered taps   --paired.direct_taps rendered
-    no pose labels              --train_pins.pose_weight 0
+    no pose labels              --train_pins.losses.pose_label 0
 
 `jaxunshear evaluate runs/ROW --recordings OTHER` scores it on other recordings; a row's folder in
 `runs/sweeps/rivals/rows` is a run, too.
@@ -49,7 +49,7 @@ ROWS = {
     "dense, direct from rendered taps, too": (RENDERED,),
     "convolving": (CONVOLVING,),
     "convolving, direct from rendered taps, too": (CONVOLVING, RENDERED),
-    "convolving, no pose labels in the loss": (CONVOLVING, ("train_pins.pose_weight", 0.0)),
+    "convolving, no pose labels in the loss": (CONVOLVING, ("train_pins.losses.pose_label", 0.0)),
 }
 
 sweep = Sweep(

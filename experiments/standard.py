@@ -13,14 +13,22 @@ own: the four shapes that no network has seen, and taps whose depth misses the s
 1 mm, as the paper pairs them.
 """
 
+from dataclasses import replace
+
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.registry import ALL_NETWORKS
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 
-POSENET = Training(
-    epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675
+POSENET = replace(
+    POSENET_TRAINING,
+    epochs=12,
+    batch=16,
+    optimiser="muon",
+    learning_rate=1.5e-3,
+    shift=0.01,
+    validate_every=675,
 )
 
 experiment = Experiment(
@@ -41,7 +49,7 @@ experiment = Experiment(
         optimiser="muon",
         learning_rate=6e-3,
         shift=0.01,
-        reconstruction_weight=0.3,
+        losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 0.3},
         validate_every=540,
     ),
     train_posenet=POSENET,

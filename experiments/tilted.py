@@ -31,7 +31,7 @@ sweep = Sweep(
         paired=PAIRED["tilted"],
         pose=POSE["tilted"],
         pins=PinNet(),
-        train_pins=replace(PIN_TRAINING, pose_weight=0.0),
+        train_pins=replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3}),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -5,12 +5,14 @@
 Expected on two cores: a minute or two, most of it compilation.
 """
 
+from dataclasses import replace
+
 from jaxunshear.config.configs import PAIRED, POSE
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 
-POSENET = Training(epochs=2, batch=6, validate_every=4)
+POSENET = replace(POSENET_TRAINING, epochs=2, batch=6, validate_every=4)
 
 experiment = Experiment(
     name="tiny",

@@ -35,7 +35,7 @@ sweep = Sweep(
         other_twists_deg=(0.0, 5.0, 20.0),
         paired=PAIRED["twisted"],
         pins=PinNet(),
-        train_pins=replace(PIN_TRAINING, pose_weight=0.0),
+        train_pins=replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3}),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

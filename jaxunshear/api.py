@@ -134,7 +134,7 @@ class Model:
         shear = self.codes(images).shear if self.slide_targets else None
         if shear is None:
             raise UserError(
-                f"{self.folder}: its shear code was not taught the slide, or was left out: train with slide_weight"
+                f"{self.folder}: its shear code was not taught the slide, or was left out: train with the loss slide"
             )
         outputs = jnp.asarray((shear[:, : len(self.slide_targets)] + 1) / 2)
         return {

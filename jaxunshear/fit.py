@@ -11,7 +11,7 @@ from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.recorded_contacts import identify_sensor, read_contacts
@@ -32,11 +32,12 @@ BASE_EXPERIMENT = Experiment(
         optimiser="muon",
         learning_rate=6e-3,
         shift=0.0,
-        reconstruction_weight=0.3,
+        losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 0.3},
         validate_every=250,
         validation_images=512,
     ),
-    train_posenet=Training(
+    train_posenet=replace(
+        POSENET_TRAINING,
         epochs=7,
         batch=16,
         optimiser="muon",

@@ -176,9 +176,9 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     task, fields = make_task(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     beside = max(1, training.batch // 2)
-    if training.tap_weight:
+    if "tap" in training.losses:
         batches = add_taps(batches, open_taps(experiment, data), beside, seed)
-    if training.alike_weight:
+    if "consistency" in training.losses:
         batches = add_same_pose_slides(batches, full, beside, seed)
     begin = start_folder(experiment, network)
     summary = train(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import Training, drop_pair_losses
 from jaxunshear.files import Json
 from jaxunshear.models import posenet, unet, unshearnet
 from jaxunshear.models.weights import Variables
@@ -44,18 +44,16 @@ class Programs(NamedTuple):
 
 
 def make_task(net: Net, training: Training) -> Task:
-    return (
-        make_posenet_task(net, training, TARGETS)
-        if isinstance(net, PoseNet)
-        else make_unshear_task(net, training)
-    )
+    if isinstance(net, PoseNet):
+        return make_posenet_task(net, drop_pair_losses(training, pose=1.0), TARGETS)
+    return make_unshear_task(net, training)
 
 
 def build_programs(net: Net, training: Training) -> Programs:
     """Those of `net`; trainings that differ in learning rate and (positive) patch weight share them. Raises `UserError`."""
     same: Json = {
         "learning_rate": 1.0,
-        "patch_weight": float(training.patch_weight > 0),
+        "losses": {**training.losses, "patch": float("patch" in training.losses)},
         "schedule": "steps",
         "drops": (),
     }
@@ -94,7 +92,9 @@ def run_steps(
     for done in range(1, steps + 1):
         batch = make(done - 1)
         rate = training.learning_rate * drops.get(done - 1, 1.0)
-        state, terms = step(state, batch, np.float32(rate), np.float32(training.patch_weight))
+        state, terms = step(
+            state, batch, np.float32(rate), np.float32(training.losses.get("patch", 0.0))
+        )
         last = guards[0](done, terms, batch, folder)
         if done % SAVED_EVERY == 0:
             guards[1](state, done, batch, folder)

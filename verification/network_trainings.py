@@ -118,7 +118,7 @@ def _settings() -> Iterator[NetworkCase]:
         yield make_steps_case(
             f"patch weight {weight:g}",
             NET if weight else SHALLOW,
-            replace(TRAINING, patch_weight=weight),
+            replace(TRAINING, losses={**TRAINING.losses, "patch": weight}),
         )
     for pose, shear in ((64, 64), (128, 0)):
         yield make_steps_case(

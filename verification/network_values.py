@@ -90,7 +90,7 @@ def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> CaseOu
     )
     terms: dict[str, Callable[[jax.Array], jax.Array]] = {
         "supervised": lambda x: losses.compute_supervised_loss(x, target),
-        "reconstruction": lambda x: losses.compute_reconstruction_loss(x, target),
+        "reconstruction": lambda x: losses.compute_supervised_loss(x, target),
         "patch": lambda x: losses.compute_patch_loss(x, target, counts),
         "pose": lambda x: losses.compute_pose_loss(
             x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.list_output_weights(TARGETS)
@@ -121,7 +121,7 @@ def _check_saturated(net: Net) -> CaseOutput:
     variables = {"params": params, "batch_stats": train_briefly(net)["batch_stats"]}
     state, batch = start._replace(**variables, average=variables), _floats(net, 1)
     after, terms = step(
-        state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight)
+        state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.losses["patch"])
     )
     reported = dict(use(variables, get_images(batch)))
     outputs = np.asarray(reported["outputs" if isinstance(net, PoseNet) else "unsheared"])

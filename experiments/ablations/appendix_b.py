@@ -40,7 +40,7 @@ sweep = Sweep(
         (WEIGHTS, ((1e-4, 1e-4), (1e-3, 1e-3))),
         ("train.kernels", ("sum", "mean")),
     ),
-    rows=((("train.patch_weight", 10.0),),),
+    rows=((("train.losses.patch", 10.0),),),
     labels=("lambda 10",),
     seeds=(0, 1, 2),
 )

@@ -28,7 +28,7 @@ sweep = Sweep(
         train_posenet=replace(demo.experiment.train_posenet, epochs=6),
     ),
     grid=(
-        ("train.patch_weight", (0.0, 0.01, 0.1, 1.0, 10.0)),
+        ("train.losses.patch", (0.0, 0.01, 0.1, 1.0, 10.0)),
         (
             ("unshear.pose_channels", "unshear.shear_channels"),
             ((8, 120), (32, 96), (64, 64), (96, 32), (120, 8)),

@@ -24,7 +24,7 @@ ROWS = {
     "disentangled": (),
     "no shear code": (("unshear.shear_channels", 0),),
     "L_rec at full weight": (
-        ("train.reconstruction_weight", 1.0),
+        ("train.losses.reconstruction", 1.0),
         ("networks", (DISENTANGLED, POSENET)),
     ),
 }

@@ -27,24 +27,14 @@ from jaxunshear.config.registry import (
 )
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import (
+    POSENET_TRAINING,
+    Training,
+    drop_pair_losses,
+    uses_teacher,
+)
 from jaxunshear.config.types import Rule
 from jaxunshear.errors import UserError
-
-PAIR_LOSS_FIELDS = (  # fields of `Training` that no PoseNet's training reads
-    "patch_weight",
-    "crops",
-    "crop_px",
-    "reconstruction_weight",
-    "swap_weight",
-    "agreement_weight",
-    "slide_weight",
-    "paired_share",
-    "tap_weight",
-    "alike_weight",
-    "pose_weight",
-    "pose_target",
-)
 
 PIN_TRAINING = Training(
     epochs=100,
@@ -53,10 +43,7 @@ PIN_TRAINING = Training(
     beta1=0.9,
     averaging=0.999,
     shift=0.0,
-    patch_weight=0.0,
-    reconstruction_weight=0.3,
-    pose_weight=1.0,
-    pose_target="label",
+    losses={"supervised": 1.0, "reconstruction": 0.3, "pose_label": 1.0},
     validate_every=500,
     validation_images=10_000,
 )
@@ -87,8 +74,8 @@ class Experiment:
     pins: PinNet = field(default_factory=PinNet)
     # UnshearNets, and the U-Net of the same widths
     train: Training = field(default_factory=Training)
-    train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
-    train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
+    train_posenet: Training = POSENET_TRAINING  # both PoseNets that are evaluated
+    train_teacher: Training = POSENET_TRAINING  # the PoseNet of pose_label and pose_tap
     train_pins: Training = PIN_TRAINING  # networks over pins, in the place of the first two
 
     def rules(self) -> Iterator[Rule]:
@@ -134,7 +121,7 @@ def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
     recorded = get_recorded(experiment)
     reader = (POSENET_SHEARED,) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if uses_pins(experiment) else experiment.train
-    taught = (TEACHER,) if training.pose_weight and unshears else ()
+    taught = (TEACHER,) if uses_teacher(training) and unshears else ()
     drawn = uses_pins(experiment) and set(TAP_NETWORKS) & {
         *experiment.networks,
         *taught,
@@ -164,15 +151,19 @@ def get_training_data(experiment: Experiment, network: str) -> PairedData | Pose
 def takes_taps(experiment: Experiment) -> bool:
     """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
     return any(
-        name in TAP_NETWORKS or get_training(experiment, name).tap_weight > 0
+        name in TAP_NETWORKS or "tap" in get_training(experiment, name).losses
         for name in list_trained_networks(experiment)
     )
 
 
 def get_training(experiment: Experiment, network: str) -> Training:
-    """How `network` is trained."""
-    if network == RENDERER or (uses_pins(experiment) and network in POSENETS):
-        return drop_pair_losses(experiment.train_pins)
+    """Return how `network` is trained."""
+    if network == RENDERER:
+        return drop_pair_losses(experiment.train_pins, pins=1.0)
+    if uses_pins(experiment) and network in POSENETS:
+        return drop_pair_losses(
+            experiment.train_pins, **_list_pin_posenet_losses(experiment, network)
+        )
     if uses_pins(experiment):
         return experiment.train_pins
     if network == TEACHER:
@@ -180,9 +171,14 @@ def get_training(experiment: Experiment, network: str) -> Training:
     return experiment.train_posenet if network in POSENETS else experiment.train
 
 
-def drop_pair_losses(training: Training) -> Training:
-    """`training` with what only a network that unshears reads at its default."""
-    return replace(training, **{field: getattr(Training, field) for field in PAIR_LOSS_FIELDS})
+def _list_pin_posenet_losses(experiment: Experiment, network: str) -> dict[str, float]:
+    """Return the losses of a PoseNet over pins: rendered taps teach it, too, where there are any."""
+    recorded = get_recorded(experiment)
+    if network in TAP_NETWORKS:
+        rendered = RENDERER in list_trained_networks(experiment)
+    else:
+        rendered = recorded is not None and recorded.direct_taps == "rendered"
+    return {"pose": 1.0} | ({"rendered_pose": 1.0} if rendered else {})
 
 
 def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:

@@ -7,7 +7,7 @@
 import dataclasses
 import difflib
 import typing
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from jaxunshear.config.experiment import Experiment
@@ -19,6 +19,7 @@ from jaxunshear.config.types import (
     describe_hint,
     get_optional,
     get_origin,
+    is_weights,
     list_choices,
     list_groups,
     list_hints,
@@ -41,10 +42,18 @@ def replace_field(experiment: Experiment, name: str, value: object) -> Experimen
 
     Raises `UserError` where there is no such field.
     """
-    kinds = dict(list_field_types())
+    _find_field_type(name, dict(list_field_types()))
+    return _replace_at_path(experiment, name.split("."), value)
+
+
+def _find_field_type(name: str, kinds: Mapping[str, Hint]) -> Hint:
+    """Return the type of a field, or of one weight of a field of weights. Raises UserError."""
+    group, _, part = name.rpartition(".")
+    if part and is_weights(kinds.get(group)):
+        return float
     if name not in kinds:
         raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
-    return _replace_at_path(experiment, name.split("."), value)
+    return kinds[name]
 
 
 def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
@@ -57,13 +66,12 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
                 f"argument '{word}' is not understood: fields are changed by --name value"
             )
         name, equals, text = word[2:].partition("=")
-        if name not in kinds:
-            raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
+        kind = _find_field_type(name, kinds)
         if not equals:
             text = next(words, None)  # type: ignore[assignment]
             if text is None or text.startswith("--"):
-                raise UserError(f"--{name} needs a value: {describe_hint(kinds[name])}")
-        pairs.append((name, _parse(text, kinds[name], name)))
+                raise UserError(f"--{name} needs a value: {describe_hint(kind)}")
+        pairs.append((name, _parse(text, kind, name)))
     return pairs
 
 
@@ -109,6 +117,8 @@ def format_value(value: object) -> str:
     """A field's value as it is written on the command line; a sensor by its name."""
     if isinstance(value, Sensor):
         return value.name
+    if isinstance(value, Mapping):
+        return ",".join(f"{name}:{weight}" for name, weight in value.items()) or "''"
     if isinstance(value, tuple):
         return (
             ",".join(
@@ -140,6 +150,8 @@ def _suggestion(name: str, kinds: Iterable[str]) -> str:
 
 
 def _replace_at_path(node: Any, path: list[str], value: object) -> Any:
+    if isinstance(node, Mapping):
+        return {**node, path[0]: value}
     if not hasattr(node, path[0]):
         raise UserError(
             f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields"
@@ -171,6 +183,9 @@ def _parse_value(text: str, kind: Hint) -> Value:
             _parse_value(item.strip(), part)
             for item, part in zip(items, (first, *more), strict=True)
         )
+    if is_weights(kind):
+        pairs = [item.split(":") for item in text.split(",") if item]
+        return {name.strip(): float(weight) for name, weight in pairs}
     if kind is bool:
         if text.lower() not in ("true", "false"):
             raise ValueError

@@ -15,7 +15,7 @@ POSENET: Final = "posenet"
 ENTANGLED_LARGE: Final = "entangled_large"  # with as many parameters as the disentangled one
 UNET: Final = "unet"
 POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
-# the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
+# the PoseNet of the losses pose_label and pose_tap: trained first, from another seed, and never evaluated
 TEACHER: Final = "posenet_teacher"
 RENDERER: Final = (
     "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides

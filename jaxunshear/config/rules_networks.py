@@ -1,16 +1,16 @@
 """Rules between the settings of networks and of their trainings, whatever they learn from."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import (
-    PAIR_LOSS_FIELDS,
     Experiment,
     get_recorded,
     list_trained_networks,
     uses_pins,
 )
 from jaxunshear.config.image import Preprocess
+from jaxunshear.config.losses import EXCHANGE, Modality, Requirement, Role, get_loss
 from jaxunshear.config.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER
 from jaxunshear.config.targets import parse_target
 from jaxunshear.config.training import Training, uses_code_exchange
@@ -85,7 +85,7 @@ def list_network_rules(
 
 
 def list_training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
-    """Of `pairs` and `taps` to learn from."""
+    """Yield the rules of trainings on `pairs` and `taps` examples."""
     yield _batch(experiment.train, "train", pairs)
     yield (
         experiment.train.crop_px <= experiment.unshear.size,
@@ -97,16 +97,17 @@ def list_training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterat
         "train_teacher.start",
         "leave it empty: what marks a network must not teach it",
     )
-    yield from _exchange(experiment)
-    yield from _few_pairs(experiment)
+    yield from _list_loss_rules(experiment, "train", "unshears", "images")
+    yield from _list_separate_code_rules(experiment)
+    yield from _list_few_pair_rules(experiment)
     taught = TEACHER in list_trained_networks(experiment) and not uses_pins(experiment)
     for name in ("train_posenet", "train_teacher") if taught else ("train_posenet",):
         yield _batch(getattr(experiment, name), name, taps)
-        yield from _without_pair_losses(getattr(experiment, name), name)
+        yield from _list_loss_rules(experiment, name, "reads poses", "images")
+        yield from _list_pair_setting_rules(getattr(experiment, name), name)
     if uses_pins(experiment) or RENDERER in list_trained_networks(experiment):
         yield _batch(experiment.train_pins, "train_pins", min(pairs, taps))
-        unused = not experiment.train_pins.patch_weight
-        yield unused, "train_pins.patch_weight", "is for networks over images: leave it at 0"
+        yield from _list_loss_rules(experiment, "train_pins", "unshears", "pins")
 
 
 def _batch(training: Training, group: str, examples: int) -> Rule:
@@ -114,31 +115,73 @@ def _batch(training: Training, group: str, examples: int) -> Rule:
     return training.batch <= examples, f"{group}.batch", remedy
 
 
-def _exchange(experiment: Experiment) -> Iterator[Rule]:
-    """What learning codes that do not leak takes."""
-    paired, training = experiment.paired, experiment.train_pins
-    shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
-    share = "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides"
-    for field in ("swap_weight", "agreement_weight", "slide_weight"):
-        weight = getattr(experiment.train, field)
+def _list_loss_rules(
+    experiment: Experiment, group: str, role: Role, modality: Modality
+) -> Iterator[Rule]:
+    """Yield whether the losses of a group are known, of its networks, and have what they need."""
+    for name in getattr(experiment, group).losses:
+        field = f"{group}.losses.{name}"
+        try:
+            spec = get_loss(name)
+        except UserError as error:
+            yield False, field, str(error)
+            continue
+        yield spec.role == role, field, f"is for a network that {spec.role}: leave it out"
         yield (
-            not weight or (experiment.unshear.apart and not uses_pins(experiment)),
-            f"train.{field}",
-            "takes codes of images that are apart: set unshear.apart, or leave it at 0",
+            modality in spec.modalities,
+            field,
+            f"is for networks over {' and '.join(spec.modalities)}: leave it out",
         )
-        yield not weight or shared or field != "swap_weight", f"train.{field}", share
-        yield (
-            not getattr(training, field)
-            or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
-            f"train_pins.{field}",
-            "takes a shear code, and pins as they are: raise pins.shear_code, leave pins.turned at 0",
-        )
+        for requirement in spec.requires:
+            check, remedy = REQUIREMENTS[requirement]
+            yield check(experiment, modality), field, remedy
+
+
+def _has_codes(experiment: Experiment, modality: Modality) -> bool:
+    if modality == "pins":
+        return experiment.pins.shear_code > 0 and not experiment.pins.turned
+    return experiment.unshear.apart and not uses_pins(experiment)
+
+
+def _shares_slides(experiment: Experiment, modality: Modality) -> bool:
+    paired = experiment.paired
+    return isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
+
+
+def _has_two_slides(experiment: Experiment, modality: Modality) -> bool:
+    return isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1
+
+
+def _is_simulated(experiment: Experiment, modality: Modality) -> bool:
+    return get_recorded(experiment) is None
+
+
+def _has_still_pins(experiment: Experiment, modality: Modality) -> bool:
+    return not experiment.pins.turned
+
+
+REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, Modality], bool], str]] = {
+    "codes": (
+        _has_codes,
+        "takes codes that are apart: set unshear.apart; over pins raise pins.shear_code, and leave pins.turned at 0",
+    ),
+    "shared slides": (
+        _shares_slides,
+        "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+    ),
+    "two slides": (_has_two_slides, "takes two slides to a pose: raise paired.slides"),
+    "simulated": (_is_simulated, "takes simulated contacts: leave it out"),
+    "still pins": (_has_still_pins, "takes pins as they are: leave it out, or pins.turned at 0"),
+}
+
+
+def _list_separate_code_rules(experiment: Experiment) -> Iterator[Rule]:
+    """Yield what codes that are apart take: z_s then learns from the slide alone."""
     yield (
-        not experiment.pins.apart or training.slide_weight > 0,
+        not experiment.pins.apart or "slide" in experiment.train_pins.losses,
         "pins.apart",
-        "leaves z_s to learn from the slide alone: raise train_pins.slide_weight",
+        "leaves z_s to learn from the slide alone: raise train_pins.losses.slide",
     )
-    yield not training.swap_weight or shared, "train_pins.swap_weight", share
     yield (
         not experiment.unshear.apart or not uses_pins(experiment),
         "unshear.apart",
@@ -146,66 +189,40 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     )
     yield (
         not experiment.unshear.apart
-        or (experiment.train.slide_weight > 0 and experiment.unshear.shear_channels > 0),
+        or ("slide" in experiment.train.losses and experiment.unshear.shear_channels > 0),
         "unshear.apart",
-        "leaves z_s to learn from the slide alone: raise train.slide_weight and unshear.shear_channels",
+        "leaves z_s to learn from the slide alone: raise train.losses.slide and unshear.shear_channels",
     )
 
 
-def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
-    """What learning from a share of the pairs takes, and from taps without a slide."""
-    simulated, over_images, training = (
-        get_recorded(experiment) is None,
-        experiment.train,
-        experiment.train_pins,
-    )
+def _list_few_pair_rules(experiment: Experiment) -> Iterator[Rule]:
+    """Yield what learning from a share of the pairs takes."""
+    training = experiment.train_pins
     yield (
-        over_images.paired_share == 1,
+        experiment.train.paired_share == 1,
         "train.paired_share",
         "is for networks over pins: leave it at 1",
     )
     yield (
-        training.paired_share == 1 or simulated,
+        training.paired_share == 1 or get_recorded(experiment) is None,
         "train_pins.paired_share",
         "is of simulated pairs: use paired.labelled",
     )
     yield (
         training.paired_share == 1 or not uses_code_exchange(training),
         "train_pins.paired_share",
-        "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
-    )
-    for field in ("tap_weight", "alike_weight"):
-        weight = getattr(training, field)
-        yield (
-            not getattr(over_images, field),
-            f"train.{field}",
-            "is for networks over pins: leave it at 0",
-        )
-        yield (
-            not weight or (simulated and not experiment.pins.turned),
-            f"train_pins.{field}",
-            "takes simulated pins as they are: leave it at 0, or pins.turned",
-        )
-    yield (
-        not training.alike_weight
-        or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
-        "train_pins.alike_weight",
-        "takes two slides to a pose: raise paired.slides",
+        f"leaves slides without their partners: leave it at 1, or {' and '.join(EXCHANGE)} out",
     )
 
 
-def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
-    for field in PAIR_LOSS_FIELDS:
+def _list_pair_setting_rules(training: Training, name: str) -> Iterator[Rule]:
+    for field in ("crops", "crop_px", "paired_share"):
         value, unused = getattr(training, field), getattr(Training, field)
         yield (
             value == unused,
             f"{name}.{field}",
-            f"is for networks that unshear: leave it at {_plain(unused)}",
+            f"is for networks that unshear: leave it at {unused:g}",
         )
-
-
-def _plain(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def list_target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:

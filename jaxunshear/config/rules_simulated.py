@@ -60,11 +60,11 @@ def list_simulated_rules(
     pairs, taps = count_training_poses(paired) * paired.slides, count_training_poses(pose)
     yield from list_training_rules(experiment, pairs, taps)
     yield (
-        experiment.train.pose_target != "label"
+        "pose_label" not in experiment.train.losses
         or make_range_targets(experiment.targets, paired.ranges)
         == make_range_targets(experiment.targets, pose.ranges),
-        "train.pose_target",
-        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
+        "train.losses.pose_label",
+        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use pose_tap",
     )
 
 

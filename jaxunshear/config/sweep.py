@@ -27,7 +27,7 @@ Change = tuple[Fields, Value]
 class Sweep:
     """`jaxunshear sweep FILE` reads the variable `sweep` of FILE. Results go to <out>/<name>/.
 
-    An axis is ("train.patch_weight", (0.0, 0.1)) or, of fields that vary together,
+    An axis is ("train.losses.patch", (0.0, 0.1)) or, of fields that vary together,
     (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (64, 64))). A row is a tuple of such pairs with one
     value each: (("train.batch", 4), ("train.epochs", 2.0)). Without either, the base alone is run with every seed.
     """

@@ -1,15 +1,11 @@
 """How networks are trained."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from jaxunshear.config.losses import EXCHANGE, SUPERVISION, LossWeights
 from jaxunshear.config.types import Rule
-
-WEIGHT_FIELDS = (  # of losses and of penalties
-    *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight", "slide_weight"),
-    *("tap_weight", "alike_weight", "pose_weight", "l1", "l2"),
-)
 
 
 @dataclass(frozen=True)
@@ -31,26 +27,16 @@ class Training:
     l2: float = 0.0  # weight of w^2, likewise
     # "sum": over a kernel's weights, as Keras does; "mean": which no kernel's size changes
     kernels: Literal["sum", "mean"] = "sum"
-    patch_weight: float = 0.1  # lambda: L2 to L1-patch loss is 10:1
+    # of all losses that are computed, by their names in config/losses.py: their weights; here those
+    # of the paper, whose lambda 0.1 gives "L2 and L1 patch loss in the ratio 10:1"
+    losses: Mapping[str, float] = LossWeights(
+        {"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0}
+    )
     crops: int = 100  # random crops an image, of the patch loss
     crop_px: int = 20  # their side
-    reconstruction_weight: float = 1.0  # of L_rec: DS draws the sheared image again
-    # the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses share slides
-    # (`paired.poses_a_slide`); this and the next two over images of codes that are apart
-    swap_weight: float = 0.0
-    # equal poses have equal pose codes, those of two slides, or of a slide and its tap: the squared difference in every direction of
-    # the code over its variance, and DC reconstructs the tap from both
-    agreement_weight: float = 0.0
-    # the numbers of z_s are the slide in the sensor's frame, shifts before turns, as many as it has room for, each over half of its range
-    slide_weight: float = 0.0
-    # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap; other slides are left out
+    # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap;
+    # other slides are left out
     paired_share: float = 1.0
-    tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in
-    alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
-    # of what a PoseNet reads off the unsheared image, against `pose_target`
-    pose_weight: float = 0.0
-    # what the same PoseNet reads off the tap; or "label", the true pose
-    pose_target: Literal["tap", "label"] = "tap"
     # decay of the exponential moving average of the weights; 0 switches it off
     averaging: float = 0.99
     # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
@@ -59,6 +45,10 @@ class Training:
     start: str = ""
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
+
+    def __post_init__(self) -> None:
+        if isinstance(self.losses, Mapping):  # else `check_types` reports it
+            object.__setattr__(self, "losses", LossWeights(self.losses))
 
     def rules(self) -> Iterator[Rule]:
         yield self.epochs > 0, "epochs", "must be above zero"
@@ -79,23 +69,41 @@ class Training:
         yield epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs"
         for field in ("beta1", "beta2", "averaging"):
             yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1"
-        for field in WEIGHT_FIELDS:
+        for field in ("l1", "l2"):
             yield getattr(self, field) >= 0, field, "must not be below zero"
+        yield len(self.losses) > 0, "losses", "name at least one, as supervised:1"
+        for name, weight in self.losses.items():
+            yield weight > 0, f"losses.{name}", "must not be below zero; 0 leaves the loss out"
         yield 0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1"
         yield 0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25"
         yield (
             self.crops >= 1,
             "crops",
-            "must be at least 1; patch_weight 0 switches the patch loss off",
+            "must be at least 1; losses.patch 0 leaves the patch loss out",
         )
         yield self.crop_px >= 1, "crop_px", "must be at least 1"
 
 
+# of PoseNets
+POSENET_TRAINING = Training(losses={"pose": 1.0})
+
+
+def drop_pair_losses(training: Training, **losses: float) -> Training:
+    """Return `training` with `losses` alone, and what only losses of pairs read at its default."""
+    return replace(
+        training,
+        losses=losses,
+        crops=Training.crops,
+        crop_px=Training.crop_px,
+        paired_share=Training.paired_share,
+    )
+
+
 def uses_code_exchange(training: Training) -> bool:
-    """Whether a network that unshears learns from exchanged codes."""
-    return training.swap_weight > 0 or training.agreement_weight > 0
+    """Return whether a network that unshears learns from partners of its slides."""
+    return any(name in training.losses for name in EXCHANGE)
 
 
-def uses_pose_labels(training: Training) -> bool:
-    """Whether a network that unshears is given true poses."""
-    return training.pose_weight > 0 and training.pose_target == "label"
+def uses_teacher(training: Training) -> bool:
+    """Return whether a PoseNet supervises the network that unshears."""
+    return any(name in training.losses for name in SUPERVISION)

@@ -10,7 +10,7 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from jaxunshear.errors import UserError
@@ -54,8 +54,17 @@ def check_rules(settings: object, what: str) -> None:
 
 
 def get_value(settings: object, name: str) -> Value:
-    """Of the field of this dotted name."""
-    return functools.reduce(getattr, name.split("."), settings)
+    """Return the value of the field of this dotted name; 0 for a weight that is not there."""
+    return functools.reduce(_get_part, name.split("."), settings)
+
+
+def _get_part(settings: object, name: str) -> Value:
+    return settings.get(name, 0.0) if isinstance(settings, Mapping) else getattr(settings, name)
+
+
+def is_weights(kind: Hint) -> bool:
+    """Return whether a field holds weights by name."""
+    return get_origin(kind) is Mapping
 
 
 @functools.cache
@@ -110,6 +119,8 @@ def describe_hint(kind: Hint) -> str:
             else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
         )
         return f"{plural} separated by commas"
+    if is_weights(kind):
+        return "pairs name:weight separated by commas"
     if known := list_choices(kind):
         return f"one of {', '.join(known)}"
     if dataclasses.is_dataclass(kind):
@@ -128,6 +139,10 @@ def is_of_type(value: Any, kind: Hint) -> bool:
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
         return len(value) == len(kinds) and all(
             is_of_type(v, k) for v, k in zip(value, kinds, strict=True)
+        )
+    if is_weights(kind):
+        return isinstance(value, Mapping) and all(
+            isinstance(name, str) and is_of_type(weight, float) for name, weight in value.items()
         )
     if list_choices(kind):
         return isinstance(value, (str, *list_groups(kind)))
@@ -152,5 +167,8 @@ def _check(value: object, kind: Hint, name: str) -> None:
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")
+    elif isinstance(value, Mapping) and is_weights(kind):
+        for part, weight in value.items():
+            _check(weight, float, f"{name}.{part}")
     elif not is_of_type(value, kind):
         raise UserError(f"--{name} takes {describe_hint(kind)}, not {value!r}")

@@ -61,8 +61,15 @@ def unshear(
     net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B S S 1"]:
     """Sheared images in [0, 1] -> canonical ones."""
+    return jax.nn.sigmoid(compute_logits(net, variables, images))
+
+
+def compute_logits(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> Float[Array, "B S S 1"]:
+    """Compute the logits of the canonical images of sheared ones in [0, 1]."""
     logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
-    return jax.nn.sigmoid(logits)
+    return logits
 
 
 def reconstruct(

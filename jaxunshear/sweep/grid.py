@@ -54,7 +54,7 @@ UNUSED_WITH_TEACHER = ("train_posenet",)
 class Cell:
     """One point of the grid, or one explicit row, over all seeds."""
 
-    label: str  # "patch_weight=0.1, pose_channels:shear_channels=8:120"; "base" where nothing is changed
+    label: str  # "patch=0.1, pose_channels:shear_channels=8:120"; "base" where nothing is changed
     point: tuple[str, ...] | None  # printed values along the axes; None beside the grid
     changes: tuple[Change, ...]
     experiment: Experiment  # with the base's seed
@@ -126,7 +126,9 @@ def select_training_part(experiment: Experiment, network: str) -> Experiment:
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if uses_pins(experiment) and network in (*POSENETS, RENDERER):
         part = dataclasses.replace(
-            part, train_pins=drop_pair_losses(part.train_pins), pins=drop_pin_codes(part.pins)
+            part,
+            train_pins=drop_pair_losses(part.train_pins, supervised=1.0),
+            pins=drop_pin_codes(part.pins),
         )
     if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # these learn from taps alone
         part = dataclasses.replace(part, paired=plain.paired)
@@ -184,7 +186,7 @@ def list_axis_values(axis: Axis) -> tuple[str, ...]:
 
 
 def format_field_name(fields: Fields, sweep: Sweep) -> str:
-    """`patch_weight`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
+    """`patch`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
     varied = {name for fields, _ in sweep.grid for name in list_fields(fields)}
     varied |= {name for row in sweep.rows for fields, _ in row for name in list_fields(fields)}
     shorts = [name.rpartition(".")[2] for name in varied]

@@ -13,6 +13,7 @@ from pathlib import Path
 from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.config.training import uses_teacher
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
@@ -60,10 +61,8 @@ def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
         plain = {
             field: getattr(Experiment(name="", claim=""), field) for field in NON_DATA_SETTINGS
         }
-        taught = float(
-            row.experiment.train.pose_weight > 0
-        )  # a teacher needs its taps, whatever its weight
-        plain["train"] = replace(plain["train"], pose_weight=taught)
+        if uses_teacher(row.experiment.train):  # it needs its taps, whatever its weight
+            plain["train"] = replace(plain["train"], losses={"pose_tap": 1.0})
         experiment = to_json(replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)

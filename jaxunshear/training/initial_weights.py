@@ -57,8 +57,8 @@ def data_of(experiment: Experiment, network: str, start: Path | None) -> list[st
             get_training_data(experiment, each)
             for each in list_required_networks(experiment, network)
         ]
-        if get_training(experiment, network).tap_weight:
-            sets.append(require_simulated(experiment, "tap_weight")[1])
+        if "tap" in get_training(experiment, network).losses:
+            sets.append(require_simulated(experiment, "the loss tap")[1])
         own = {compute_fingerprint(each, experiment.sensor) for each in sets}
     return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
 

@@ -1,7 +1,8 @@
-"""The paper's losses (section 3.3) as named terms per example; `step.py` weighs and adds them.
+"""What losses compute of images, poses and weights; `pair_losses.py` makes terms of a batch of them.
 
-One sum gives every module the gradient the paper lists for it: E sees all terms, DC `compute_supervised_loss` and `compute_patch_loss`, DS
-`compute_reconstruction_loss`, since no other path leads from a term to a module.
+One sum of the paper's terms (section 3.3) gives every module the gradient that the paper lists for
+it: E sees all terms, DC L_sup and L_patch, DS L_rec, since no other path leads from a term to a
+module.
 """
 
 import jax
@@ -15,15 +16,8 @@ from jaxunshear.models.weights import Variables, list_leaves
 def compute_supervised_loss(
     canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
 ) -> Float[Array, "B"]:
-    """L_sup: mean squared difference of images in [0, 1]."""
+    """Compute L_sup, and L_rec of sheared images: the mean squared difference of images in [0, 1]."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
-
-
-def compute_reconstruction_loss(
-    sheared: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
-) -> Float[Array, "B"]:
-    """L_rec: the same, of the sheared image."""
-    return compute_supervised_loss(sheared, target)
 
 
 def compute_patch_loss(

@@ -1,4 +1,4 @@
-"""What a training over pins does with a batch: losses as named terms per example, as in tasks.py.
+"""What a training over pins does with a batch, as in tasks.py.
 
 `rest` (P, 2) px are the untouched pins, `spread` px how far pins move (root mean square), both of training examples alone. A field
 {"weight"} (B,) weighs the examples; one whose pins are not sure should have none.
@@ -15,21 +15,23 @@ from jax.typing import ArrayLike
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import Targets
 from jaxunshear.config.training import Training
-from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.reconstruction import Reconstruction
-from jaxunshear.training import losses
-from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+from jaxunshear.models.weights import Variables
+from jaxunshear.training.modality import PINS, Batch
+from jaxunshear.training.pose_losses import PoseInputs
 from jaxunshear.training.rotation import ANGLES, Rotations, rotate_outputs, rotate_pins
 from jaxunshear.training.tasks import (
-    Batch,
+    PairPasses,
+    Supervision,
     Task,
+    Terms,
     Tree,
-    compute_code_terms,
+    choose_rank,
     compute_pose_error_terms,
-    list_loss_weights,
-    make_pose_supervision,
-    supervise_both_slides,
+    list_losses,
+    make_pair_task,
+    run_losses,
     weight_terms,
 )
 
@@ -37,74 +39,37 @@ from jaxunshear.training.tasks import (
 def make_pin_unshear_task(
     net: PinUnshear,
     training: Training,
-    targets: Targets,
     rest: ArrayLike,
     spread: float,
-    teacher: Callable[[Array], Array] | None = None,
-    slides: Targets = (),
+    supervision: Supervision = Supervision(),
 ) -> Task:
-    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where poses share slides {"other_pins",
-    "swapped_pins"}, see `dataset.factorial`; where they don't, the pose code of a slide is to agree with its tap's alone. With {"tap_pins"}
-    (T, P, 2) px taps are to come out as they went in, with {"one_pins", "another_pins"} (A, P, 2) px both alike.
+    """Make the task of PinUnshear, of batches {"canonical_pins", "sheared_pins"} (B, P, 2) px.
 
-    `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
-    unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
-    the partner. Raises UserError where it is lacking. `slides` are what z_s is taught of the slide, and need their fields in the batches.
+    Where poses share slides {"other_pins", "swapped_pins"} come with them, see `data.factorial`;
+    elsewhere the pose code of a slide is to agree with its tap's. The loss "tap" needs {"tap_pins"}
+    (T, P, 2) px, "consistency" {"one_pins", "another_pins"} (A, P, 2) px. Raises UserError where a
+    loss lacks its teacher.
     """
-    watch = make_pose_supervision(training, teacher, targets, losses.compute_absolute_pose_loss)
 
-    def compute_terms(variables: Tree, batch: Batch, found: Reconstruction) -> dict[str, Array]:
-        off = partial(pin_networks.compute_pin_distance, variables=variables)
-        named = {"supervised": supervise_both_slides(found, batch["canonical_pins"], off)}
-        if watch:
-            named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
-        return weight_terms(
-            named | compute_code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch
-        )
+    def decode(variables: Variables, batch: Batch, key: Array | None = None) -> Reconstruction:
+        same_pose = same_slide = None
+        if "code_agreement" in training.losses and net.shear_code:
+            same_pose = batch.get(PINS.swapped, batch[PINS.canonical])
+        if "counterfactual" in training.losses:
+            same_slide = batch.get(PINS.other)
+        pins = batch[PINS.sheared]
+        return pin_networks.reconstruct(net, variables, pins, key, same_pose, same_slide)
 
-    def decode(variables: Tree, batch: Batch, key: Array | None = None) -> Reconstruction:
-        alike = (
-            batch.get(SWAPPED, batch["canonical_pins"])
-            if training.agreement_weight and net.shear_code
-            else None
-        )
-        other = batch.get(OTHER) if training.swap_weight else None
-        return pin_networks.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
+    def train(variables: Variables, batch: Batch, key: Array) -> tuple[Reconstruction, Tree]:
+        return decode(variables, batch, key), variables["batch_stats"]
 
-    def unshear_noisy(variables: Tree, pins: Array, key: Array, number: int) -> Array:
-        return pin_networks.unshear(
-            net, variables, pin_networks.add_noise(net, pins, jax.random.fold_in(key, number))
-        )
-
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        named = compute_terms(variables, batch, decode(variables, batch, key))
-        if TAPS in batch:
-            named["tap"] = pin_networks.compute_pin_distance(
-                unshear_noisy(variables, batch[TAPS], key, 2), batch[TAPS], variables
-            )
-        if ONE in batch:
-            one, another = (
-                unshear_noisy(variables, batch[ONE], key, 3),
-                unshear_noisy(variables, batch[ANOTHER], key, 4),
-            )
-            named["alike"] = pin_networks.compute_pin_distance(one, another, variables)
-        return named, variables["batch_stats"]
-
-    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        return compute_terms(variables, batch, decode(variables, batch))
+    def unshear_noisy(variables: Variables, key: Array, pins: Array, number: int) -> Array:
+        pins = pin_networks.add_noise(net, pins, jax.random.fold_in(key, number))
+        return pin_networks.unshear(net, variables, pins)
 
     init = partial(pin_networks.init, net, rest, spread)
-    return Task(
-        "pin_unshear",
-        net,
-        targets,
-        init,
-        terms,
-        list_loss_weights(training),
-        validate,
-        "supervised",
-        slides,
-    )
+    passes = PairPasses(init, train, decode, unshear_noisy)
+    return make_pair_task("pin_unshear", net, training, PINS, passes, supervision)
 
 
 def make_pin_posenet_task(
@@ -116,70 +81,73 @@ def make_pin_posenet_task(
     rotations: Rotations | None = None,
     render: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `rotations` are needed for `net.turned` alone.
+    """Make the task of PinPoseNet, of batches {"pins"} (B, P, 2) px and the fields of the targets.
 
-    `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from recorded taps: then as many rendered taps, at poses
-    drawn anew, teach as recorded contacts. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
+    `rotations` are needed for `net.turned` alone. The loss "rendered_pose" takes `render`: outputs
+    (B, K) -> pins (B, P, 2) px, a renderer that learnt from recorded taps.
     """
-    weights = posenet.list_output_weights(targets)
+    specs = list_losses(training, "reads poses")
 
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
         pins = pin_networks.add_noise(net, batch["pins"], key)
-        wanted, angle = posenet.scale_poses(batch, targets), jnp.zeros(())
+        poses, angle = posenet.scale_poses(batch, targets), jnp.zeros(())
         if rotations is not None:
-            k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
-            pins, wanted, angle = (
-                rotate_pins(rotations, k, pins),
-                rotate_outputs(rotations, k, wanted, targets),
-                rotations.radians[k],
-            )
-        loss = losses.compute_absolute_pose_loss(
-            pin_networks.predict(net, variables, pins, angle), wanted, weights
-        )
-        named = weight_terms({"pose": loss}, batch)
-        if render is not None:
-            drawn = posenet.sample_outputs(targets, len(pins), jax.random.fold_in(key, 3))
-            rendered = pin_networks.add_noise(net, render(drawn), jax.random.fold_in(key, 4))
-            named["rendered"] = losses.compute_absolute_pose_loss(
-                pin_networks.predict(net, variables, rendered), drawn, weights
-            )
-        return named, variables["batch_stats"]
+            k = _sample_turn(net.turned, jax.random.fold_in(key, 1))
+            pins = rotate_pins(rotations, k, pins)
+            poses = rotate_outputs(rotations, k, poses, targets)
+            angle = rotations.radians[k]
+        outputs = pin_networks.predict(net, variables, pins, angle)
+        inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, key, render)
+        return _weight_recorded(run_losses(iter(specs), inputs, key), batch), variables[
+            "batch_stats"
+        ]
 
-    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
+    def validate(variables: Tree, batch: Batch) -> Terms:
         outputs = pin_networks.predict(net, variables, batch["pins"])
-        loss = losses.compute_absolute_pose_loss(
-            outputs, posenet.scale_poses(batch, targets), weights
-        )
-        return weight_terms(
-            {"pose": loss} | compute_pose_error_terms(outputs, batch, targets), batch
-        )
+        poses = posenet.scale_poses(batch, targets)
+        inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, None)
+        computed = run_losses(iter(specs), inputs, None)
+        errors = compute_pose_error_terms(outputs, batch, targets)
+        return weight_terms(computed | errors, batch)
 
     init = partial(pin_networks.init, net, rest, spread, outputs=posenet.count_outputs(targets))
-    return Task(
-        "pin_posenet", net, targets, init, terms, {"pose": 1.0, "rendered": 1.0}, validate, "pose"
-    )
+    rank = choose_rank(specs)
+    return Task("pin_posenet", net, targets, init, terms, dict(training.losses), validate, rank)
+
+
+def _weight_recorded(terms: Terms, batch: Batch) -> Terms:
+    """Weigh terms by their examples, other than those of rendered taps, which are all sure."""
+    return {
+        name: term if name == "rendered_pose" else weight_terms({name: term}, batch)[name]
+        for name, term in terms.items()
+    }
 
 
 def make_renderer_task(
     net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float
 ) -> Task:
-    """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
+    """Make the task of PinRenderer, of batches {"pins"} (B, P, 2) px of taps and their labels."""
+    specs = list_losses(training, "renders")
 
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        return validate(variables, batch), variables["batch_stats"]
+    def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> Terms:
+        poses = posenet.scale_poses(batch, targets)
+        pins = pin_networks.render_pins(net, variables, poses)
+        inputs = PoseInputs(batch, pins, poses, net, variables, PINS, targets, key)
+        return weight_terms(run_losses(iter(specs), inputs, key), batch)
 
-    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        drawn = pin_networks.render_pins(net, variables, posenet.scale_poses(batch, targets))
-        return weight_terms(
-            {"pins": pin_networks.compute_pin_distance(drawn, batch["pins"], variables)}, batch
-        )
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
+        return compute_terms(variables, batch, key), variables["batch_stats"]
+
+    def validate(variables: Tree, batch: Batch) -> Terms:
+        return compute_terms(variables, batch, None)
 
     init = partial(pin_networks.init, net, rest, spread, outputs=posenet.count_outputs(targets))
-    return Task("renderer", net, targets, init, terms, {"pins": 1.0}, validate, "pins")
+    rank = choose_rank(specs)
+    return Task("renderer", net, targets, init, terms, dict(training.losses), validate, rank)
 
 
-def _drawn_turn(share: float, key: Array) -> Array:
-    """One angle for a batch: none, or with the chance `share` any of them."""
+def _sample_turn(share: float, key: Array) -> Array:
+    """Sample one angle for a batch: none, or with the chance `share` any of them."""
     chance_key, angle_key = jax.random.split(key)
     return jnp.where(
         jax.random.uniform(chance_key) < share, jax.random.randint(angle_key, (), 0, ANGLES), 0

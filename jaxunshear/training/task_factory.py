@@ -10,13 +10,8 @@ import jax
 from jax import Array
 
 from jaxunshear.config.data import PairedData
-from jaxunshear.config.experiment import (
-    Experiment,
-    get_recorded,
-    get_training,
-    list_trained_networks,
-    uses_pins,
-)
+from jaxunshear.config.experiment import Experiment, get_recorded, get_training, uses_pins
+from jaxunshear.config.losses import get_loss
 from jaxunshear.config.networks import (
     PinPoseNet,
     PinRenderer,
@@ -33,15 +28,13 @@ from jaxunshear.config.registry import (
     ENTANGLED,
     ENTANGLED_LARGE,
     POSENETS,
-    REGISTRY,
     RENDERER,
     TAP_NETWORKS,
     TEACHER,
     UNET,
 )
 from jaxunshear.config.targets import Targets, list_label_fields
-from jaxunshear.config.training import Training, uses_pose_labels
-from jaxunshear.data.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
+from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
@@ -52,122 +45,104 @@ from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import Examples, measure_pin_spread, read_all_training
+from jaxunshear.training.modality import IMAGES, PINS, Modality
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
-from jaxunshear.training.tasks import Batch, Task, Tree
+from jaxunshear.training.tasks import Batch, Supervision, Task, Tree
 
 
 def make_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path
 ) -> tuple[Task, tuple[str, ...]]:
-    """What `network` learns, and the fields of a batch that this takes."""
-    training, targets, labels = (
-        get_training(experiment, network),
-        examples.targets,
-        list_label_fields(examples.targets),
-    )
-    weighed = (
-        ("weight",) if get_recorded(experiment) and REGISTRY[network].role == "unshears" else ()
-    )
+    """Return what `network` learns, and the fields of a batch that this takes."""
+    training, targets = get_training(experiment, network), examples.targets
+    labels = tuple(list_label_fields(targets))
     if network == RENDERER or uses_pins(experiment):
-        task, fields = _make_pin_task(experiment, network, examples, folder, weighed)
+        task, fields = _make_pin_task(experiment, network, examples, folder)
         share = 0.0 if get_recorded(experiment) else experiment.pins.turned
         return _augment_task(task, examples, share) if share else task, fields
     if network in POSENETS:
-        seen = "image" if network in TAP_NETWORKS else "sheared"
-        return tasks.make_posenet_task(experiment.posenet, training, targets), (seen, *labels)
-    teacher = (
-        partial(posenet.predict, *_load_tap_network(experiment, TEACHER, folder))
-        if training.pose_weight
-        else None
-    )
+        image = "image" if network in TAP_NETWORKS else "sheared"
+        return tasks.make_posenet_task(experiment.posenet, training, targets), (image, *labels)
     net = make_unshear_net(experiment.unshear, network)
-    room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
-    slides = _slides(examples, room) if room else ()
-    task = tasks.make_unshear_task(net, training, teacher, targets, slides)
-    partners = _partners(experiment, training, OTHER_IMAGE, SWAPPED_IMAGE) if room else ()
-    named = (
-        "canonical",
-        "sheared",
-        *partners,
-        *weighed,
-        *(labels if uses_pose_labels(training) else ()),
-        *list_label_fields(slides),
-    )
-    return task, tuple(dict.fromkeys(named))
+    size = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
+    supervision = _make_supervision(experiment, training, examples, folder, size)
+    task = tasks.make_unshear_task(net, training, supervision)
+    fields = _list_pair_fields(experiment, training, supervision, IMAGES, has_codes=size > 0)
+    return task, fields
 
 
 def _make_pin_task(
-    experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
+    experiment: Experiment, network: str, examples: Examples, folder: Path
 ) -> tuple[Task, tuple[str, ...]]:
-    training, targets, labels = (
-        get_training(experiment, network),
-        examples.targets,
-        list_label_fields(examples.targets),
-    )
+    training, targets = get_training(experiment, network), examples.targets
+    labels = tuple(list_label_fields(targets))
     field = "pins" if network in TAP_NETWORKS else "sheared_pins"
-    known = (
-        targets,
-        examples.pins.rest,
-        measure_pin_spread(examples.reader, field, examples.pins.rest),
-    )
+    rest = examples.pins.rest
+    spread = measure_pin_spread(examples.reader, field, rest)
     pins, recorded = drop_direct(drop_rotation(experiment.pins)), get_recorded(experiment)
-    net, plain = asdict(pins), asdict(drop_pin_codes(pins))
+    settings, plain = asdict(pins), asdict(drop_pin_codes(pins))
     sure = ("sure",) if recorded else ()  # simulated pins are all known
     if network == RENDERER:
-        return pin_tasks.make_renderer_task(PinRenderer(**plain), training, *known), (
-            "pins",
-            *sure,
-            *labels,
-        )
+        net = PinRenderer(**plain)
+        task = pin_tasks.make_renderer_task(net, training, targets, rest, spread)
+        return task, ("pins", *sure, *labels)
     if network in POSENETS:
         turned = experiment.pins.turned if network not in TAP_NETWORKS and recorded else 0.0
         turns = _make_rotations(examples) if turned else None
         convolved = () if network in TAP_NETWORKS else experiment.pins.direct_convolved
         reader = PinPoseNet(**plain | {"turned": turned, "convolved": convolved})
-        rendered = RENDERER in list_trained_networks(experiment)
-        if network not in TAP_NETWORKS:
-            rendered = recorded is not None and recorded.direct_taps == "rendered"
-        render = (
-            partial(pin_networks.render_pins, *_load_tap_network(experiment, RENDERER, folder))
-            if rendered
-            else None
+        render = None
+        if "rendered_pose" in training.losses:
+            render = partial(
+                pin_networks.render_pins, *_load_tap_network(experiment, RENDERER, folder)
+            )
+        task = pin_tasks.make_pin_posenet_task(
+            reader, training, targets, rest, spread, turns, render
         )
-        return pin_tasks.make_pin_posenet_task(reader, training, *known, turns, render), (
-            field,
-            *sure,
-            *labels,
-        )
-    codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
-    teacher = (
-        partial(pin_networks.predict, *_load_tap_network(experiment, TEACHER, folder))
-        if training.pose_weight
-        else None
-    )
-    partners = _partners(experiment, training, OTHER, SWAPPED) if network == DISENTANGLED else ()
-    named = (
-        "canonical_pins",
-        "sheared_pins",
-        *partners,
-        *sure,
-        *weighed,
-        *(labels if uses_pose_labels(training) else ()),
-    )
-    taught = training.slide_weight and network == DISENTANGLED
-    slides = _slides(examples, codes.shear_code) if taught else ()
-    named = tuple(dict.fromkeys((*named, *list_label_fields(slides))))
-    return pin_tasks.make_pin_unshear_task(codes, training, *known, teacher, slides), named
+        return task, (field, *sure, *labels)
+    has_codes = network == DISENTANGLED
+    codes = PinUnshear(**settings if has_codes else settings | {"shear_code": 0})
+    size = codes.shear_code if "slide" in training.losses else 0
+    supervision = _make_supervision(experiment, training, examples, folder, size)
+    task = pin_tasks.make_pin_unshear_task(codes, training, rest, spread, supervision)
+    return task, _list_pair_fields(experiment, training, supervision, PINS, has_codes, sure)
 
 
-def _partners(
-    experiment: Experiment, training: Training, other: str, swapped: str
+def _make_supervision(
+    experiment: Experiment, training: Training, examples: Examples, folder: Path, shear_size: int
+) -> Supervision:
+    """Return what teaches a network whose shear code, of `shear_size` numbers, is taught the slide."""
+    teacher = None
+    if uses_teacher(training):
+        predict = pin_networks.predict if uses_pins(experiment) else posenet.predict
+        teacher = partial(predict, *_load_tap_network(experiment, TEACHER, folder))
+    slides = _slides(examples, shear_size) if shear_size else ()
+    return Supervision(examples.targets, slides, teacher)
+
+
+def _list_pair_fields(
+    experiment: Experiment,
+    training: Training,
+    supervision: Supervision,
+    modality: Modality,
+    has_codes: bool,
+    more: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """The fields of those that a network learns from where poses share slides."""
-    shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
-    wanted = {
-        other: training.swap_weight,
-        swapped: training.swap_weight or training.agreement_weight,
-    }
-    return tuple(field for field, weight in wanted.items() if shared and weight)
+    """Return the fields of a batch that a network that unshears takes, `more` among them."""
+    shares = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+    partners = {"other": modality.other, "swapped": modality.swapped}
+    of_losses = {name for loss in training.losses for name in get_loss(loss).fields}
+    fields = [modality.canonical, modality.sheared]
+    if shares and has_codes:
+        fields += [field for name, field in partners.items() if name in of_losses]
+    fields += more
+    if get_recorded(experiment):
+        fields.append("weight")
+    if "labels" in of_losses:
+        fields += list_label_fields(supervision.targets)
+    fields += list_label_fields(supervision.slides)
+    fields += sorted(of_losses - {*partners, "labels", "slide_labels"})
+    return tuple(dict.fromkeys(fields))
 
 
 def _slides(examples: Examples, size: int) -> Targets:
@@ -177,7 +152,7 @@ def _slides(examples: Examples, size: int) -> Targets:
     """
     if not examples.slides:
         raise UserError(
-            "slide_weight: no slide of this data set is known to differ from others: leave it at 0"
+            "losses.slide: no slide of this data set is known to differ from others: leave it out"
         )
     return examples.slides[:size]
 

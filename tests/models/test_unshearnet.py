@@ -113,7 +113,7 @@ def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables
     def loss(params, reconstruction, canonicals):
         found, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
         canonical, sheared = jax.nn.sigmoid(found.canonical), jax.nn.sigmoid(found.sheared)
-        rec = losses.compute_reconstruction_loss(sheared, images)
+        rec = losses.compute_supervised_loss(sheared, images)
         sup = losses.compute_supervised_loss(canonical, target)
         patch = 0.1 * losses.compute_patch_loss(
             canonical, target, losses.count_crop_coverage(corners, 32, 8)

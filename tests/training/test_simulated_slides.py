@@ -70,7 +70,8 @@ def simulator():
 
 def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
     reader = stored.read_pairs(
-        (), drag=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3)
+        (),
+        simulate=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3),
     )
     # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
     assert reader.length("train") == 4 * simulated_slides.SLIDES_PER_MOTION
@@ -90,7 +91,9 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
         stored.pairs(
             (),
             images=False,
-            drag=simulated_slides.make_slide_simulator(stored, TACTIP_331, tmp_path, simulator, 3),
+            simulate=simulated_slides.make_slide_simulator(
+                stored, TACTIP_331, tmp_path, simulator, 3
+            ),
         ).split("train", 1)
     )
 

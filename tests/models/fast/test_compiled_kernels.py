@@ -109,7 +109,9 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
         compiled_kernels.kernel_gradient(*few, 2, 0)
 
 
-def reported(environment, code="print(compiled_kernels.is_available(), compiled_kernels.is_available())") -> tuple[str, str]:
+def reported(
+    environment, code="print(compiled_kernels.is_available(), compiled_kernels.is_available())"
+) -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
     command = [

@@ -1,0 +1,177 @@
+"""The losses that a training can name, and what each of them needs.
+
+    Training(losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0})
+
+A training computes the losses that it names, and no other. A new loss is one function and one entry
+of LOSSES, or one function with `@register_loss` in the file of an experiment:
+
+    @register_loss("smooth", modalities=("images",))
+    def compute_smooth_loss(inputs):  # see training/losses.py
+        return jnp.mean(jnp.square(jnp.diff(inputs.canonical, axis=1)), (1, 2, 3))
+"""
+
+import pkgutil
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NoReturn
+
+from jaxunshear.errors import UserError
+
+Role = Literal["unshears", "reads poses", "renders"]  # of the networks that a loss is for
+Modality = Literal["images", "pins"]
+Requirement = Literal["codes", "shared slides", "two slides", "simulated", "still pins"]
+
+PAIR_LOSSES = "jaxunshear.training.pair_losses"
+POSE_LOSSES = "jaxunshear.training.pose_losses"
+SUPERVISION = ("pose_label", "pose_tap")  # losses that a teacher computes
+EXCHANGE = ("counterfactual", "code_agreement")  # losses of a slide's partners
+
+
+class LossWeights(dict[str, float]):
+    """Weights of losses by name, which never change. A loss of weight 0 is not there."""
+
+    def __init__(self, weights: Mapping[str, float] | Iterable[tuple[str, float]] = ()) -> None:
+        super().__init__(sorted((name, weight) for name, weight in dict(weights).items() if weight))
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("weights of losses do not change: make others with {**weights, name: 1.0}")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    update = setdefault = pop = popitem = clear = _refuse
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(tuple(self.items()))
+
+    def __reduce__(self) -> tuple[type["LossWeights"], tuple[dict[str, float]]]:
+        return type(self), (dict(self),)
+
+
+@dataclass(frozen=True)
+class LossSpec:
+    """What a loss is for, and what it needs."""
+
+    name: str
+    compute: Callable[..., Any] | str  # or where it is, as `module:function`
+    role: Role = "unshears"
+    modalities: tuple[Modality, ...] = ("images", "pins")
+    parts: tuple[str, ...] = ()  # of `Reconstruction`, without which a network leaves the loss out
+    # of a batch, beside both sides of the pairs: "labels" of poses, "slide_labels", "other" and
+    # "swapped" partners where poses share slides, or a field of the data set by its own name
+    fields: tuple[str, ...] = ()
+    requires: tuple[Requirement, ...] = ()
+    is_validated: bool = True  # also computed on validation examples
+
+    def load(self) -> Callable[..., Any]:
+        """Return the function that computes the loss."""
+        found: Callable[..., Any] = (
+            pkgutil.resolve_name(self.compute) if isinstance(self.compute, str) else self.compute
+        )
+        return found
+
+
+# In the order in which the terms are added: their sum has the same bits.
+LOSSES: dict[str, LossSpec] = {
+    spec.name: spec
+    for spec in (
+        LossSpec("supervised", f"{PAIR_LOSSES}:compute_supervised_term"),
+        LossSpec(
+            "patch",
+            f"{PAIR_LOSSES}:compute_patch_term",
+            modalities=("images",),
+            is_validated=False,
+        ),
+        LossSpec("pose_label", f"{PAIR_LOSSES}:compute_pose_label_term", fields=("labels",)),
+        LossSpec("pose_tap", f"{PAIR_LOSSES}:compute_pose_tap_term"),
+        LossSpec(
+            "reconstruction", f"{PAIR_LOSSES}:compute_reconstruction_term", parts=("sheared",)
+        ),
+        LossSpec(
+            "counterfactual",
+            f"{PAIR_LOSSES}:compute_counterfactual_term",
+            parts=("counterfactual",),
+            fields=("other", "swapped"),
+            requires=("codes", "shared slides"),
+        ),
+        LossSpec(
+            "code_agreement",
+            f"{PAIR_LOSSES}:compute_code_agreement_term",
+            parts=("disagreement",),
+            fields=("swapped",),
+            requires=("codes",),
+        ),
+        LossSpec(
+            "slide",
+            f"{PAIR_LOSSES}:compute_slide_term",
+            parts=("z_s",),
+            fields=("slide_labels",),
+            requires=("codes",),
+        ),
+        LossSpec(
+            "tap",
+            f"{PAIR_LOSSES}:compute_tap_term",
+            modalities=("pins",),
+            requires=("simulated", "still pins"),
+            is_validated=False,
+        ),
+        LossSpec(
+            "consistency",
+            f"{PAIR_LOSSES}:compute_consistency_term",
+            modalities=("pins",),
+            requires=("simulated", "still pins", "two slides"),
+            is_validated=False,
+        ),
+        LossSpec("pose", f"{POSE_LOSSES}:compute_pose_term", role="reads poses"),
+        LossSpec(
+            "rendered_pose",
+            f"{POSE_LOSSES}:compute_rendered_pose_term",
+            role="reads poses",
+            modalities=("pins",),
+            is_validated=False,
+        ),
+        LossSpec("pins", f"{POSE_LOSSES}:compute_pin_term", role="renders", modalities=("pins",)),
+    )
+}
+
+
+def register_loss(
+    name: str,
+    *,
+    role: Role = "unshears",
+    modalities: tuple[Modality, ...] = ("images", "pins"),
+    parts: tuple[str, ...] = (),
+    fields: tuple[str, ...] = (),
+    requires: tuple[Requirement, ...] = (),
+    is_validated: bool = True,
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a function the name by which a training's `losses` ask for it.
+
+    The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
+    and returns a loss per example (B,). See `LossSpec` for what else can be said. Raises UserError
+    for a name that another function has.
+    """
+
+    def register(compute: Callable[..., Any]) -> Callable[..., Any]:
+        held = LOSSES.get(name)
+        if held is not None and not _is_same(held.compute, compute):
+            raise UserError(f"loss '{name}' is there already: choose another name")
+        LOSSES[name] = LossSpec(
+            name, compute, role, modalities, parts, fields, requires, is_validated
+        )
+        return compute
+
+    return register
+
+
+def _is_same(held: Callable[..., Any] | str, compute: Callable[..., Any]) -> bool:
+    """Return whether both are one function of an experiment file, which may be read twice."""
+    return not isinstance(held, str) and held.__code__.co_filename == compute.__code__.co_filename
+
+
+def get_loss(name: str) -> LossSpec:
+    """Return what is known of a loss. Raises UserError for an unknown one."""
+    if name not in LOSSES:
+        raise UserError(
+            f"loss '{name}' is unknown: use one of {', '.join(LOSSES)}, "
+            "or name the experiment file that registers it"
+        )
+    return LOSSES[name]

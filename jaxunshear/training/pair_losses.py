@@ -1,0 +1,126 @@
+"""The losses of networks that unshear, each a function of `PairInputs` to a loss per example (B,).
+
+`config/losses.py` says by which name a training asks for each, and what it needs.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+from jax import Array
+
+from jaxunshear.config.targets import Targets
+from jaxunshear.config.training import Training
+from jaxunshear.models import posenet
+from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models.weights import Net, Variables
+from jaxunshear.training import losses
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+from jaxunshear.training.modality import Batch, Modality
+
+T = TypeVar("T")
+
+
+class PairInputs(NamedTuple):
+    """What a loss of pairs may read. Images are (B, S, S, 1) in [0, 1], pins (B, P, 2) px."""
+
+    batch: Batch
+    outputs: Reconstruction  # as the decoders return them: logits of images, or pins
+    net: Net
+    variables: Variables
+    training: Training
+    modality: Modality
+    targets: Targets  # of poses
+    slide_targets: Targets  # of z_s
+    teacher: Callable[[Array], Array] | None  # images or pins -> outputs (B, K)
+    key: Array | None  # None in validation
+    unshear_noisy: Callable[[Array, int], Array] | None  # pins, a number of their noise -> pins
+
+    @property
+    def canonical(self) -> Array:
+        """The unsheared images or pins."""
+        return self.modality.to_output(self.outputs.canonical)
+
+    @property
+    def tap(self) -> Array:
+        """The images or pins of the taps."""
+        return self.batch[self.modality.canonical]
+
+    def measure_distance(self, decoded: Array, field: str) -> Array:
+        """Return how far what a decoder returned is from a field of the batch, (B,)."""
+        return self.modality.measure_distance(decoded, self.batch[field], self.variables)
+
+
+def compute_supervised_term(inputs: PairInputs) -> Array:
+    """Compute L_sup, averaged with that of a partner at the same pose where codes should agree."""
+    outputs, tap = inputs.outputs, inputs.modality.canonical
+    own = inputs.measure_distance(outputs.canonical, tap)
+    if outputs.same_pose is None:
+        return own
+    return 0.5 * (own + inputs.measure_distance(outputs.same_pose, tap))
+
+
+def compute_patch_term(inputs: PairInputs) -> Array:
+    """Compute L_patch over random crops."""
+    assert inputs.key is not None  # it is no loss of validation
+    training, size = inputs.training, inputs.net.size
+    image = inputs.canonical
+    corners = losses.sample_corners(inputs.key, len(image), training.crops, size, training.crop_px)
+    counts = losses.count_crop_coverage(corners, size, training.crop_px)
+    return losses.compute_patch_loss(image, inputs.tap, counts)
+
+
+def compute_reconstruction_term(inputs: PairInputs) -> Array:
+    """Compute L_rec: DS draws the slide."""
+    return inputs.measure_distance(_get(inputs.outputs.sheared), inputs.modality.sheared)
+
+
+def compute_pose_label_term(inputs: PairInputs) -> Array:
+    """Compare the pose that the teacher reads off the unsheared contact with the true one."""
+    return _compare_pose(inputs, posenet.scale_poses(inputs.batch, inputs.targets))
+
+
+def compute_pose_tap_term(inputs: PairInputs) -> Array:
+    """Compare the pose that the teacher reads off the unsheared contact with the tap's."""
+    return _compare_pose(inputs, _get(inputs.teacher)(inputs.tap))
+
+
+def _compare_pose(inputs: PairInputs, target: Array) -> Array:
+    weights = posenet.list_output_weights(inputs.targets)
+    outputs = _get(inputs.teacher)(inputs.canonical)
+    return inputs.modality.compute_pose_loss(outputs, target, weights)
+
+
+def compute_counterfactual_term(inputs: PairInputs) -> Array:
+    """Compare what DS draws of exchanged codes with the contact of just that pose and slide."""
+    return inputs.measure_distance(_get(inputs.outputs.counterfactual), inputs.modality.swapped)
+
+
+def compute_code_agreement_term(inputs: PairInputs) -> Array:
+    """Return how much the pose codes of two contacts at one pose differ, in every direction."""
+    return _get(inputs.outputs.disagreement)
+
+
+def compute_slide_term(inputs: PairInputs) -> Array:
+    """Compare the numbers of z_s with the slide, shifts before turns, over half of its range."""
+    target = 2 * posenet.scale_poses(inputs.batch, inputs.slide_targets) - 1
+    z_s = _get(inputs.outputs.z_s)
+    return losses.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)
+
+
+def compute_tap_term(inputs: PairInputs) -> Array:
+    """Compare taps without a slide with what unshearing makes of them."""
+    taps = inputs.batch[TAPS]
+    unsheared = _get(inputs.unshear_noisy)(taps, 2)
+    return inputs.modality.measure_distance(unsheared, taps, inputs.variables)
+
+
+def compute_consistency_term(inputs: PairInputs) -> Array:
+    """Compare what unshearing makes of two slides to one pose."""
+    unshear = _get(inputs.unshear_noisy)
+    one, another = unshear(inputs.batch[ONE], 3), unshear(inputs.batch[ANOTHER], 4)
+    return inputs.modality.measure_distance(one, another, inputs.variables)
+
+
+def _get(value: T | None) -> T:
+    assert value is not None  # `LossSpec.parts` and the rules of the settings see to it
+    return value
