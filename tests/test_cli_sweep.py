@@ -74,7 +74,7 @@ def test_ray_takes_its_address_and_cores(calls, command, monkeypatch):
     ("words", "line"),
     [
         ("none.py", "none.py does not exist"),
-        (f"{LAMBDA} --train.patch_weight 1", "varies train.patch_weight"),
+        (f"{LAMBDA} --train.losses.patch 1", "varies train.losses.patch"),
         (f"{LAMBDA} --seed 1", "use --seeds"),
         (f"{LAMBDA} --seeds 1,x", "--seeds takes integers"),
         (f"{LAMBDA} --seeds 1,1", "lists a seed twice"),

@@ -155,7 +155,7 @@ def test_paper_is_appendix_b():
             0.0,
         )
         assert 0.01 <= training.shift <= 0.02
-    assert (paper.train.patch_weight, paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
+    assert (paper.train.losses["patch"], paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
     assert (
         paper.paired.poses,
         paper.paired.taps,

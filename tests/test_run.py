@@ -200,12 +200,12 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
         "--networks",
         "disentangled,posenet",
     ]
-    words += ["--train.pose_weight", 1, "--train.pose_target", "label"]
+    words += ["--train.losses.pose_label", 1]
     done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"
     logged = json.loads((folder / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
-    assert logged["train"]["pose"] > 0 and logged["validation"]["pose"] > 0
+    assert logged["train"]["pose_label"] > 0 and logged["validation"]["pose_label"] > 0
     teacher, other = (
         json.loads((folder / name / "model.json").read_text())
         for name in ("posenet_teacher", "posenet")
@@ -275,7 +275,7 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
         and not (tmp_path / "other").exists()
     )
     refused = command(
-        "run", TINY, *words, "--train.pose_weight", 0.1, "--train_teacher.start", "standard"
+        "run", TINY, *words, "--train.losses.pose_tap", 0.1, "--train_teacher.start", "standard"
     )
     assert refused.code == 2 and "--train_teacher.start" in refused.err
 

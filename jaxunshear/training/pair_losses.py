@@ -25,6 +25,7 @@ class PairInputs(NamedTuple):
 
     batch: Batch
     outputs: Reconstruction  # as the decoders return them: logits of images, or pins
+    canonical: Array  # the unsheared images or pins
     net: Net
     variables: Variables
     training: Training
@@ -34,11 +35,6 @@ class PairInputs(NamedTuple):
     teacher: Callable[[Array], Array] | None  # images or pins -> outputs (B, K)
     key: Array | None  # None in validation
     unshear_noisy: Callable[[Array, int], Array] | None  # pins, a number of their noise -> pins
-
-    @property
-    def canonical(self) -> Array:
-        """The unsheared images or pins."""
-        return self.modality.to_output(self.outputs.canonical)
 
     @property
     def tap(self) -> Array:

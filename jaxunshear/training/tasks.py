@@ -141,6 +141,7 @@ def make_pair_task(
         inputs = PairInputs(
             batch,
             outputs,
+            modality.to_output(outputs.canonical),
             net,
             variables,
             training,

@@ -126,7 +126,7 @@ def test_the_twin_computes_the_same(net):
         out, unshearnet.unshear(net, variables, jnp.asarray(sheared))[..., 0], atol=1e-5
     )
 
-    training = Training(patch_weight=0.0, l1=1e-4, l2=1e-3, reconstruction_weight=0.5)
+    training = Training(l1=1e-4, l2=1e-3, losses={"supervised": 1.0, "reconstruction": 0.5})
     task = make_unshear_task(net, training)
 
     def loss(params):

@@ -20,11 +20,8 @@ def refusal(words: str) -> str:
 @pytest.mark.parametrize(
     ("field", "value", "default"),
     [
-        ("patch_weight", "0.2", "0.1"),
         ("crops", "50", "100"),
         ("crop_px", "10", "20"),
-        ("reconstruction_weight", "0.3", "1"),
-        ("pose_weight", "1", "0"),
         ("paired_share", "0.1", "1"),
     ],
 )
@@ -37,18 +34,43 @@ def test_posenets_training_has_no_losses_of_pairs(field, value, default):
         validate(override_fields(PLAIN, [f"--train.{field}", value]))
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--train_posenet.losses.patch 1", "is for a network that unshears: leave it out"),
+        ("--train.losses.pose 1", "is for a network that reads poses: leave it out"),
+        ("--train.losses.smooth 1", "loss 'smooth' is unknown: use one of supervised, patch"),
+        ("--train.losses supervised:1,patch:-1", "must not be below zero"),
+        ("--train.losses supervised:0", "name at least one"),
+        ("--train.losses supervised", "takes pairs name:weight separated by commas"),
+        ("--train.losses.patch x", "takes a number"),
+        ("--unshear.input pins --train_pins.losses.patch 1", "is for networks over images"),
+    ],
+)
+def test_losses_that_a_training_cannot_have(words, line):
+    assert line in refusal(f"--networks disentangled,posenet {words}")
+
+
+def test_losses_are_named_together_or_one_by_one():
+    words = "--train.losses supervised:1,reconstruction:0.3 --train.losses.patch 0.2"
+    losses = override_fields(PLAIN, words.split()).train.losses
+    assert losses == {"supervised": 1.0, "reconstruction": 0.3, "patch": 0.2}
+    assert "patch" not in override_fields(PLAIN, ["--train.losses.patch", "0"]).train.losses
+    with pytest.raises(TypeError, match="do not change"):
+        losses["patch"] = 1.0
+
+
 def test_a_teachers_training_is_judged_where_there_is_one():
     words = ["--train_teacher.batch", "100000"]
     validate(override_fields(PLAIN, words))
-    assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith(
+    assert refusal(" ".join([*words, "--train.losses.pose_tap 0.1"])).startswith(
         "--train_teacher.batch 100000: "
     )
-    assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
+    assert "leave it at 100" in refusal("--train.losses.pose_tap 0.1 --train_teacher.crops 5")
 
 
 def test_a_poses_target_is_known_and_on_the_teachers_scale():
-    assert refusal("--train.pose_target pins").startswith("--train.pose_target pins: ")
-    words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
+    words = ["--train.losses.pose_label", "0.1"]
     validate(override_fields(PLAIN, words))
     assert "make paired.ranges and pose.ranges equal" in refusal(
         " ".join([*words, "--pose.ranges.yaw_deg 60"])
@@ -81,7 +103,7 @@ def test_without_a_posenet_of_taps_pairs_may_see_otherwise():
     words = ["--paired.camera.mm_across", "60", "--networks"]
     validate(override_fields(PLAIN, [*words, "disentangled,posenet_sheared"]))
     assert "differs" in refusal(
-        "--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1"
+        "--paired.camera.mm_across 60 --networks disentangled --train.losses.pose_tap 0.1"
     )
 
 
@@ -132,7 +154,7 @@ def test_posenet_knows_the_poses_of_pairs(field, value):
             "--paired.ranges.yaw_deg 0",
             "pairs vary x_mm, edge_mm, edge_deg and taps x_mm, yaw_deg, edge_mm, edge_deg: name those that both vary",
         ),
-        ("--pose.ranges.yaw_deg 180 --train.pose_weight 1", "write yaw_deg:circle"),
+        ("--pose.ranges.yaw_deg 180 --train.losses.pose_tap 1", "write yaw_deg:circle"),
     ],
 )
 def test_targets_are_those_that_the_data_vary(words, line):
@@ -147,7 +169,7 @@ def test_targets_are_those_that_the_data_vary(words, line):
         "--paired.ranges.yaw_deg 0 --targets x_mm,edge_mm:range:4,edge_deg",
         "--paired.ranges.yaw_deg 0 --networks disentangled,posenet_sheared",
         "--pose.ranges.yaw_deg 180",
-        "--pose.ranges.yaw_deg 180 --train.pose_weight 1 --targets x_mm,yaw_deg:circle",
+        "--pose.ranges.yaw_deg 180 --train.losses.pose_tap 1 --targets x_mm,yaw_deg:circle",
     ],
 )
 def test_targets_that_all_sets_vary_are_taken(words):
@@ -185,35 +207,34 @@ def test_a_direct_posenet_that_convolves_reads_pins():
     assert "list at most four" in refusal(f"{pins} 4,4,4,4,4 --networks posenet_sheared")
 
 
-@pytest.mark.parametrize("field", ["swap_weight", "agreement_weight", "slide_weight"])
-def test_what_codes_that_do_not_leak_take(field):
+@pytest.mark.parametrize("loss", ["counterfactual", "code_agreement", "slide"])
+def test_what_codes_that_do_not_leak_take(loss):
     pins = "--unshear.input pins --networks disentangled,posenet"
     shared = f"{pins} --paired.poses_a_slide 2"
-    validate(override_fields(PLAIN, f"{shared} --train_pins.{field} 1".split()))
+    validate(override_fields(PLAIN, f"{shared} --train_pins.losses.{loss} 1".split()))
     assert "raise pins.shear_code" in refusal(
-        f"{shared} --pins.shear_code 0 --train_pins.{field} 1"
+        f"{shared} --pins.shear_code 0 --train_pins.losses.{loss} 1"
     )
-    assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
-    assert "set unshear.apart" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+    assert "below zero" in refusal(f"{shared} --train_pins.losses.{loss} -1")
+    assert "set unshear.apart" in refusal(f"--paired.poses_a_slide 2 --train.losses.{loss} 1")
 
 
 def test_what_codes_of_images_that_are_apart_take():
     apart = "--networks disentangled,posenet --unshear.apart true"
-    assert "raise train.slide_weight" in refusal(apart)
+    assert "raise train.losses.slide" in refusal(apart)
     assert "use pins.apart" in refusal(f"{apart} --unshear.input pins")
-    taught = f"{apart} --train.slide_weight 1"
+    taught = f"{apart} --train.losses.slide 1"
     validate(override_fields(PLAIN, taught.split()))
-    assert "raise train.slide_weight and unshear.shear" in refusal(
+    assert "raise train.losses.slide and unshear.shear" in refusal(
         f"{taught} --unshear.shear_channels 0"
     )
-    assert refusal(f"{taught} --train.swap_weight 1").startswith(
-        "--train.swap_weight 1.0: takes simulated slides"
+    assert refusal(f"{taught} --train.losses.counterfactual 1").startswith(
+        "--train.losses.counterfactual 1.0: takes simulated slides"
     )
-    validate(override_fields(PLAIN, f"{taught} --train.agreement_weight 1".split()))
-    for field in ("swap_weight", "agreement_weight"):
-        validate(
-            override_fields(PLAIN, f"{taught} --paired.poses_a_slide 2 --train.{field} 1".split())
-        )
+    validate(override_fields(PLAIN, f"{taught} --train.losses.code_agreement 1".split()))
+    for loss in ("counterfactual", "code_agreement"):
+        words = f"{taught} --paired.poses_a_slide 2 --train.losses.{loss} 1"
+        validate(override_fields(PLAIN, words.split()))
 
 
 @pytest.mark.parametrize(
@@ -221,20 +242,20 @@ def test_what_codes_of_images_that_are_apart_take():
     [
         ("--train.paired_share 0", "use a share above 0"),
         ("--unshear.input pins --train_pins.paired_share 1.1", "use a share above 0"),
-        ("--train.tap_weight 1", "is for networks over pins"),
-        ("--train.alike_weight 1", "is for networks over pins"),
+        ("--train.losses.tap 1", "is for networks over pins"),
+        ("--train.losses.consistency 1", "is for networks over pins"),
         ("--train.paired_share 0.1", "is for networks over pins"),
         (
-            "--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1",
+            "--unshear.input pins --paired.slides 1 --train_pins.losses.consistency 1",
             "takes two slides to a pose",
         ),
-        ("--unshear.input pins --train_pins.tap_weight -1", "must not be below zero"),
+        ("--unshear.input pins --train_pins.losses.tap -1", "must not be below zero"),
         (
-            "--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1",
+            "--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.losses.tap 1",
             "pins as they are",
         ),
         (
-            "--unshear.input pins --train_pins.agreement_weight 1 --train_pins.paired_share 0.1",
+            "--unshear.input pins --train_pins.losses.code_agreement 1 --train_pins.paired_share 0.1",
             "partners",
         ),
     ],
@@ -242,23 +263,23 @@ def test_what_codes_of_images_that_are_apart_take():
 def test_fewer_pairs_within_their_limits(words, line):
     networks = "--networks disentangled,posenet"
     assert line in refusal(f"{networks} {words}")
-    few = f"{networks} --unshear.input pins --train_pins.tap_weight 1 --train_pins.paired_share 0.1"
+    few = f"{networks} --unshear.input pins --train_pins.losses.tap 1 --train_pins.paired_share 0.1"
     validate(override_fields(PLAIN, few.split()))
 
 
 def test_taps_of_a_tested_pose_teach_no_network():
-    words = "--networks disentangled --unshear.input pins --train_pins.pose_weight 0 --pose.seed 0"
+    words = "--networks disentangled --unshear.input pins --train_pins.losses.pose_label 0 --pose.seed 0"
     validate(override_fields(PLAIN, words.split()))
-    assert refusal(f"{words} --train_pins.tap_weight 1").startswith("--pose.seed 0")
+    assert refusal(f"{words} --train_pins.losses.tap 1").startswith("--pose.seed 0")
 
 
 def test_exchanged_codes_take_slides_that_poses_share():
     pins = "--unshear.input pins --networks disentangled,posenet"
     for words in (pins, f"{pins} --paired.poses_a_slide 2 --paired.slides 1"):
-        assert refusal(f"{words} --train_pins.swap_weight 1").startswith(
-            "--train_pins.swap_weight 1.0: takes simulated"
+        assert refusal(f"{words} --train_pins.losses.counterfactual 1").startswith(
+            "--train_pins.losses.counterfactual 1.0: takes simulated"
         )
-    validate(override_fields(PLAIN, f"{pins} --train_pins.agreement_weight 1".split()))
+    validate(override_fields(PLAIN, f"{pins} --train_pins.losses.code_agreement 1".split()))
 
 
 @pytest.mark.parametrize(
@@ -267,7 +288,7 @@ def test_exchanged_codes_take_slides_that_poses_share():
         ("--paired.poses_a_slide 0", "a slide belongs to one pose at least"),
         (
             "--unshear.input pins --networks disentangled --pins.apart true",
-            "raise train_pins.slide_weight",
+            "raise train_pins.losses.slide",
         ),
     ],
 )
@@ -308,10 +329,8 @@ def test_twists_and_tilts_that_can_be():
             [
                 "--paired.ranges.twist_deg",
                 "20",
-                "--train.pose_weight",
+                "--train.losses.pose_label",
                 "1",
-                "--train.pose_target",
-                "label",
             ],
         )
     )

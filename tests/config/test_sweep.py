@@ -20,7 +20,7 @@ from jaxunshear.sweep.grid import find_reference, list_cells
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 PLAIN = Sweep(name="plain", claim="none", base=Experiment(name="plain", claim="none"))
-LAMBDA = replace(PLAIN, grid=(("train.patch_weight", (0.0, 1.0)),))
+LAMBDA = replace(PLAIN, grid=(("train.losses.patch", (0.0, 1.0)),))
 
 BAD = [
     ({"name": 5}, "bad.py: sweep.name"),
@@ -110,7 +110,7 @@ def test_fields_of_the_base_are_overridden_but_not_those_of_an_axis():
         ("disentangled",),
     )
     for words, line in (
-        ("--train.patch_weight 1", "sweep plain varies train.patch_weight"),
+        ("--train.losses.patch 1", "sweep plain varies train.losses.patch"),
         ("--seed 3", "use --seeds"),
         ("--train.epoch 3", "did you mean --train.epochs"),
     ):

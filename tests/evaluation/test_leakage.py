@@ -54,10 +54,13 @@ EXPERIMENT = Experiment(
         epochs=2,
         batch=8,
         shift=0.0,
-        patch_weight=0.0,
-        swap_weight=1.0,
-        agreement_weight=0.1,
-        slide_weight=1.0,
+        losses={
+            "supervised": 1.0,
+            "reconstruction": 1.0,
+            "counterfactual": 1.0,
+            "code_agreement": 0.1,
+            "slide": 1.0,
+        },
     ),
 )
 
@@ -257,9 +260,7 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
         EXPERIMENT,
         name="plain",
         pins=dataclasses.replace(EXPERIMENT.pins, shear_code=0),
-        train_pins=dataclasses.replace(
-            EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, slide_weight=0.0
-        ),
+        train_pins=dataclasses.replace(EXPERIMENT.train_pins, losses={"supervised": 1.0}),
     )
     run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
     with pytest.raises(UserError, match="no network with a shear code"):
@@ -289,18 +290,21 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     """In a full training: taps, and slides of one pose, are terms of it, and of no validation."""
     training = dataclasses.replace(
         EXPERIMENT.train_pins,
-        swap_weight=0.0,
-        agreement_weight=0.0,
         paired_share=0.1,
-        tap_weight=0.5,
-        alike_weight=0.5,
+        losses={
+            "supervised": 1.0,
+            "reconstruction": 1.0,
+            "slide": 1.0,
+            "tap": 0.5,
+            "consistency": 0.5,
+        },
     )
     few = dataclasses.replace(EXPERIMENT, train_pins=training)
     run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
     place = tmp_path / "toy" / "disentangled"
     (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
-    assert last["train"]["tap"] > 0 and last["train"]["alike"] > 0
-    assert not {"tap", "alike"} & set(last["validation"])
+    assert last["train"]["tap"] > 0 and last["train"]["consistency"] > 0
+    assert not {"tap", "consistency"} & set(last["validation"])
     full = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
     model = json.loads((place / "model.json").read_text())
     assert model["epoch_images"] == full["epoch_images"]
@@ -316,9 +320,8 @@ def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
 
 def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     """End to end on the toy: partners come with the batches, what DS draws is compared with images, and z_s says the slide."""
-    training = Training(
-        epochs=1, batch=8, crop_px=8, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0
-    )
+    losses = {"counterfactual": 1.0, "code_agreement": 0.1, "slide": 1.0}
+    training = Training(epochs=1, batch=8, crop_px=8, losses={**Training.losses, **losses})
     net = UnshearNet(size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, apart=True)
     images = dataclasses.replace(EXPERIMENT, unshear=net, pins=PinNet(), train=training)
     run_stages(images, ("disentangled",), tmp_path, folder / "data", "none")
@@ -326,7 +329,7 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     (*_, last) = [
         json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()
     ]
-    assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
+    assert losses.keys() <= set(last["train"]) and "slide" in last["validation"]
     assert read_slides(run / "disentangled") == make_slide_targets(EXPERIMENT.paired.ranges)
     found = leakage.measure_leakage(images, run, folder / "data", "none", controls=False)
     assert found["sizes"] == {"z_p": 4, "z_s": 2}

@@ -41,7 +41,7 @@ SWEEP = Sweep(
     claim="none",
     base=BASE,
     grid=(
-        ("train.patch_weight", (0.0, 0.1)),
+        ("train.losses.patch", (0.0, 0.1)),
         (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (128, 128))),
     ),
     seeds=(0, 1),

@@ -31,17 +31,17 @@ SPLIT = (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (64, 64
 
 
 def test_a_grid_has_every_value_with_every_other():
-    sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)), SPLIT), seeds=(0, 3))
+    sweep = replace(PLAIN, grid=(("train.losses.patch", (0.0, 0.1, 1.0)), SPLIT), seeds=(0, 3))
     cells = list_cells(sweep)
     assert [cell.label for cell in cells[:3]] == [
-        "patch_weight=0.0, pose_channels:shear_channels=8:120",
-        "patch_weight=0.0, pose_channels:shear_channels=64:64",
-        "patch_weight=0.1, pose_channels:shear_channels=8:120",
+        "patch=0.0, pose_channels:shear_channels=8:120",
+        "patch=0.0, pose_channels:shear_channels=64:64",
+        "patch=0.1, pose_channels:shear_channels=8:120",
     ]
     assert cells[2].point == ("0.1", "8:120")
     assert cells[2].experiment == replace(
         BASE,
-        train=replace(BASE.train, patch_weight=0.1),
+        train=replace(BASE.train, losses={**BASE.train.losses, "patch": 0.1}),
         unshear=replace(BASE.unshear, pose_channels=8, shear_channels=120),
     )
     rows = list_rows(sweep, cells)
@@ -78,15 +78,15 @@ def test_a_long_label_still_makes_a_folder():
 def test_equal_rows_are_one():
     sweep = replace(
         PLAIN,
-        grid=(("train.patch_weight", (0.1, 1, 1.0)),),
-        rows=((("train.batch", 16),), (("train.batch", 16),), (("train.patch_weight", 1.0),)),
+        grid=(("train.losses.patch", (0.1, 1, 1.0)),),
+        rows=((("train.batch", 16),), (("train.batch", 16),), (("train.losses.patch", 1.0),)),
     )
-    assert BASE.train.batch == 16 and BASE.train.patch_weight == 0.1
+    assert BASE.train.batch == 16 and BASE.train.losses["patch"] == 0.1
     cells = list_cells(sweep)
     assert [cell.label for cell in cells] == [
-        "patch_weight=0.1",
-        "patch_weight=1",
-        "patch_weight=1.0",
+        "patch=0.1",
+        "patch=1",
+        "patch=1.0",
         "batch=16",
     ]
     digests = [row.digest for row in list_rows(sweep, cells).values()]
@@ -144,12 +144,12 @@ def test_every_setting_decides_the_digest_but_names_and_order(base, other):
 
 
 def test_the_reference_is_the_cell_of_the_bases_own_values():
-    sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)),))
-    assert find_reference(sweep, list_cells(sweep)) == "patch_weight=0.1"
-    off = replace(PLAIN, grid=(("train.patch_weight", (0.0, 1.0)),))
+    sweep = replace(PLAIN, grid=(("train.losses.patch", (0.0, 0.1, 1.0)),))
+    assert find_reference(sweep, list_cells(sweep)) == "patch=0.1"
+    off = replace(PLAIN, grid=(("train.losses.patch", (0.0, 1.0)),))
     assert find_reference(off, list_cells(off)) is None
-    named = replace(off, reference="patch_weight=1.0")
-    assert find_reference(named, list_cells(named)) == "patch_weight=1.0"
+    named = replace(off, reference="patch=1.0")
+    assert find_reference(named, list_cells(named)) == "patch=1.0"
     assert find_reference(PLAIN, list_cells(PLAIN)) is None
 
 
@@ -230,7 +230,9 @@ def test_equal_parts_are_equal_trainings(asked, network):
 
 def test_a_teacher_is_trained_where_a_network_is_taught():
     plain = replace(BASE, networks=("unet", "posenet"))
-    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+    taught = replace(
+        plain, train=replace(plain.train, losses={**plain.train.losses, "pose_tap": 1.0})
+    )
     assert (list_trained_networks(plain), list_trained_networks(taught)) == (
         ("unet", "posenet"),
         (TEACHER, "unet", "posenet"),
@@ -240,7 +242,9 @@ def test_a_teacher_is_trained_where_a_network_is_taught():
 
 def test_a_taught_network_depends_on_its_teacher():
     plain = replace(BASE, networks=("disentangled", "posenet"))
-    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+    taught = replace(
+        plain, train=replace(plain.train, losses={**plain.train.losses, "pose_tap": 1.0})
+    )
 
     def names(experiment, network):
         wider = replace(experiment, posenet=replace(experiment.posenet, hidden=7))
@@ -256,7 +260,9 @@ def test_a_taught_network_depends_on_its_teacher():
 
 def test_a_teacher_has_a_training_of_its_own():
     plain = replace(BASE, networks=("disentangled", "posenet"))
-    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+    taught = replace(
+        plain, train=replace(plain.train, losses={**plain.train.losses, "pose_tap": 1.0})
+    )
 
     def those_that_change(experiment, field):
         other = replace(experiment, **{field: replace(getattr(experiment, field), epochs=9.0)})

@@ -59,11 +59,11 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(
     (row,) = (
         row
         for name, row in rows(tmp_path).items()
-        if "patch_weight-0.1" in name and "8-120_seed-1" in name
+        if "patch-0.1" in name and "8-120_seed-1" in name
     )
     assert (row["status"], row["reason"], row["seed"]) == ("done", None, 1)
-    assert row["label"] == "patch_weight=0.1, pose_channels:shear_channels=8:120"
-    assert row["settings"]["train"]["patch_weight"] == 0.1 and row["settings"]["seed"] == 1
+    assert row["label"] == "patch=0.1, pose_channels:shear_channels=8:120"
+    assert row["settings"]["train"]["losses"]["patch"] == 0.1 and row["settings"]["seed"] == 1
     assert set(row["train_seconds"]) == set(row["images_per_second"]) == {"disentangled", "posenet"}
     assert row["results"]["metric"] and row["ablation"][0]["name"] == "DS(z_p,0)"
     assert row["wall_seconds"] > 0 and 1e6 < row["peak_memory_bytes"] < 1e11 and row["host"]
@@ -100,10 +100,10 @@ def test_weights_that_may_know_the_test_are_refused_before_any_row(
 
 @pytest.mark.long
 def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in, swept, steps):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
     swept(sweep)  # trains its PoseNet in the row: no other needs it yet
     assert sum(steps().values()) == 20
-    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
     assert sum(steps().values()) == 30  # the new cell's disentangled network
     swept(
         replace(sweep, grid=(), rows=((), (("train.batch", 8),)), seeds=(0, 1))
@@ -115,13 +115,13 @@ def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in
 def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(
     stand_in, swept, steps, tmp_path
 ):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
     swept(sweep)
     for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
         model = read_json(path)
         write_json(path, {"origin": model["origin"] | {"version": "0.9.0"}})
     before = steps()
-    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
     again = [name for name, _ in steps() - before]
     assert sum(name.startswith("posenet") for name in again) == 10
 
@@ -132,12 +132,12 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(
 def test_a_training_whose_model_is_damaged_is_not_used_again(
     stand_in, swept, steps, tmp_path, damaged
 ):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
     swept(sweep)
     for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
         path.write_text(damaged) if damaged else path.unlink()
     before = steps()
-    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    swept(replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),)))
     again = [name for name, _ in steps() - before]
     assert sum(name.startswith("posenet") for name in again) == 10
 
@@ -146,8 +146,8 @@ def test_a_training_whose_model_is_damaged_is_not_used_again(
 def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(
     stand_in, swept, steps, tmp_path
 ):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
-    more = replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.1,)),), seeds=(0,))
+    more = replace(sweep, grid=(("train.losses.patch", (0.0, 0.1)),))
     swept(sweep)
     (lost,) = (tmp_path / "small" / "rows").glob("*/posenet/checkpoint.json")
     lost.unlink()
@@ -161,7 +161,10 @@ def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(
 
 
 def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
-    taught = replace(stand_in.BASE, train=replace(stand_in.BASE.train, pose_weight=0.1))
+    taught = replace(
+        stand_in.BASE,
+        train=replace(stand_in.BASE.train, losses={**stand_in.BASE.train.losses, "pose_tap": 0.1}),
+    )
     swept(
         replace(
             stand_in.SWEEP,
@@ -180,7 +183,7 @@ def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
 
 @pytest.mark.long
 def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
     swept(sweep)
     (path,) = (tmp_path / "small" / "shared").glob("posenet*/training.json")
     write_json(path, read_json(path) | {"peak_memory_bytes": 10**15})
@@ -216,7 +219,7 @@ def test_seeds_that_were_tested_on_different_contacts_are_refused(
 def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     sweep = replace(
         stand_in.SWEEP,
-        grid=(("train.pose_weight", (0.1, 1.0)),),
+        grid=(("train.losses.pose_tap", (0.1, 1.0)),),
         seeds=(0,),
         networks=("disentangled",),
     )
@@ -290,7 +293,7 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
 
 @pytest.mark.long
 def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 1.0)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 1.0)),), seeds=(0,))
     first = swept(sweep)
     for path in [
         *(tmp_path / "small" / "rows").iterdir(),
@@ -419,10 +422,10 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
 
 def test_figures_of_equal_settings_are_equal_numbers(stand_in, swept):
     """Bit for bit: with a shared training, with one reused from a row, or with its own."""
-    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
     grid, alone = (
         swept(sweep),
-        swept(replace(sweep, name="alone", grid=(), rows=((("train.patch_weight", 0.0),),))),
+        swept(replace(sweep, name="alone", grid=(), rows=((("train.losses.patch", 0.0),),))),
     )
     assert alone.cells[0].metrics == grid.cells[0].metrics
     assert np.isfinite(alone.cells[0].metrics["ms_ssim/disentangled"].mean)

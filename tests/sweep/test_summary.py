@@ -27,7 +27,7 @@ SWEEP = Sweep(
     name="small",
     claim="none",
     base=Experiment(name="small", claim="none", networks=("disentangled",)),
-    grid=(("train.patch_weight", (0.0, 0.1, 1.0)),),
+    grid=(("train.losses.patch", (0.0, 0.1, 1.0)),),
     seeds=(0, 1),
 )
 POSES = np.arange(12) // 2
@@ -186,7 +186,7 @@ def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
 
 
 def test_differences_are_paired_over_the_seeds_that_both_have(summary):
-    assert summary.reference == "patch_weight=0.1" and summary.cells[1].difference == {}
+    assert summary.reference == "patch=0.1" and summary.cells[1].difference == {}
     pairs = np.stack([random(0) - random(10), random(1) - random(11)])
     assert summary.cells[0].difference[NAME] == Figure(
         pytest.approx(pairs.mean()), compute_interval(pairs, GROUPS)
@@ -270,7 +270,7 @@ def test_nothing_done_without_a_grid_is_a_summary_too():
 def test_it_is_json_and_costs_are_all_that_may_differ(summary):
     again = json.loads(json.dumps(to_builtins(summary)))
     assert again["axes"] == [
-        {"name": "patch_weight", "fields": ["train.patch_weight"], "values": ["0.0", "0.1", "1.0"]}
+        {"name": "patch", "fields": ["train.losses.patch"], "values": ["0.0", "0.1", "1.0"]}
     ]
     assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
     assert (
@@ -294,12 +294,8 @@ def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_o
 def test_the_table_shows_figures_reference_and_failures(summary):
     lines = format_table(summary).splitlines()
     assert lines[0].split() == ["seeds", NAME, "training", "memory"]
-    assert (
-        lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
-    )
-    assert (
-        "1 of 2" in lines[3] and lines[-2] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
-    )
+    assert lines[2].startswith("patch=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
+    assert "1 of 2" in lines[3] and lines[-2] == "failed: patch=1.0, seed 1: killed by signal 9"
     assert lines[-1].endswith("--retry-failed tries them again")
     low, high = compute_interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]

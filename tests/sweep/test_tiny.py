@@ -22,7 +22,7 @@ sweep = Sweep(
     name="small",
     claim="none",
     base=load_experiment({str(ROOT / "experiments" / "tiny.py")!r}),
-    grid=(("train.patch_weight", (0.0, 0.1)),),
+    grid=(("train.losses.patch", (0.0, 0.1)),),
     networks=("disentangled", "posenet"),
     ablation=True,
 )
@@ -51,7 +51,7 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
     assert start(tmp_path / "full").wait() == 0
     full = summary(tmp_path / "full")
     assert [list(cell.seeds) for cell in full.cells[:2]] == [[0], [0]]
-    assert full.reference == "patch_weight=0.1"
+    assert full.reference == "patch=0.1"
     assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full.cells[0].difference)
     assert (
         len(list((tmp_path / "full" / "small" / "shared").glob("posenet*/posenet/summary.json")))

@@ -13,12 +13,13 @@ import numpy as np
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import Training, drop_pair_losses
 
 SIZE = 16
 NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 TRAINING = Training(epochs=3, batch=4, crops=5, crop_px=5, validate_every=4, l1=1e-5, l2=1e-5)
+POSENET_TRAINING = drop_pair_losses(TRAINING, pose=1.0)
 IMAGES = 16  # an epoch: 4 steps, 12 in all
 TARGETS = make_range_targets((), Ranges())
 

@@ -84,7 +84,10 @@ def test_what_was_learnt_through_others_is_known(tmp_path):
         compute_fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)
     )
     assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", pairs])
-    taught = replace(SIMULATED, train=replace(SIMULATED.train, pose_weight=0.5))
+    taught = replace(
+        SIMULATED,
+        train=replace(SIMULATED.train, losses={**SIMULATED.train.losses, "pose_tap": 0.5}),
+    )
     assert data_of(taught, NETWORK, None) == sorted([pairs, taps])
     with pytest.raises(
         UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import make_label_targets, make_slide_targets
-from jaxunshear.config.training import Training
+from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.models.pin_networks import compute_pin_distance, encode, predict, unshear
@@ -18,6 +18,7 @@ from jaxunshear.training.pin_tasks import (
     make_pin_unshear_task,
     make_renderer_task,
 )
+from jaxunshear.training.tasks import Supervision
 
 SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
 RNG = np.random.default_rng(0)
@@ -26,6 +27,13 @@ POSES = np.zeros((6, 6), np.float32)
 POSES[:, 1], POSES[:, 5] = np.linspace(-3, 3, 6), np.linspace(-170, 170, 6)
 TARGETS = make_label_targets((), POSES)
 KEY = jax.random.key(0)
+
+
+def name_losses(**losses):
+    return Training(losses={"supervised": 1.0, "reconstruction": 1.0, **losses})
+
+
+PAIRS = name_losses()
 
 
 def batch(seed=0):
@@ -42,7 +50,7 @@ def teacher(pins):
 
 
 def test_every_part_is_taught_by_its_own_losses():
-    task = make_pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), PAIRS, REST, 1.0)
     variables = task.init(KEY)
 
     def reached(term):
@@ -62,9 +70,9 @@ def test_every_part_is_taught_by_its_own_losses():
 
 def test_taps_without_a_slide_come_out_as_they_went_in():
     net = PinUnshear(**SMALL)
-    task = make_pin_unshear_task(net, Training(tap_weight=0.5), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(net, name_losses(tap=0.5), REST, 1.0)
     variables, taps = task.init(KEY), batch(3)["canonical_pins"][:2]
-    assert task.weights["tap"] == 0.5 and "tap" not in task.terms(variables, batch(), KEY)[0]
+    assert task.weights["tap"] == 0.5 and "tap" not in task.validate(variables, batch())
 
     def term(params, name="tap"):
         return task.terms(variables | {"params": params}, batch() | {TAPS: taps}, KEY)[0][name]
@@ -81,13 +89,13 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
         if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))
     }
     assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
-    plain = task.terms(variables, batch(), KEY)[0]
+    plain = make_pin_unshear_task(net, PAIRS, REST, 1.0).terms(variables, batch(), KEY)[0]
     np.testing.assert_array_equal(term(variables["params"], "supervised"), plain["supervised"])
 
 
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
-    task = make_pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(net, name_losses(consistency=2.0), REST, 1.0)
     variables, pins, other = (
         task.init(KEY),
         batch(3)["sheared_pins"][:2],
@@ -97,16 +105,17 @@ def test_two_slides_to_one_pose_are_unsheared_alike():
     wanted = compute_pin_distance(
         unshear(net, variables, pins), unshear(net, variables, other), variables
     )
-    np.testing.assert_allclose(named["alike"], wanted, rtol=1e-5)
-    assert task.weights["alike"] == 2.0 and np.all(named["alike"] > 0)
-    assert np.all(task.terms(variables, batch() | {ONE: pins, ANOTHER: pins}, KEY)[0]["alike"] == 0)
-    assert "alike" not in task.terms(variables, batch(), KEY)[0]
+    np.testing.assert_allclose(named["consistency"], wanted, rtol=1e-5)
+    assert task.weights["consistency"] == 2.0 and np.all(named["consistency"] > 0)
+    same = task.terms(variables, batch() | {ONE: pins, ANOTHER: pins}, KEY)[0]
+    assert np.all(same["consistency"] == 0)
+    assert "consistency" not in task.validate(variables, batch())
 
 
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
     """With a renderer that PoseNet inverts nothing is left to learn of its taps, and without one they are no term."""
     net = PinPoseNet(**SMALL)
-    plain = make_pin_posenet_task(net, Training(), TARGETS, REST, 1.0)
+    plain = make_pin_posenet_task(net, POSENET_TRAINING, TARGETS, REST, 1.0)
     variables = plain.init(KEY)
     assert set(plain.terms(variables, batch(), KEY)[0]) == {"pose"}
     seen = []
@@ -115,36 +124,35 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
         seen.append(outputs)
         return REST + jnp.zeros((len(outputs), 1, 1)).at[:, 0, 0].set(outputs[:, 0])[..., :1]
 
-    task = make_pin_posenet_task(net, Training(), TARGETS, REST, 1.0, render=render)
+    training = Training(losses={"pose": 1.0, "rendered_pose": 1.0})
+    task = make_pin_posenet_task(net, training, TARGETS, REST, 1.0, render=render)
     named = task.terms(variables, batch(), KEY)[0]
     read = predict(net, variables, render(seen[0]))
     np.testing.assert_allclose(
-        named["rendered"], jnp.abs(read - seen[0]).sum(-1) / seen[0].shape[1], rtol=1e-5
+        named["rendered_pose"], jnp.abs(read - seen[0]).sum(-1) / seen[0].shape[1], rtol=1e-5
     )
     np.testing.assert_array_equal(named["pose"], plain.terms(variables, batch(), KEY)[0]["pose"])
-    other = task.terms(variables, batch(), jax.random.key(1))[0]["rendered"]
-    assert np.any(np.asarray(other) != np.asarray(named["rendered"]))
+    other = task.terms(variables, batch(), jax.random.key(1))[0]["rendered_pose"]
+    assert np.any(np.asarray(other) != np.asarray(named["rendered_pose"]))
 
 
-@pytest.mark.parametrize("target", ["tap", "label"])
-def test_a_teacher_asks_for_the_true_pose_or_the_partners(target):
-    training = Training(pose_weight=1.0, pose_target=target)
-    task = make_pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0, teacher)
+@pytest.mark.parametrize("loss", ["pose_tap", "pose_label"])
+def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
+    training, supervision = name_losses(**{loss: 1.0}), Supervision(TARGETS, teacher=teacher)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), training, REST, 1.0, supervision)
     variables, given = task.init(KEY), batch()
-    first = task.validate(variables, given)["pose"]
-    other = task.validate(variables, given | {"canonical_pins": given["canonical_pins"] + 3})[
-        "pose"
-    ]
-    turned = task.validate(variables, given | {"pose": POSES[::-1]})["pose"]
-    assert np.any(other != first) == (target == "tap") and np.any(turned != first) == (
-        target == "label"
-    )
-    with pytest.raises(UserError, match="pose_weight: a PoseNet is needed"):
-        make_pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0)
+    first = task.validate(variables, given)[loss]
+    moved = given | {"canonical_pins": given["canonical_pins"] + 3}
+    other = task.validate(variables, moved)[loss]
+    turned = task.validate(variables, given | {"pose": POSES[::-1]})[loss]
+    assert np.any(other != first) == (loss == "pose_tap")
+    assert np.any(turned != first) == (loss == "pose_label")
+    with pytest.raises(UserError, match="a PoseNet is needed"):
+        make_pin_unshear_task(PinUnshear(**SMALL), training, REST, 1.0)
 
 
 def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
-    task = make_pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    task = make_pin_unshear_task(PinUnshear(**SMALL), PAIRS, REST, 1.0)
     variables = task.init(KEY)
     sure = np.array([1, 0, 1, 1, 0, 1])
     weight = np.float32([2, 2, 1, 0, 1, 1])
@@ -164,8 +172,12 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
     poses[:, 1] = np.linspace(-3, 3, 64)
     given = {"pins": REST + poses[:, 1, None, None] / 3 * direction, "pose": poses}
     targets = make_label_targets((), poses)
-    for kind, make in ((PinRenderer, make_renderer_task), (PinPoseNet, make_pin_posenet_task)):
-        task = make(kind(**SMALL | {"hidden": 32}), Training(), targets, REST, 1.0)
+    for kind, make, loss in (
+        (PinRenderer, make_renderer_task, "pins"),
+        (PinPoseNet, make_pin_posenet_task, "pose"),
+    ):
+        training = Training(losses={loss: 1.0})
+        task = make(kind(**SMALL | {"hidden": 32}), training, targets, REST, 1.0)
         variables = task.init(KEY)
         optimiser = optax.adam(1e-2)
 
@@ -189,7 +201,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=5.0))
     net = PinUnshear(**SMALL | {"shear_code": 4}, apart=True)
-    task = make_pin_unshear_task(net, Training(slide_weight=3.0), TARGETS, REST, 1.0, slides=slides)
+    task = make_pin_unshear_task(net, name_losses(slide=3.0), REST, 1.0, Supervision(slides=slides))
     variables, given = task.init(KEY), batch()
     z_s = np.asarray(encode(net, variables, given["sheared_pins"])[1])
     given["felt"] = z_s[:, :3] * np.array([2.0, 2.0, 5.0], np.float32)
@@ -213,38 +225,33 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
 
 
 def test_exchanged_codes_are_taught_where_partners_are_given():
-    training = Training(swap_weight=2.0, agreement_weight=0.5)
-    task = make_pin_unshear_task(PinUnshear(**SMALL, apart=True), training, TARGETS, REST, 1.0)
+    training = name_losses(counterfactual=2.0, code_agreement=0.5)
+    task = make_pin_unshear_task(PinUnshear(**SMALL, apart=True), training, REST, 1.0)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     # without partners a slide's pose code is to agree with its tap's
     assert set(task.terms(variables, given, KEY)[0]) == {
         "supervised",
         "reconstruction",
-        "agreement",
+        "code_agreement",
     }
     tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
-    assert np.all(tap["agreement"] == 0)
+    assert np.all(tap["code_agreement"] == 0)
     terms = task.terms(variables, given | partners, KEY)[0]
-    assert set(terms) == {"supervised", "reconstruction", "swap", "agreement"}
+    assert set(terms) == {"supervised", "reconstruction", "counterfactual", "code_agreement"}
     assert all(value.shape == (6,) for value in terms.values())
-    assert (task.weights["swap"], task.weights["agreement"]) == (2.0, 0.5)
+    assert (task.weights["counterfactual"], task.weights["code_agreement"]) == (2.0, 0.5)
     still = task.validate(variables, given | partners)
-    np.testing.assert_array_equal(still["swap"], task.validate(variables, given | partners)["swap"])
-    assert np.all(still["agreement"] > 0)
+    np.testing.assert_array_equal(
+        still["counterfactual"], task.validate(variables, given | partners)["counterfactual"]
+    )
+    assert np.all(still["code_agreement"] > 0)
     same = {OTHER: given["sheared_pins"], SWAPPED: given["sheared_pins"]}
     alike = task.validate(variables, given | same)
-    np.testing.assert_allclose(alike["swap"], alike["reconstruction"], rtol=1e-5)
-    assert np.all(alike["agreement"] == 0)
-    for weight, left in (
-        ("agreement_weight", "agreement"),
-        ("swap_weight", "swap"),
-    ):  # nothing is drawn that has no weight
-        alone = make_pin_unshear_task(
-            PinUnshear(**SMALL, apart=True), Training(**{weight: 0.5}), TARGETS, REST, 1.0
-        )
-        assert set(alone.terms(variables, given | partners, KEY)[0]) == {
-            "supervised",
-            "reconstruction",
-            left,
-        }
+    np.testing.assert_allclose(alike["counterfactual"], alike["reconstruction"], rtol=1e-5)
+    assert np.all(alike["code_agreement"] == 0)
+    for loss in ("code_agreement", "counterfactual"):  # nothing is drawn that has no weight
+        net, training = PinUnshear(**SMALL, apart=True), name_losses(**{loss: 0.5})
+        alone = make_pin_unshear_task(net, training, REST, 1.0)
+        terms = alone.terms(variables, given | partners, KEY)[0]
+        assert set(terms) == {"supervised", "reconstruction", loss}

@@ -88,7 +88,7 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
     assert "canonical" not in next(
-        stored.pairs(
+        stored.read_pairs(
             (),
             images=False,
             simulate=simulated_slides.make_slide_simulator(

@@ -13,18 +13,18 @@ import pytest
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import UNet
 from jaxunshear.config.targets import make_slide_targets
-from jaxunshear.config.training import uses_pose_labels
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet, unet, unshearnet
 from jaxunshear.models.dispatch import unshear
 from jaxunshear.training import losses
-from jaxunshear.training.tasks import make_pose_supervision, make_unshear_task
+from jaxunshear.training.tasks import Supervision, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
 
-WATCHED = replace(small.TRAINING, pose_weight=0.5)
-AGAINST_LABELS = replace(WATCHED, pose_target="label")
+PLAIN = small.TRAINING.losses
+BY_TAP = replace(small.TRAINING, losses={**PLAIN, "pose_tap": 0.5})
+BY_LABEL = replace(small.TRAINING, losses={**PLAIN, "pose_label": 0.5})
 UNET = UNet(small.SIZE, small.NET.widths)
 WEIGHTS = (
     1.0,
@@ -61,7 +61,10 @@ def with_poses(batch):
 
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
-    task, batch = make_unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
+    task, batch = (
+        make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher)),
+        small.pair(3, 4),
+    )
     variables = jax.jit(task.init)(jax.random.key(0))
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     named = jax.jit(task.validate)(variables, batch)
@@ -72,13 +75,16 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
     )
     expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     assert float(expected.min()) > 0
-    np.testing.assert_allclose(named["pose"], expected, rtol=1e-5)
-    assert task.weights["pose"] == 0.5
+    np.testing.assert_allclose(named["pose_tap"], expected, rtol=1e-5)
+    assert task.weights["pose_tap"] == 0.5
 
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
-    task, batch = make_unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
-    gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose")
+    task, batch = (
+        make_unshear_task(small.NET, BY_TAP, Supervision(small.TARGETS, teacher=teacher)),
+        small.pair(3, 4),
+    )
+    gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose_tap")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part))
         for name, part in gradient.items()
@@ -91,39 +97,44 @@ def test_a_perfect_image_has_no_gradient(teacher):
     """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
     canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
 
-    watched = make_pose_supervision(WATCHED, teacher, small.TARGETS, losses.compute_pose_loss)
-    gradient = jax.grad(lambda image: jnp.sum(watched(image, canonical, {})))
-    np.testing.assert_array_equal(gradient(canonical), 0)
-    assert float(jnp.abs(gradient(canonical[::-1])).max()) > 0
+    def term(image):
+        weights = posenet.list_output_weights(small.TARGETS)
+        return jnp.sum(losses.compute_pose_loss(teacher(image), teacher(canonical), weights))
+
+    np.testing.assert_array_equal(jax.grad(term)(canonical), 0)
+    assert float(jnp.abs(jax.grad(term)(canonical[::-1])).max()) > 0
 
 
 def test_without_weight_the_teacher_is_never_asked():
     def asked(images):
         raise AssertionError("asked")
 
-    task = make_unshear_task(small.NET, small.TRAINING, asked)
+    task = make_unshear_task(small.NET, small.TRAINING, Supervision(teacher=asked))
     variables = jax.jit(task.init)(jax.random.key(0))
-    assert (
-        "pose" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
-    )
-    assert "pose" not in jax.eval_shape(task.validate, variables, small.pair(3, 4))
+    terms, _ = jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))
+    assert set(terms) == set(PLAIN)
+    validated = jax.eval_shape(task.validate, variables, small.pair(3, 4))
+    assert set(validated) == {"supervised", "reconstruction"}
 
 
 def test_a_u_net_can_be_taught_too(teacher):
-    task, batch = make_unshear_task(UNET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
+    task, batch = (
+        make_unshear_task(UNET, BY_TAP, Supervision(small.TARGETS, teacher=teacher)),
+        small.pair(3, 4),
+    )
     variables, read = jax.jit(task.init)(jax.random.key(0)), jax.jit(teacher)
     unsheared = jax.jit(unet.unshear, static_argnums=0)
     image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     np.testing.assert_allclose(
-        jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
+        jax.jit(task.validate)(variables, batch)["pose_tap"], expected, rtol=1e-5
     )
 
 
 def test_a_weight_without_a_teacher_is_refused():
-    with pytest.raises(UserError, match="pose_weight"):
-        make_unshear_task(small.NET, WATCHED)
+    with pytest.raises(UserError, match="a PoseNet is needed"):
+        make_unshear_task(small.NET, BY_TAP)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +142,7 @@ def test_a_weight_without_a_teacher_is_refused():
 )
 def test_against_labels_the_tap_does_not_enter(teacher, net):
     task, batch = (
-        make_unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS),
+        make_unshear_task(net, BY_LABEL, Supervision(small.TARGETS, teacher=teacher)),
         with_poses(small.pair(3, 4)),
     )
     variables = jax.jit(task.init)(jax.random.key(0))
@@ -141,43 +152,34 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
     targets = posenet.scale_poses(batch, small.TARGETS)
     expected = losses.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
-        jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5
+        jax.jit(task.validate)(variables, batch)["pose_label"], expected, rtol=1e-5
     )
     terms = jax.jit(task.terms)
     trained, other = (
         terms(variables, given, jax.random.key(2))[0]
         for given in (batch, batch | {"canonical": batch["canonical"][::-1]})
     )
-    np.testing.assert_array_equal(trained["pose"], other["pose"])
+    np.testing.assert_array_equal(trained["pose_label"], other["pose_label"])
     assert np.all(trained["supervised"] != other["supervised"])
     moved = batch | {"pose": batch["pose"] + np.array([1, 0, 0, 0])}
-    assert np.all(terms(variables, moved, jax.random.key(2))[0]["pose"] != trained["pose"])
+    assert np.all(
+        terms(variables, moved, jax.random.key(2))[0]["pose_label"] != trained["pose_label"]
+    )
 
 
-@pytest.mark.parametrize("training", [WATCHED, AGAINST_LABELS], ids=["tap", "label"])
+@pytest.mark.parametrize("training", [BY_TAP, BY_LABEL], ids=["tap", "label"])
 def test_a_teacher_without_targets_is_refused(teacher, training):
-    with pytest.raises(UserError, match="pose_weight: no pose targets are known"):
-        make_unshear_task(small.NET, training, teacher)
-
-
-@pytest.mark.parametrize(
-    ("training", "reported"),
-    [
-        (small.TRAINING, False),
-        (WATCHED, False),
-        (AGAINST_LABELS, True),
-        (replace(AGAINST_LABELS, pose_weight=0.0), False),
-    ],
-)
-def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
-    assert uses_pose_labels(training) == reported
+    with pytest.raises(UserError, match="no pose targets are known"):
+        make_unshear_task(small.NET, training, Supervision(teacher=teacher))
 
 
 def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     net = replace(small.NET, apart=True)
     slides = make_slide_targets(Ranges(move_mm=2.0))
-    training = replace(small.TRAINING, swap_weight=2.0, agreement_weight=0.5, slide_weight=3.0)
-    task = make_unshear_task(net, training, slides=slides)
+    losses = {**PLAIN, "counterfactual": 2.0, "code_agreement": 0.5, "slide": 3.0}
+    task = make_unshear_task(
+        net, replace(small.TRAINING, losses=losses), Supervision(slides=slides)
+    )
     variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)
     same = given | {
         "other": given["sheared"],
@@ -186,22 +188,27 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     }
     terms = jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
     named = terms(same)
-    assert set(named) == {"supervised", "patch", "reconstruction", "swap", "agreement", "slide"}
+    assert set(named) == set(losses)
     assert all(value.shape == (4,) for value in named.values())
-    np.testing.assert_allclose(named["swap"], named["reconstruction"], rtol=1e-6)
-    other = terms(same | {"swapped": given["canonical"]})["agreement"]
-    assert np.all(named["agreement"] < 1e-6 * other)
-    tap = replace(
-        training, swap_weight=0.0
-    )  # where poses share no slides, that of a slide and that of its tap
-    alone = make_unshear_task(net, tap, slides=slides).terms(
+    np.testing.assert_allclose(named["counterfactual"], named["reconstruction"], rtol=1e-6)
+    other = terms(same | {"swapped": given["canonical"]})["code_agreement"]
+    assert np.all(named["code_agreement"] < 1e-6 * other)
+    # where poses share no slides, the codes of a slide and of its tap agree
+    tap = replace(small.TRAINING, losses={**losses, "counterfactual": 0.0})
+    alone = make_unshear_task(net, tap, Supervision(slides=slides)).terms(
         variables, given | {"felt": same["felt"]}, jax.random.key(2)
     )[0]
-    assert "swap" not in alone
+    assert "counterfactual" not in alone
     np.testing.assert_allclose(
-        alone["agreement"], terms(same | {"swapped": given["canonical"]})["agreement"], rtol=1e-4
+        alone["code_agreement"],
+        terms(same | {"swapped": given["canonical"]})["code_agreement"],
+        rtol=1e-4,
     )
-    assert [task.weights[name] for name in ("swap", "agreement", "slide")] == [2.0, 0.5, 3.0]
+    assert [task.weights[name] for name in ("counterfactual", "code_agreement", "slide")] == [
+        2.0,
+        0.5,
+        3.0,
+    ]
     z_s = np.asarray(
         unshearnet.encode(net, variables, jnp.asarray(given["sheared"], jnp.float32) / 255)[1]
     )

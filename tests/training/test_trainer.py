@@ -291,7 +291,7 @@ def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, wo
 
 def test_posenet_trains_and_reports_errors_in_units(tmp_path):
     summary = trainer.train(
-        make_posenet_task(small.POSENET, small.TRAINING, small.TARGETS),
+        make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS),
         small.TRAINING,
         lambda start: small.endless(small.pose, start),
         lambda: iter([small.pose(1000, 4), small.pose(1001, 2)]),
@@ -317,7 +317,7 @@ def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
             batch["pose"][0, 0] = np.nan
             yield batch
 
-    task = make_posenet_task(small.POSENET, small.TRAINING, small.TARGETS)
+    task = make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS)
     with pytest.raises(UserError, match="pose not finite at step 1"):
         trainer.train(task, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, epoch_images=16)
 

@@ -176,7 +176,7 @@ def test_the_papers_start_is_that_of_its_experiment():
             == getattr(paper.train, field)
             == getattr(paper.train_posenet, field)
         )
-    for field in ("patch_weight", "crops", "crop_px", "reconstruction_weight"):
+    for field in ("losses", "crops", "crop_px"):
         assert getattr(ours, field) == getattr(paper.train, field)
 
 
