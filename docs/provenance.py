@@ -40,6 +40,16 @@ IDLE = {  # settings of results that are gone, at the values at which they did n
     "label_weight": 0.0,
     "precision": "float32",
 }
+LOSSES_0_2 = {  # weights of losses in the settings of version 0.2.0, and the losses
+    "patch_weight": "patch",
+    "reconstruction_weight": "reconstruction",
+    "swap_weight": "counterfactual",
+    "agreement_weight": "code_agreement",
+    "slide_weight": "slide",
+    "tap_weight": "tap",
+    "alike_weight": "consistency",
+    "pose_weight": "pose",
+}
 COMPUTING = frozenset(
     (
         *("simulator", "perception", "data", "models", "training", "evaluation", "metrics"),
@@ -226,7 +236,10 @@ def differences(name: str) -> dict[str, tuple[object, object]]:
     words = [_today(word) for word in shlex.split(held["command"])[1:]]
     experiment = read_base(words)
     now = _flat(to_builtins(to_json(experiment)))
-    then = _flat(to_builtins(_defaults(experiment))) | _flat(stored)
+    then = _flat(to_builtins(_defaults(experiment))) | _flat(_name_losses(stored))
+    for field in now.keys() ^ then.keys():
+        if ".losses." in field:  # a loss of weight 0 is not there
+            (then if field in now else now)[field] = 0.0
     gone = {field: IDLE.get(_last(field)) for field in then.keys() - now.keys()}
     return {
         field: (then[field], value)
@@ -235,12 +248,33 @@ def differences(name: str) -> dict[str, tuple[object, object]]:
     }
 
 
+def _name_losses(stored: Json) -> Json:
+    """Return settings with the weights of losses by name, which version 0.2.0 had as settings."""
+    named = {}
+    for group, settings in stored.items():
+        if not (isinstance(settings, dict) and "patch_weight" in settings):
+            named[group] = settings
+            continue
+        rest = {field: value for field, value in settings.items() if field not in LOSSES_0_2}
+        target = rest.pop("pose_target", "tap")
+        if group in ("train_posenet", "train_teacher"):
+            weights = {"pose": 1.0}
+        else:
+            given = {LOSSES_0_2[field]: settings[field] for field in LOSSES_0_2.keys() & settings}
+            given[f"pose_{target}"] = given.pop("pose", 0.0)
+            weights = {"supervised": 1.0, **given}
+        named[group] = rest | {"losses": weights}
+    return named
+
+
 def _defaults(group: Any) -> Json:
     """Return the defaults of the fields of a dataclass and of the groups in it."""
     found = {}
     for field in dataclasses.fields(group):
         value = getattr(group, field.name)
         default = None if field.default is dataclasses.MISSING else field.default
+        if field.name == "losses":
+            default = {}
         found[field.name] = _defaults(value) if dataclasses.is_dataclass(value) else default
     return found
 

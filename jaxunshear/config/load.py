@@ -25,15 +25,7 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
     the folder above. Raises `UserError`.
     """
     path = Path(path)
-    if not path.is_file():
-        raise UserError(
-            f"experiment file {path} {'is a folder' if path.is_dir() else 'does not exist'}: name a Python file"
-        )
-    try:
-        with _neighbours(path):
-            variables = runpy.run_path(str(path), run_name="jaxunshear_experiment")
-    except (Exception, SystemExit) as error:
-        raise UserError(f"experiment file {path} {_failure(path, error)}") from error
+    variables = run_file(path)
     for name, kind in kinds.items():
         found = variables.get(name)
         if found is not None and not isinstance(found, kind):
@@ -50,6 +42,21 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
     raise UserError(
         f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)"
     )
+
+
+def run_file(path: Path) -> dict[str, Any]:
+    """Run an experiment file and return its variables. Raises UserError.
+
+    What it registers stays registered.
+    """
+    if not path.is_file():
+        problem = "is a folder" if path.is_dir() else "does not exist"
+        raise UserError(f"experiment file {path} {problem}: name a Python file")
+    try:
+        with _neighbours(path):
+            return runpy.run_path(str(path), run_name="jaxunshear_experiment")
+    except (Exception, SystemExit) as error:
+        raise UserError(f"experiment file {path} {_failure(path, error)}") from error
 
 
 @contextlib.contextmanager

@@ -167,6 +167,12 @@ def _is_same(held: Callable[..., Any] | str, compute: Callable[..., Any]) -> boo
     return not isinstance(held, str) and held.__code__.co_filename == compute.__code__.co_filename
 
 
+def list_registering_files() -> list[str]:
+    """Return the experiment files that have registered losses, for the processes of a sweep."""
+    functions = (spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str))
+    return sorted({function.__code__.co_filename for function in functions})
+
+
 def get_loss(name: str) -> LossSpec:
     """Return what is known of a loss. Raises UserError for an unknown one."""
     if name not in LOSSES:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.config.losses import list_registering_files
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.training import uses_teacher
@@ -80,7 +81,7 @@ def plan_tasks(
     folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
 ) -> list[Task]:
     """The tasks of the unfinished `rows`, the trainings that they share before them; writes each one's task.json."""
-    order = TaskOrder(kind="", data=str(data), command=command)
+    order = TaskOrder(kind="", data=str(data), command=command, files=list_registering_files())
     finished = _finished_trainings(folder)
     parts = {
         (row.digest, network): select_training_part(row.experiment, network)

@@ -18,6 +18,7 @@ from pathlib import Path
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.load import run_file
 from jaxunshear.config.serialization import from_json
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
@@ -154,6 +155,8 @@ def _start_task(order: TaskOrder, folder: Path) -> Experiment:
     """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
     for network, source in order.sources.items():
         _reuse(Path(source), folder / network)
+    for file in order.files:
+        run_file(Path(file))
     return from_json(order.experiment, str(folder / TASK))
 
 

@@ -1,0 +1,96 @@
+"""The page that says how things are added is run, and what it adds has an effect."""
+
+import re
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from jaxunshear.config import losses
+from jaxunshear.config.fields import override_fields
+from jaxunshear.config.load import load_experiment
+from jaxunshear.config.rules import validate
+from jaxunshear.errors import UserError
+from jaxunshear.training.tasks import make_unshear_task
+from tests.training import small
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+LOSS, STIMULUS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.fixture
+def experiment_file(tmp_path, monkeypatch):
+    """Write a file beside tiny.py, and forget afterwards what it registers."""
+    shutil.copy(ROOT / "experiments" / "tiny.py", tmp_path)
+    monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
+    monkeypatch.setattr(sys.modules["jaxunshear.training.tasks"], "LOSSES", losses.LOSSES)
+
+    def write(text):
+        path = tmp_path / "mine.py"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_loss_of_an_experiment_file_is_a_term_of_the_training(experiment_file):
+    path = experiment_file(LOSS)
+    experiment = load_experiment(path)
+    validate(experiment)
+    assert experiment.train.losses["smooth"] == 0.1
+    assert losses.list_registering_files() == [str(path)]
+    training = replace(small.TRAINING, losses=experiment.train.losses)
+    task = make_unshear_task(small.NET, training)
+    variables = jax.jit(task.init)(jax.random.key(0))
+    terms, _ = jax.jit(task.terms)(variables, small.pair(3, 4), jax.random.key(1))
+    assert set(terms) == {"supervised", "patch", "reconstruction", "smooth"}
+    assert terms["smooth"].shape == (4,) and np.all(np.asarray(terms["smooth"]) > 0)
+    assert task.weights["smooth"] == 0.1
+
+    def slope(name):
+        def total(params):
+            terms, _ = task.terms(
+                variables | {"params": params}, small.pair(3, 4), jax.random.key(1)
+            )
+            return terms[name].sum()
+
+        found = jax.jit(jax.grad(total))(variables["params"])
+        return {part for part, leaves in found.items() if any(map(np.any, jax.tree.leaves(leaves)))}
+
+    assert slope("smooth") == slope("supervised")
+    assert "smooth" in task.validate(variables, small.pair(3, 4))
+
+
+def test_a_file_may_be_read_twice_and_a_name_is_taken_once(experiment_file):
+    path = experiment_file(LOSS)
+    load_experiment(path)
+    assert "smooth" in load_experiment(path).train.losses
+    with pytest.raises(UserError, match="loss 'supervised' is there already"):
+        load_experiment(experiment_file(LOSS.replace('"smooth"', '"supervised"')))
+
+
+def test_a_loss_that_no_file_has_registered_is_refused(experiment_file):
+    experiment = load_experiment(experiment_file(LOSS))
+    losses.LOSSES.pop("smooth")
+    with pytest.raises(UserError, match="loss 'smooth' is unknown"):
+        validate(experiment)
+
+
+def test_a_loss_of_images_is_refused_over_pins(experiment_file):
+    experiment = load_experiment(experiment_file(LOSS))
+    words = "--unshear.input pins --train_pins.batch 8 --train_pins.losses.smooth 1".split()
+    over_pins = override_fields(replace(experiment, networks=("disentangled",)), words)
+    with pytest.raises(UserError, match="is for networks over images"):
+        validate(over_pins)
+
+
+def test_an_outline_of_an_experiment_file_is_a_stimulus(experiment_file):
+    experiment = load_experiment(experiment_file(STIMULUS))
+    validate(experiment)
+    (kite,) = experiment.unseen
+    assert kite.name == "kite" and kite.extent_mm == 25
