@@ -69,6 +69,7 @@ FIELDS = {
     "weight": "weights of pairs",
     "sure": "known pins",
 }
+LOSSES = {"pose_label": "pose", "pose_tap": "pose", "rendered_pose": "rendered"}
 SCORES = {
     "pose_mae": "pose errors",
     "ms_ssim": "MS-SSIM",
@@ -223,7 +224,7 @@ def _to_plain(table: Any) -> Any:
     """Return a table of losses or scores with plain words for the names of the code."""
     if not isinstance(table, Mapping):
         return table
-    return {_to_words(NETWORKS, name): _to_plain(value) for name, value in table.items()}
+    return {_to_words(NETWORKS | LOSSES, name): _to_plain(value) for name, value in table.items()}
 
 
 def _to_words(words: Mapping[str, str], name: str) -> str:

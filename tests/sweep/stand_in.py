@@ -149,11 +149,11 @@ def ablate(experiment, folder, data, command):
     }
 
 
-def leakage(experiment, folder, data, command, controls):
+def measure_leakage(experiment, folder, data, command, controls):
     return read_json(folder / "disentangled" / "summary.json")["value"] / 2**31
 
 
-def for_sweep(found):
+def build_sweep_rows(found):
     return [{"name": "slide from z_p", "r2": found}]
 
 
@@ -173,9 +173,9 @@ def main():
         print(json.dumps(to_builtins(summary)))
         return 0
     for name, functions in {
-        "ablation": (ablate,),
-        "leakage": (leakage,),
-        "leakage_table": (for_sweep,),
+        "code_swap_test": (ablate,),
+        "leakage": (measure_leakage,),
+        "leakage_table": (build_sweep_rows,),
     }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
         for function in functions:
