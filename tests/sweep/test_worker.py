@@ -5,6 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear.config import losses
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.load import run_file
+from jaxunshear.config.serialization import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
 from jaxunshear.sweep import worker
@@ -45,3 +49,21 @@ def test_a_stored_failure_names_the_command_that_tries_it_again(reason, kind):
 
 def test_data_that_failed_are_tried_again_by_the_same_command(reason):
     assert reason("data", FULL).endswith("then run the same command")
+
+
+def test_losses_of_an_experiment_file_are_known_to_the_process_of_a_row(tmp_path, monkeypatch):
+    monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from jaxunshear.config.losses import register_loss\n"
+        "@register_loss('mine')\n"
+        "def compute(inputs):\n    return inputs.outputs.canonical.sum((1, 2, 3))\n"
+    )
+    run_file(file)
+    assert losses.list_registering_files() == [str(file)]
+    del losses.LOSSES["mine"]
+    order = TaskOrder(
+        kind="row", experiment=to_json(Experiment(name="a", claim="b")), files=[str(file)]
+    )
+    worker._start_task(order, tmp_path)
+    assert losses.get_loss("mine").name == "mine"
