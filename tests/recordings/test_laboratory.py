@@ -398,7 +398,7 @@ def test_a_direct_posenet_that_convolves_serves_at_every_door(
     assert kept["net"]["convolved"] == [4, 6] and kept["net"]["direct_convolved"] == []
     assert kept["origin"]["direct_taps"] == "rendered" and (run / "renderer").is_dir()
     last = json.loads((run / "posenet_sheared" / "log.jsonl").read_text().splitlines()[-1])
-    assert last["train"]["rendered"] > 0 and "rendered" not in last["validation"]
+    assert last["train"]["rendered_pose"] > 0 and "rendered_pose" not in last["validation"]
     assert "also learns from rendered taps" in (run / "report.html").read_text()
     other = made.edge(tmp_path / "other", 20, 20, seed=53)
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
