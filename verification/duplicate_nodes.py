@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.admm import RHO, SolverOptions
+from jaxunshear.simulator.contact_problem import ContactProblem, System
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.friction import RHO, System, follow_path, make_undeformed_skins
+from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.node_state import count_node_states
 from jaxunshear.simulator.obstacle import sample_distances
@@ -35,15 +37,12 @@ def solve_with_duplicates(
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)
+        obstacles = sample_distances((get_stimulus("disk"),))
         skin, quality = follow_path(
-            system,
-            sample_distances((get_stimulus("disk"),)),
-            jnp.zeros(1, jnp.int32),
-            mu,
+            ContactProblem(system, obstacles, jnp.zeros(1, jnp.int32), mu),
             path[1:],
             make_undeformed_skins(system, path[0]),
-            level.tolerance,
-            level.limit,
+            SolverOptions(level.tolerance, level.limit),
         )
         states = count_node_states(skin, mu)
         skin, quality, states = jax.device_get((skin, quality, states))

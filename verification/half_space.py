@@ -15,11 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.simulator.admm import RHO, SolverOptions
+from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
 from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
 from jaxunshear.simulator.friction import (
-    RHO,
-    Skin,
-    System,
     advance_increment,
     compute_increment_offset,
     make_undeformed_skins,
@@ -31,7 +30,7 @@ SPACING_MM = 0.1  # of the rings of contact nodes, and of the mesh below them
 RINGS = 12
 REACH = 2000.0
 GROWTH = 1.5  # of the elements' size, layer by layer, outside the contact
-_Made = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+LIMIT = 20000  # iterations of the solver, an increment
 
 
 @dataclass(frozen=True)
@@ -170,23 +169,31 @@ def _system(body: HalfSpace, height: np.ndarray, chosen: np.ndarray) -> tuple[Sy
     ), 1 / scale
 
 
-@partial(jax.jit, static_argnames="tolerance")
-def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: float) -> _Made:
-    count = poses.shape[1]
-    flat = Obstacles(jnp.full((1, 5, 5), -10.0, poses.dtype))
-    which = jnp.zeros(count, jnp.int32)
+class _Increments(NamedTuple):
+    """What each of T increments of B scenes leaves behind."""
 
-    def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Made]:
-        offset = compute_increment_offset(system, flat, which, skin, pose, False, skin.displacement)
-        after, quality = advance_increment(
-            system, flat, which, friction, pose, skin, tolerance, 20000, False
-        )
+    force: jax.Array  # (T, B, N, 3) scaled
+    slip: jax.Array  # (T, B, N, 2) mm
+    gap: jax.Array  # (T, B, N) mm
+    settled: jax.Array  # (T, B)
+    iterations: jax.Array  # (T, B)
+
+
+@partial(jax.jit, static_argnames="tolerance")
+def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: float) -> _Increments:
+    flat = Obstacles(jnp.full((1, 5, 5), -10.0, poses.dtype))
+    problem = ContactProblem(system, flat, jnp.zeros(poses.shape[1], jnp.int32), friction)
+    options = SolverOptions(tolerance, LIMIT)
+
+    def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Increments]:
+        offset = compute_increment_offset(problem, skin, pose, skin.displacement)
+        after, quality = advance_increment(problem, skin, pose, options)
         apart = offset + after.displacement
         # where nothing moves the skin is left as it is
         moved = jnp.any(pose != skin.pose, axis=-1)[:, None, None]
         slip = jnp.where(moved, apart[..., :2], 0.0)
         settled = quality.residual_mm <= quality.tolerance_mm
-        return after, (after.force, slip, apart[..., 2], settled, quality.iterations)
+        return after, _Increments(after.force, slip, apart[..., 2], settled, quality.iterations)
 
-    _, made = jax.lax.scan(step, make_undeformed_skins(system, poses[0]), poses[1:])
-    return made
+    _, increments = jax.lax.scan(step, make_undeformed_skins(system, poses[0]), poses[1:])
+    return increments
