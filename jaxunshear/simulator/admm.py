@@ -1,4 +1,4 @@
-"""ADMM for one increment of a contact: the forces that satisfy non-penetration and Coulomb's law.
+"""ADMM for one increment of a contact: forces under non-penetration and Coulomb's law.
 
 The forces solve the fixed point f = P(f - (W f + b)) of `Increment`. ADMM needs one precomputed
 inverse, (W + RHO I)^-1, and is over-relaxed (under-relaxed at strong friction): each iteration is
@@ -108,7 +108,7 @@ def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[
 
 
 def multiply(matrix: Array, force: Array, frame: Array | None) -> Array:
-    """Multiply a symmetric matrix of the sensor frame with forces (B, N, d) of the level frame."""
+    """Multiply a symmetric sensor-frame matrix with level-frame forces (B, N, d)."""
     inside = force if frame is None else rotate_back(frame, force)
     moved = matmul(inside.reshape(force.shape[0], -1), matrix).reshape(force.shape)
     return moved if frame is None else rotate(frame, moved)
@@ -130,14 +130,14 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True)
 class _Admm:
-    """ADMM on one increment. `strong` (B,) says which scenes take short steps; None: none does."""
+    """ADMM on one increment."""
 
     increment: Increment
     inverse: Array
     tolerance: Array  # (B,) mm
     limit: int
     relaxation: Array | float
-    strong: Array | None
+    strong: Array | None  # (B,) scenes that take short steps; None: none does
 
     def iterate(self, _: Array, state: _Iterates) -> _Iterates:
         z, y = state.force, state.dual
@@ -184,7 +184,7 @@ class _Admm:
         return _State(after, residual, iterations, state.batch_iterations + BETWEEN_CHECKS)
 
     def start(self, start: SolverStart) -> _State:
-        """Begin with residual 0 where the warm start solves the equation, as where nothing touches."""
+        """Begin with residual 0 where the warm start is a solution, as where nothing touches."""
         force, dual, moved = start
         trial = project(force - moved - self.increment.offset, self.increment.friction)
         miss = jnp.max(jnp.abs(force - trial), axis=(1, 2))
@@ -203,9 +203,9 @@ def solve_increment(
     limit: int,
     strong_friction: float | None = None,
 ) -> SolverResult:
-    """Solve an increment by ADMM, until every scene is below its tolerance in mm or at `limit`.
+    """Solve an increment by ADMM, until every scene is below its tolerance in mm.
 
-    `inverse` is that of w + RHO. Scenes with an infinite tolerance are not waited for.
+    It stops at `limit` iterations. `inverse` is that of w + RHO. Scenes with an infinite tolerance are not waited for.
     `strong_friction` as in `SolverOptions`.
     """
     relaxation: Array | float = OVER_RELAXATION

@@ -316,9 +316,10 @@ def _needs_more_nodes(
     pose: np.ndarray,
     force_n: np.ndarray,
 ) -> np.ndarray:
-    """Find scenes (B,) whose contact reaches the last ring, or whose nodes beside it penetrate.
+    """Find the scenes (B,) that need nodes that were left out.
 
-    These are neighbours of loaded nodes that were left out and end inside the stimulus.
+    Their contact reaches the last ring, or a neighbour of a loaded node that was left out ends
+    inside the stimulus.
     """
     sensor = simulation.sensor
     full = load_shared_dome(sensor)

@@ -44,7 +44,7 @@ class ContactProblem:
 
 
 class Skin(NamedTuple):
-    """State of B skins after a motion, in the sensor frame: all that a later motion continues from."""
+    """State of B skins in the sensor frame, from which a later motion continues."""
 
     force: Array  # (B, N, d) scaled, mm
     dual: Array  # (B, N, d) of the solver, a warm start only

@@ -1,4 +1,4 @@
-"""Rotations between the sensor frame, the level frame and the target frame, and lengths of motions.
+"""Rotations between sensor frame, level frame and target frame, and lengths of motions.
 
 The level frame is the sensor frame with its tilt undone.
 """
@@ -53,7 +53,7 @@ def transform_to_level(
     points: Float[jax.Array, "B N 3"],
     centre_mm: Float[jax.Array, ""],
 ) -> Float[jax.Array, "B N 3"]:
-    """Transform points of the sensor frame to the level frame; without a frame they are the same.
+    """Transform points of the sensor frame to the level frame; None leaves them.
 
     The lowest point of the dome lies at z = 0 in the level frame.
     """
@@ -77,7 +77,7 @@ def rotate_in_plane(
 def compute_increment_length(
     before: Float[jax.Array, "B 6"], after: Float[jax.Array, "B 6"], radius_mm: Float[jax.Array, ""]
 ) -> Float[jax.Array, "B"]:
-    """Compute by how many mm the dome's tip moves from pose to pose; turns count at `radius_mm`."""
+    """Compute by how many mm the dome's tip moves; turns count at `radius_mm`."""
     change = after - before
     turns = radius_mm * jnp.linalg.norm(change[:, jnp.array(TURNS)], axis=-1)
     return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns

@@ -1,4 +1,4 @@
-"""Quasi-static contact with Coulomb friction along a path, for B scenes that share one compliance.
+"""Quasi-static contact with Coulomb friction along a path, for B scenes on one compliance.
 
 At every increment the nodal forces f = (t, p) satisfy: no penetration, no pull, |t| <= mu p, and t
 opposes the slip of this increment. With u = W f and a gap g that is linear in u this is a fixed
@@ -51,9 +51,9 @@ def compute_increment_offset(
     pose: Float[Array, "B 6"],
     displacement: Float[Array, "B N 3"],
 ) -> Float[Array, "B N d"]:
-    """Compute the offset b in mm of the increment from `skin` to a pose, in the level frame there.
+    """Compute the offset b of the increment from `skin` to a pose.
 
-    b is how far each node slips if the skin keeps its shape, and its gap. The gap is taken where
+    b, in mm in the level frame of that pose, is how far each node slips if the skin keeps its shape, and its gap. The gap is taken where
     `displacement` puts the node: that of `skin` to begin with, then that of a first solution. At a
     shape's edge a node that slides by a step changes its gap by half of that.
     """
@@ -202,7 +202,7 @@ def follow_path(
 
 
 def _choose_worse(now: Quality, worst: Quality) -> Quality:
-    """Choose scene by scene the larger residual relative to its tolerance, and sum the iterations."""
+    """Choose, scene by scene, the larger residual relative to its tolerance; sum iterations."""
     # written so that a NaN counts as the worst
     worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
     return Quality(

@@ -1,4 +1,4 @@
-"""How the pins depend on each way point of a motion, on friction and on the ratio of the moduli.
+"""Derivatives of the pins by the way points of a motion, friction and ratio of the moduli.
 
     gradient = compute_pin_gradient(TACTIP_331, ("disk",), paths)
     gradient.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point

@@ -110,7 +110,7 @@ def compute_projection_slopes(
 def compute_switch_distance(
     trial: Float[Array, "B N 3"], friction: Float[Array, "B"]
 ) -> Float[Array, "B"]:
-    """Compute how far in mm f - (W f + b) may change before a node touches, parts, sticks or slips.
+    """Compute how far in mm f - (W f + b) may change before any node passes a switch.
 
     For a free node that is its gap, for a slipping one its slip beyond the last that would stick.
     Forces count in mm of the displacement that each would give to its own node.
@@ -144,9 +144,9 @@ def _solve_linear(increment: Increment, slope: Array, right: Array, most: int) -
 
 @custom_vmap
 def _count_most_touching(touches: Array) -> Array:
-    """Count the touching nodes of the scene with most of them, also over all scenes of a vmap.
+    """Count the touching nodes of the scene with most of them.
 
-    The branch that depends on it then stays one branch, or both of its sides would be worked out.
+    Under vmap that is the scene of all. The branch that depends on it then stays one branch, or both of its sides would be worked out.
     XLA's CPU client was seen to wait for ever for two such factorisations of one loop.
     """
     return jnp.max(jnp.sum(touches, axis=-1))
@@ -238,7 +238,7 @@ class _RoundState(NamedTuple):
 
 
 def _find_force(most: int, increment: Increment, guess: WarmStart) -> Array:
-    """Find the force by rounds of ADMM, each ten times tighter than the last, and Newton steps."""
+    """Find the force by rounds of ADMM, each ten times tighter, and Newton steps."""
     dtype = increment.offset.dtype
     goal = jnp.where(guess.length_mm > 0, GOAL_MM[dtype.name], jnp.inf).astype(dtype)
 
@@ -315,9 +315,9 @@ def compute_pin_state(
     skin: Skin,
     most: int,
 ) -> PinState:
-    """Compute where the pins are after B skins followed `path`, each increment solved to rounding.
+    """Compute where the pins are after B skins followed `path`.
 
-    Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and
+    Each increment is solved to rounding. Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and
     the displacement of `skin`, which is at path[0]. The problem must be `tilted` and have three
     unknowns a node; float64 is advised. Runs under jit; the batch is its own. `most` as in
     `solve_contact_force`.

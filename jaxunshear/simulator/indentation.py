@@ -1,4 +1,4 @@
-"""How far the skin has been pressed in above each pin: the ground truth of contact geometry."""
+"""How far the skin is pressed in above each pin: the ground truth of contact geometry."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""Checks that refuse what cannot be simulated, by name of its field, before any work starts."""
+"""Checks that refuse what cannot be simulated, by field, before any work starts."""
 
 import numpy as np
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 
-# of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
+# of the rounding: that of the node spacing, so that a node meets an edge gradually
 EDGE_RADIUS_MM = 1.0
 REACH_MM = 125.0  # beyond every shape, seen from its target
 SPACING_MM = 0.25
@@ -59,7 +59,7 @@ def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
 def interpolate_distance(
     obstacles: Obstacles, index: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N"]:
-    """Interpolate the signed distance in mm at points of the target frame of obstacles `index`.
+    """Interpolate the signed distances in mm of obstacles `index` in their target frames.
 
     Beyond the grid the distance to the grid is added: far outside, as every shape lies within.
     """

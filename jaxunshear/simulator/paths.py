@@ -2,7 +2,7 @@
 
 Many motions are arrays with a leading axis:
 
-    press, slide and twist:  points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
+    press, slide, twist: points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
 
 `Scenes` are the paper's two kinds of motion; `make_paths` converts them.
 """

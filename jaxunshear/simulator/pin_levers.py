@@ -1,4 +1,4 @@
-"""Pins as rigid levers on a face of the mesh, which turn its displacements into those of the tips."""
+"""Pins as rigid levers on a face of the mesh: the displacements of their tips."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,9 @@ _ON_AXIS_MM = 1e-9
 def compute_interpolation(
     mesh: Mesh, points: Float[np.ndarray, "P 2"]
 ) -> Float[np.ndarray, "3 P V"]:
-    """Compute the shape functions at points of the half-plane, and their slopes in r and in z.
+    """Compute the shape functions at points of the half-plane, and their slopes.
 
-    Newton's method finds the point in each near element. Where elements meet, the result is their
+    Slopes are in r and in z. Newton's method finds the point in each near element. Where elements meet, the result is their
     mean; their slopes along the line where they meet agree.
     """
     centres = mesh.nodes[mesh.elements[:, :4]].mean(1)

@@ -1,4 +1,4 @@
-"""Scenes in, pin positions out: planned, solved in batches, each contact with its quality.
+"""Simulation of scenes: planned, solved in batches, each contact with its quality.
 
     contacts = simulate(TACTIP_331, ("disk",), scenes)
     contacts.pins  # (B, 331, 3) mm in the sensor frame

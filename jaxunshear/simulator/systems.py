@@ -50,7 +50,7 @@ def build_matrices(sensor: Sensor, precision: str) -> ScaledMatrices:
 
 @lru_cache(maxsize=16)
 def build_system(sensor: Sensor, node_bytes: bytes, friction: bool, precision: str) -> ScaledSystem:
-    """Build the system of the contact nodes `node_bytes` (int64 bytes), padded by nodes far away."""
+    """Build the system of contact nodes (int64, as bytes), padded by nodes far away."""
     full = load_shared_dome(sensor)
     index = np.frombuffer(node_bytes, np.int64)
     size = pad_count(len(index), NODE_COUNTS)
