@@ -205,8 +205,8 @@ def solve_increment(
 ) -> SolverResult:
     """Solve an increment by ADMM, until every scene is below its tolerance in mm.
 
-    It stops at `limit` iterations. `inverse` is that of w + RHO. Scenes with an infinite tolerance are not waited for.
-    `strong_friction` as in `SolverOptions`.
+    It stops at `limit` iterations. `inverse` is that of w + RHO. Scenes with an infinite tolerance
+    are not waited for. `strong_friction` as in `SolverOptions`.
     """
     relaxation: Array | float = OVER_RELAXATION
     strong = None

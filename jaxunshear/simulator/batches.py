@@ -36,6 +36,7 @@ from jaxunshear.simulator.scheduler import (
 )
 from jaxunshear.simulator.stimuli import Stimulus, make_stimulus
 from jaxunshear.simulator.systems import build_matrices, build_system, load_shared_dome
+from jaxunshear.simulator.turned_lattice import place_on_lattice
 
 # a node that was left out and ends deeper than this in the stimulus was needed
 PENETRATION_MM = 0.03
@@ -163,33 +164,12 @@ def _make_untouched_contacts(simulation: Simulation, paths: Paths) -> BatchResul
     return BatchResult(contacts, skins, np.min(gap, axis=1) < -PENETRATION_MM)
 
 
-class _Placement(NamedTuple):
-    """How the scenes of a batch lie on the lattice: each is turned by sixths of a turn."""
+class _EndState(NamedTuple):
+    """Padded skins at the ends of their paths."""
 
-    rotation: np.ndarray  # (b, 3, 3) from the turned lattice to the sensor frame
-    nodes: np.ndarray  # (b, n) the sensor's node that each node of the batch is
-
-    def gather(self, force_n: np.ndarray) -> np.ndarray:
-        """Turn forces (b, N, 3) on the sensor's nodes to forces (b, n, 3) on the batch's."""
-        on_batch = np.take_along_axis(force_n, self.nodes[..., None], 1)
-        return np.einsum("bji,bnj->bni", self.rotation, on_batch)
-
-    def scatter(self, force_n: np.ndarray, nodes: int) -> np.ndarray:
-        """Turn forces (b, n, 3) on the batch's nodes to forces (b, N, 3) on the sensor's."""
-        on_sensor = np.zeros((len(force_n), nodes, 3))
-        turned = np.einsum("bij,bnj->bni", self.rotation, force_n)
-        np.put_along_axis(on_sensor, self.nodes[..., None], turned, 1)
-        return on_sensor
-
-
-def _place_on_lattice(part: ContactBatch, nodes: int) -> _Placement:
-    angle = np.radians(60.0 * part.turn)
-    rotation = np.zeros((len(angle), 3, 3))
-    rotation[:, 0, 0] = rotation[:, 1, 1] = np.cos(angle)
-    rotation[:, 1, 0] = np.sin(angle)
-    rotation[:, 0, 1] = -rotation[:, 1, 0]
-    rotation[:, 2, 2] = 1
-    return _Placement(rotation, make_sixfold_permutations(nodes)[part.turn][:, part.nodes])
+    skin: Skin
+    quality: Quality
+    counts: NodeCounts
 
 
 class _SolvedBatch(NamedTuple):
@@ -208,14 +188,14 @@ def _solve_batch(
 ) -> BatchResult:
     sensor, level = simulation.sensor, simulation.level
     count, nodes = len(paths), len(load_shared_dome(sensor).nodes)
-    placement = _place_on_lattice(part, nodes)
+    placement = place_on_lattice(part.turn, part.nodes, nodes)
     poses, _ = cut_increments(paths, level, sensor.dome_radius_mm)
     poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
     poses[..., TILT_X:] = np.einsum(
         "bji,btj->bti", placement.rotation[:, :2, :2], poses[..., TILT_X:]
     )
     force_n = None if start is None else placement.gather(start.force_n)
-    solved = _solve_padded(simulation, paths, part, poses, force_n)
+    solved = _solve_and_unpad(simulation, paths, part, poses, force_n)
     force_n = placement.scatter(solved.force_n, nodes)
     pins = _compute_pins(sensor, force_n, level.precision)
     solved_well = solved.residual_mm <= solved.tolerance_mm
@@ -235,14 +215,14 @@ def _solve_batch(
     return BatchResult(contacts, Skins(force_n, paths.points[:, -1]), incomplete)
 
 
-def _solve_padded(
+def _solve_and_unpad(
     simulation: Simulation,
     paths: Paths,
     part: ContactBatch,
     poses: np.ndarray,
     start_n: np.ndarray | None,
 ) -> _SolvedBatch:
-    """Solve one batch from forces (b, n, 3) at its start, padded by repeating its last scene."""
+    """Solve one batch from forces (b, n, 3), padded by repeats of its last scene."""
     level, count, used = simulation.level, len(paths), len(part.nodes)
     size = min(pad_count(count, BATCHES), max(simulation.batch, count))
     rows = np.minimum(np.arange(size), count - 1)
@@ -289,12 +269,12 @@ def _follow_from_force(
     steps: jax.Array,
     force: jax.Array,
     options: SolverOptions,
-) -> tuple[Skin, Quality, NodeCounts]:
+) -> _EndState:
     """Follow a path (T + 1, B, 6) from skins under forces (B, N, d)."""
     skin = make_undeformed_skins(problem.system, path[0])
     skin = skin._replace(force=force, displacement=problem.system.displace(force))
     skin, quality = follow_path(problem, path[1:], skin, options, steps)
-    return skin, quality, count_node_states(skin, problem.friction, problem.tilted)
+    return _EndState(skin, quality, count_node_states(skin, problem.friction, problem.tilted))
 
 
 def _compute_pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:

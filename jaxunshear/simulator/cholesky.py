@@ -1,9 +1,9 @@
 """Direct solver for many right-hand sides of a sparse, positive definite matrix.
 
-The matrix is symmetric. The solver works on dense blocks of a sparse band. A mesh of a few thousand unknowns in the plane has a
-narrow band (about 240 here), which dense blocks use at the speed of matrix products: four times
-faster than a general sparse LU. There is no pivoting, so that a symmetric problem keeps a symmetric
-solution to rounding.
+The matrix is symmetric. The solver works on dense blocks of a sparse band. A mesh of a few thousand
+unknowns in the plane has a narrow band (about 240 here), which dense blocks use at the speed of
+matrix products: four times faster than a general sparse LU. There is no pivoting, so that a
+symmetric problem keeps a symmetric solution to rounding.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Quasi-static contact with Coulomb friction along a path, for B scenes on one compliance.
+"""Quasi-static contact with Coulomb friction along a path, for B scenes at once.
 
 At every increment the nodal forces f = (t, p) satisfy: no penetration, no pull, |t| <= mu p, and t
 opposes the slip of this increment. With u = W f and a gap g that is linear in u this is a fixed
@@ -53,9 +53,10 @@ def compute_increment_offset(
 ) -> Float[Array, "B N d"]:
     """Compute the offset b of the increment from `skin` to a pose.
 
-    b, in mm in the level frame of that pose, is how far each node slips if the skin keeps its shape, and its gap. The gap is taken where
-    `displacement` puts the node: that of `skin` to begin with, then that of a first solution. At a
-    shape's edge a node that slides by a step changes its gap by half of that.
+    b, in mm in the level frame of that pose, is how far each node slips if the skin keeps its
+    shape, and its gap. The gap is taken where `displacement` puts the node: that of `skin` to begin
+    with, then that of a first solution. At a shape's edge a node that slides by a step changes its
+    gap by half of that.
     """
     system = problem.system
     frame = compute_level_frame(pose) if problem.tilted else None

@@ -1,4 +1,4 @@
-"""Derivatives of the pins by the way points of a motion, friction and ratio of the moduli.
+"""Derivatives of the pins by way points, friction and the ratio of the moduli.
 
     gradient = compute_pin_gradient(TACTIP_331, ("disk",), paths)
     gradient.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point

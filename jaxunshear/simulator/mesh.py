@@ -85,8 +85,9 @@ def compute_edge_shapes(
 def make_dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     """Make a hemisphere of `radius` under a skin, clamped at its base plane.
 
-    Elements have about the size h. Lengths are in mm; z runs from the apex (z = 0) to the base (z = radius). Elements crowd at the
-    rim, where stresses have no bound: that removes three quarters of the error, at no cost.
+    Elements have about the size h. Lengths are in mm; z runs from the apex (z = 0) to the base (z =
+    radius). Elements crowd at the rim, where stresses have no bound: that removes three quarters of
+    the error, at no cost.
     """
     inner = radius - skin
     core = max(round(0.61 * radius / h), 2)

@@ -16,8 +16,8 @@ def compute_interpolation(
 ) -> Float[np.ndarray, "3 P V"]:
     """Compute the shape functions at points of the half-plane, and their slopes.
 
-    Slopes are in r and in z. Newton's method finds the point in each near element. Where elements meet, the result is their
-    mean; their slopes along the line where they meet agree.
+    Slopes are in r and in z. Newton's method finds the point in each near element. Where elements
+    meet, the result is their mean; their slopes along the line where they meet agree.
     """
     centres = mesh.nodes[mesh.elements[:, :4]].mean(1)
     at = np.zeros((3, len(points), len(mesh.nodes)))
