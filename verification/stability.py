@@ -24,7 +24,8 @@ from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.level import LEVELS
 from verification import stability_networks
-from verification.contact_cases import Case, list_cases
+from verification.contact_case import Case
+from verification.contact_cases import list_cases
 from verification.network_trainings import list_training_cases
 from verification.network_values import list_value_cases
 from verification.pin_distance import PinError, compute_pin_error

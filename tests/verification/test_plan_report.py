@@ -8,7 +8,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import OMISSIONS
 from jaxunshear.simulator.scene import Scenes
 from verification import plan_report as module
-from verification.contact_cases import HALF_SIZE
+from verification.contact_case import HALF_SIZE
 from verification.paper import sample_paper_scenes
 from verification.plan_report import show_grouping, show_plan
 
