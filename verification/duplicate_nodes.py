@@ -1,4 +1,4 @@
-"""A contact whose nodes stand there twice: the compliance is singular and the share of each twin is anybody's choice."""
+"""A contact with duplicate nodes: its compliance is singular, and each twin's share is free."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from jaxunshear.simulator.systems import load_shared_dome
 def solve_with_duplicates(
     sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7
 ) -> Contacts:
-    """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
+    """Solve one path (K, 6) over the disk, with the first `twice` of the nodes once more."""
     full = load_shared_dome(sensor)
     count = len(full.nodes)
     index = np.concatenate([np.arange(count), np.arange(twice)])
@@ -44,23 +44,19 @@ def solve_with_duplicates(
             make_undeformed_skins(system, path[0]),
             SolverOptions(level.tolerance, level.limit),
         )
-        states = count_node_states(skin, mu)
-        skin, quality, states = jax.device_get((skin, quality, states))
+        skin, quality, counts = jax.device_get((skin, quality, count_node_states(skin, mu)))
     force = skin.force[0].astype(np.float64) / scale
     pins = full.pins + (full.g[:, columns] @ force.ravel()).reshape(-1, 3)
     converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()
-    total, nodes = force.sum(axis=0)[None], np.array([len(index)])
-    never = np.zeros(1, bool)
-    stuck, slipping, free = states
     return Contacts(
-        pins[None],
-        quality.residual_mm,
-        converged,
-        quality.iterations,
-        stuck,
-        slipping,
-        free,
-        total,
-        nodes,
-        never,
+        pins=pins[None],
+        residual_mm=quality.residual_mm,
+        converged=converged,
+        iterations=quality.iterations,
+        stuck_nodes=counts.stuck,
+        slipping_nodes=counts.slipping,
+        free_nodes=counts.free,
+        force_n=force.sum(axis=0)[None],
+        nodes=np.array([len(index)]),
+        retried=np.zeros(1, bool),
     )
