@@ -1,12 +1,13 @@
 """A body of revolution at large strain: energy of its elements, differentiated to forces and tangent.
 
-Strain energy per reference volume  W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2  (Bonet & Wood 2008, Nonlinear Continuum
-Mechanics for Finite Element Analysis, 2nd ed., eq. 6.27), mu and lambda being Lame's constants, so that small strains see the
-material of `elasticity`. The energy of one element is written once; JAX gives its gradient and Hessian.
+Strain energy per reference volume  W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2  (Bonet & Wood
+2008, Nonlinear Continuum Mechanics for Finite Element Analysis, 2nd ed., eq. 6.27), mu and lambda
+being Lame's constants, so that small strains see the material of `elasticity`. The energy of one
+element is written once; JAX gives its gradient and Hessian.
 
-Elements are 8-node quadrilaterals with 2 x 2 points, as in `elasticity`: what differs is then the strain, not the mesh. On the
-dome pressed by 1 to 6 mm they agree with 3 x 3 points to 0.2 % of the force and 0.03 px rms of the pins: they neither lock nor
-hourglass there.
+Elements are 8-node quadrilaterals with 2 x 2 points, as in `elasticity`: what differs is then the
+strain, not the mesh. On the dome pressed by 1 to 6 mm they agree with 3 x 3 points to 0.2 % of the
+force and 0.03 px rms of the pins: they neither lock nor hourglass there.
 """
 
 from collections.abc import Callable

@@ -3,10 +3,12 @@
     made = press_dome(TACTIP_331, (1.0, 3.0, 6.0))
     made.force_n[made.converged], made.pins  # (D,) N, (D, 331, 3) mm
 
-Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c = 0 at two points c of each
-surface edge. The plate pushes along z only, so skin slides on it. Displacement and active set are found together by a
-semismooth Newton method (Hueber & Wohlmuth 2005, CMAME 194, 3147), each increment of depth starting from the line through the
-last two. Newton's steps are cut where they would squeeze an element; where that does not help, the increment is halved.
+Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c =
+0 at two points c of each surface edge. The plate pushes along z only, so skin slides on it.
+Displacement and active set are found together by a semismooth Newton method (Hueber & Wohlmuth
+2005, CMAME 194, 3147), each increment of depth starting from the line through the last two.
+Newton's steps are cut where they would squeeze an element; where that does not help, the increment
+is halved.
 """
 
 from collections.abc import Sequence

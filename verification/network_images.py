@@ -1,7 +1,7 @@
 """Images like a tactile sensor's, and what could be wrong with them: food for the networks' cases.
 
->>> batch = make_pairs(step=3, count=4, size=64)          # {"canonical", "sheared"} uint8 (4, 64, 64, 1) of {0, 255}
->>> batch = corrupt_images(KINDS["all black"], corrupt_images(as_floats, batch))
+>>> batch = make_pairs(step=3, count=4, size=64)          # {"canonical", "sheared"} uint8 (4, 64,
+64, 1) of {0, 255} >>> batch = corrupt_images(KINDS["all black"], corrupt_images(as_floats, batch))
 """
 
 from collections.abc import Callable

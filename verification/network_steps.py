@@ -2,7 +2,8 @@
 
     found = run_steps(net, training, make, folder)     # some steps, each inspected, saved, and used
 
-Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
+Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments
+of the compiled step.
 """
 
 import functools

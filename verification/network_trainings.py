@@ -1,7 +1,8 @@
 """Trainings at their extremes: settings, images and labels that could make a network's numbers infinite.
 
-Most are steps without the loop (`network_steps.py`), some a full training as a user would run it. Where images are spoilt, every
-second batch is: a network that has only ever seen one constant learns nothing that could break.
+Most are steps without the loop (`network_steps.py`), some a full training as a user would run it.
+Where images are spoilt, every second batch is: a network that has only ever seen one constant
+learns nothing that could break.
 """
 
 import itertools

@@ -1,6 +1,7 @@
 """Losses, metrics and inference at their extremes: values and gradients finite, NaN never hidden, narrow numbers near wide ones.
 
-Inference is that of networks trained for `LEARNT` steps: fresh ones make nearly the same of every image.
+Inference is that of networks trained for `LEARNT` steps: fresh ones make nearly the same of every
+image.
 """
 
 import functools

@@ -3,9 +3,9 @@
     rows = run_stability()
     select_failed(rows)
 
-Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more, in
-float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference. Networks are judged in
-`stability_networks.py`.
+Each contact is solved as a user would (`auto`, again at a stronger level where that does not
+converge), and twice more, in float32 and in float64, to a tolerance so small that how the solver
+stops is no part of the difference. Networks are judged in `stability_networks.py`.
 """
 
 import difflib

@@ -2,9 +2,10 @@
 
     row = examine(case)
 
-A case computes something and hands back what it found, or raises `UserError`. It promises one outcome (or either of two), and
-whatever else happens breaks the promise: a number that is not finite, a NaN that came in and does not come out, a
-line that does not say where, a kept checkpoint that cannot be used, a traceback.
+A case computes something and hands back what it found, or raises `UserError`. It promises one
+outcome (or either of two), and whatever else happens breaks the promise: a number that is not
+finite, a NaN that came in and does not come out, a line that does not say where, a kept checkpoint
+that cannot be used, a traceback.
 """
 
 import contextlib

@@ -1,8 +1,9 @@
 """Normal contact against tamaas (Frerot et al. 2020, JOSS 5(51), 2121): an independent solver, on FFTs, of a periodic half-space.
 
-Ours is not periodic. Both are given the same total force; the copies of the load, with the even load that balances them in a
-period, then only lift the entire contact, by 3.900265 P / (pi E* L) for a square period L (the constant is that of the
-square Wigner lattice: Bonsall and Maradudin 1977, Phys. Rev. B 15, 1959); their curvature falls with (a / L)^3.
+Ours is not periodic. Both are given the same total force; the copies of the load, with the even
+load that balances them in a period, then only lift the entire contact, by 3.900265 P / (pi E* L)
+for a square period L (the constant is that of the square Wigner lattice: Bonsall and Maradudin
+1977, Phys. Rev. B 15, 1959); their curvature falls with (a / L)^3.
 """
 
 from collections.abc import Callable

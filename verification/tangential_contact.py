@@ -1,7 +1,8 @@
 """Friction on a half-space against Cattaneo and Mindlin, Mindlin and Deresiewicz, and torsion (Johnson 1985, ch. 7).
 
-Their theory drops what the normal load does to the tangential displacement, and all slip that is not along the pull: the first
-is exact for an incompressible body, for which these problems are therefore posed.
+Their theory drops what the normal load does to the tangential displacement, and all slip that is
+not along the pull: the first is exact for an incompressible body, for which these problems are
+therefore posed.
 """
 
 import numpy as np

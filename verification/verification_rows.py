@@ -15,8 +15,8 @@ WIDTH = 76  # of the problems' column
 class Row:
     """One comparison. Without a `bar` it informs; with one it must hold, and so must `least_order`.
 
-    `error` and `bar` are relative, to the closed form or, where that is zero, to what `problem` names; or lengths in px.
-    `order` is of convergence.
+    `error` and `bar` are relative, to the closed form or, where that is zero, to what `problem`
+    names; or lengths in px. `order` is of convergence.
     """
 
     group: str

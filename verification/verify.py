@@ -4,8 +4,8 @@
     print(table(rows))
     ok = all(row.holds for row in rows)
 
-Each of `CHECKS` is one problem, or a few that share their work. The half-space is the solver's own mesh, condensation and
-friction; the dome is the sensor as everybody uses it.
+Each of `CHECKS` is one problem, or a few that share their work. The half-space is the solver's own
+mesh, condensation and friction; the dome is the sensor as everybody uses it.
 """
 
 from collections.abc import Callable
