@@ -1,4 +1,4 @@
-"""One contact case: a name, a way to solve it at a level, and the line of Python that does so."""
+"""A contact case: its name, a way to solve it at a level, and the Python that does so."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -13,8 +13,8 @@ from jaxunshear.simulator.simulate import follow
 from jaxunshear.simulator.stimuli import Stimulus
 from verification.stimuli import SHAPES
 
-# The standard sensor at half its size: the same shape, materials and spacing of nodes with a quarter
-# of the nodes. It serves where the solver and not the mesh is at stake.
+# The standard sensor at half its size: the same shape, materials and spacing of nodes with a
+# quarter of the nodes. It serves where the solver and not the mesh is tested.
 HALF_SIZE = replace(
     TACTIP_331,
     name="half-size",

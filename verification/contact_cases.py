@@ -1,4 +1,4 @@
-"""Stiff and extreme contacts, which the simulator must solve, and the list of all contact cases."""
+"""Stiff and extreme contacts that the simulator must solve, and a list of all cases."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A contact with duplicate nodes: its compliance is singular, and each twin's share is free."""
+"""A contact with duplicate nodes, whose compliance is singular."""
 
 import jax
 import jax.numpy as jnp

@@ -175,7 +175,7 @@ def _sample_chunk(m: int, poisson: float, r: jax.Array, z: jax.Array) -> _Sample
 
 
 def _sample_field(m: int, poisson: float, r: np.ndarray, z: np.ndarray) -> _Sample:
-    """Sample the field at r, z of one shape, in chunks so that meshes share a compiled program."""
+    """Sample the field at r, z of one shape, in chunks for which one program is compiled."""
     place = np.stack([r.ravel(), z.ravel()])
     parts = np.array_split(place, range(CHUNK, place.shape[1], CHUNK), axis=1)
     padded = [np.pad(part, ((0, 0), (0, CHUNK - part.shape[1])), mode="edge") for part in parts]

@@ -150,7 +150,7 @@ def check_frictionless(sensor: Sensor) -> list[Row]:
 
 
 def check_edge_sweep(sensor: Sensor) -> list[Row]:
-    """Check that no pin jumps where a node begins to touch: ends 0.05 mm apart across an edge."""
+    """Check that no pin jumps where nodes begin to touch: ends 0.05 mm apart at an edge."""
     places = np.arange(-3.0, 3.0 + 1e-9, 0.05)
     rows = []
     for words, move, yaw in (

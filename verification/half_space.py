@@ -1,4 +1,4 @@
-"""A half-space, for which closed forms exist, on the simulator's mesh, condensation and solver.
+"""A half-space, which has closed forms, on the simulator's mesh and solver.
 
     body = make_half_space(0.499)
     trace = trace_forces(body, body.sphere(50.0), poses, friction)

@@ -70,7 +70,7 @@ def make_body(
 
 
 def _compute_gradients(moved: jax.Array, slopes: jax.Array, hoop: jax.Array) -> jax.Array:
-    """Compute an element's deformation gradients (Q, 3, 3) in (r, theta, z) from moves (8, 2)."""
+    """Compute an element's deformation gradients (Q, 3, 3) in (r, theta, z)."""
     plane = jnp.einsum("ni,qnj->qij", moved, slopes)
     around = hoop @ moved[:, 0]
     zero = jnp.zeros_like(around)

@@ -1,4 +1,4 @@
-"""Laws that every solution must obey: over random paths, turned, in more steps, and scaled."""
+"""Laws that every solution must obey: on random paths, turned, refined and scaled."""
 
 from typing import NamedTuple
 

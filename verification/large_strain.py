@@ -166,9 +166,9 @@ def follow_depths(
 def solve_equilibrium(
     body: Body, face: Face, depth: float, start: State, fixed: np.ndarray
 ) -> State:
-    """Solve for equilibrium by Newton's method from `start`, with the plate at z = `depth` mm.
+    """Solve for equilibrium with the plate at z = `depth` mm by Newton's method.
 
-    The unknowns `fixed` keep their displacement.
+    It begins at `start`. The unknowns `fixed` keep their displacement.
     """
     free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), fixed)
     normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()  # (C, 2V)
@@ -204,7 +204,7 @@ def solve_equilibrium(
 
 
 def _choose_share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
-    """Choose the largest share 1, 1/2, 1/4 ... of a Newton step that squeezes nothing too much."""
+    """Choose the largest share 1, 1/2, 1/4 ... of a step that squeezes nothing too much."""
     share = 1.0
     while share >= SMALLEST_SHARE:
         _, volume_ratios = compute_deformation(body, moved + share * step)
@@ -255,7 +255,7 @@ def fit_contact_radius(
 def compute_deformed_tips(
     sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]
 ) -> Float[np.ndarray, "P 3"]:
-    """Compute the displaced pin tips in mm: rigid levers that turn with the skin's inner face."""
+    """Compute the displaced pin tips in mm: rigid levers on the skin's inner face."""
     flat = compute_pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
     arcs, index = np.unique(np.round(arc, 9), return_inverse=True)
@@ -266,7 +266,7 @@ def compute_deformed_tips(
 
 
 def _place_tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
-    """Place the tips (A, 2) of pins at `arcs` (A,) mm on the outer surface, for nodes at `nodes`."""
+    """Place the tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface."""
     edges = find_inner_face(mesh)
     rest = mesh.nodes[edges]
     # (S, 3), evenly spaced on each edge

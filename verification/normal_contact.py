@@ -95,6 +95,6 @@ def check_flat_punch(body: HalfSpace) -> list[Row]:
 
 
 def compute_moment(body: HalfSpace, force: np.ndarray) -> np.ndarray:
-    """Compute the moment about the axis, against the sensor's turn: (..., N, 3) N -> (...) N mm."""
+    """Compute moments (...) N mm about the axis, against the sensor's turn, of forces in N."""
     x, y = body.nodes[:, :2].T
     return np.sum(y * force[..., 0] - x * force[..., 1], -1)

@@ -1,4 +1,4 @@
-"""Distances between two solutions for the same pins, in mm and in px of the default camera."""
+"""Distances between two solutions for pins, in mm and in px of the default camera."""
 
 from typing import NamedTuple
 

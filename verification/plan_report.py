@@ -172,7 +172,7 @@ def show_grouping(
 def _measure_omissions(
     work: _Work, level: Level, omissions: Sequence[str], progress: Progress
 ) -> list[Json]:
-    """Switch off omissions one by one, a row each; one that does not change the plan is not timed."""
+    """Switch off omissions one by one; one that does not change the plan is not timed."""
     usual_s, usual = _time_plan(work, level)
     rows = []
     for omission in omissions:

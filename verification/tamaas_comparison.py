@@ -1,4 +1,4 @@
-"""Normal contact against tamaas, an independent solver, on FFTs, of a periodic half-space.
+"""Normal contact against tamaas, an independent FFT solver of a periodic half-space.
 
 Tamaas is described in Frerot et al. 2020, JOSS 5(51), 2121. Ours is not periodic. Both are given
 the same total force; the copies of the load, with the even load that balances them in a period,
@@ -23,7 +23,7 @@ Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def compute_sphere_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Compute by how many mm (...) the surface stands back from the plane of its highest point."""
+    """Compute by how many mm (...) the surface stands back from its highest point."""
     return (x**2 + y**2) / 100.0
 
 

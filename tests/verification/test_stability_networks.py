@@ -30,9 +30,9 @@ LINE = "training x stopped: supervised not finite at step 7, of batch 6; the che
 NAN = make_steps_case(
     "NaN",
     SHALLOW,
-    change=network_trainings._nan,
+    change=network_trainings._put_nan,
     expects=(judge.STOPPED,),
-    words=network_trainings._words(),
+    words=network_trainings._list_words(),
 )
 
 
@@ -47,7 +47,7 @@ def network_cases() -> list[judge.NetworkCase]:
 @pytest.fixture
 def compiled_anew():
     """For what is changed beneath compiled programs."""
-    kept = (network_steps._programs.cache_clear, metrics._ms_ssim.clear_cache)
+    kept = (network_steps._compile.cache_clear, metrics._ms_ssim.clear_cache)
     for clear in kept:
         clear()
     yield
