@@ -253,8 +253,10 @@ def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
         folder,
         epoch_images=training.batch,
     )
-    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    terms = [{part: _fill_nulls(line[part]) for part in ("train", "validation")} for line in log]
+    terms = []
+    for text in (folder / "log.jsonl").read_text().splitlines():
+        line = json.loads(text)
+        terms.append({part: _fill_nulls(line[part]) for part in ("train", "validation")})
     variables = checkpoint.load_best(folder)
     images = convert_to_floats(get_images(validation))
     outputs = dict(build_programs(net, TRAINING).infer(variables, images))

@@ -161,9 +161,10 @@ def format_network_table(rows: Sequence[NetworkRow]) -> str:
     for row in rows:
         loss, gradient = format_short(row.loss), format_short(row.gradient)
         error, bar = format_short(row.error), format_short(row.bar)
+        kept = "" if row.kept is None else row.kept
         lines.append(
             f"{row.case:{width}}  {row.steps or '':<5}  {loss:7}  {gradient:8}  {error:7}  "
-            f"{bar:7}  {'' if row.kept is None else row.kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
+            f"{bar:7}  {kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
         )
         if row.said:
             lines.append(f"{'':{width}}  {row.said}")
