@@ -197,12 +197,13 @@ def _follow_increments(
     def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Increments]:
         offset = compute_increment_offset(problem, skin, pose, skin.displacement)
         after, quality = advance_increment(problem, skin, pose, options)
-        apart = offset + after.displacement
+        slip_and_gap = offset + after.displacement
         # where nothing moves the skin is left as it is
         moved = jnp.any(pose != skin.pose, axis=-1)[:, None, None]
-        slip = jnp.where(moved, apart[..., :2], 0.0)
+        slip = jnp.where(moved, slip_and_gap[..., :2], 0.0)
         settled = quality.residual_mm <= quality.tolerance_mm
-        return after, _Increments(after.force, slip, apart[..., 2], settled, quality.iterations)
+        gap = slip_and_gap[..., 2]
+        return after, _Increments(after.force, slip, gap, settled, quality.iterations)
 
     _, increments = jax.lax.scan(step, make_undeformed_skins(system, poses[0]), poses[1:])
     return increments

@@ -150,11 +150,11 @@ class _Admm:
     def compute_residual(self, state: _Iterates) -> Array:
         """Compute ADMM's two residuals together, (B,) mm."""
         z = state.force
-        apart = self.increment.displace(state.elastic - z)
+        miss = self.increment.displace(state.elastic - z)
         # of a short step as of a long one
         change = RHO * (OVER_RELAXATION / self.relaxation) * (z - state.force_before)
         touching = jnp.sum(z[..., -1] > 0, axis=-1, dtype=z.dtype)
-        return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
+        return jnp.sqrt(jnp.sum(miss**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
     def compute_goal(self, state: _State) -> Array:
         """Compute the residual (B,) mm that is aimed at."""

@@ -329,5 +329,5 @@ def _needs_more_nodes(
 def _find_neighbours(sensor: Sensor) -> np.ndarray:
     """Find the pairs of neighbouring contact nodes, (N, N) bool."""
     nodes = load_shared_dome(sensor).nodes
-    apart = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
-    return apart < NEIGHBOURS * compute_ring_spacing(sensor)
+    distance = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
+    return distance < NEIGHBOURS * compute_ring_spacing(sensor)

@@ -174,11 +174,11 @@ def make_flower(mean: float, wave: float, petals: int) -> Distance:
             [jnp.cos(off_axis), jnp.abs(jnp.sin(off_axis))], axis=-1
         )
         starts = np.linspace(0, half, STARTS)
-        apart = jnp.sum(
+        squared = jnp.sum(
             (folded[..., None, :] - _evaluate_curve(compute_radius, _align(starts, p))[0]) ** 2,
             axis=-1,
         )
-        start, gap = jnp.asarray(starts, p.dtype)[jnp.argmin(apart, axis=-1)], half / (STARTS - 1)
+        start, gap = jnp.asarray(starts, p.dtype)[jnp.argmin(squared, axis=-1)], half / (STARTS - 1)
         angle = _find_nearest_angle(
             compute_radius,
             start,

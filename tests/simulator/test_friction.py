@@ -1,4 +1,4 @@
-"""The solver in float32, as it is used; closed forms and the laws of every answer stand in tests/verification/test_verify.py."""
+"""The solver in float32; tests/verification/test_verify.py has closed forms and laws."""
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +117,7 @@ def test_no_contact_needs_no_iteration(system):
 
 
 def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, system):
-    """One of two cannot converge within the limit: it says so, and costs no more than the increment that failed."""
+    """One of two cannot converge: it says so, and costs no more than its failed increment."""
     poses = np.repeat(slides(half_space)[:, 1:2], 2, axis=1)
     poses[1:, 1, 3] = (
         0.0  # the second one never touches, then is pressed hard in the first of the other's slides

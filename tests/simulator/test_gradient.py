@@ -1,4 +1,4 @@
-"""Derivatives of the pins against central differences, a closed form, and what must be exactly zero."""
+"""Derivatives of the pins against central differences, a closed form, and exact zeros."""
 
 from dataclasses import replace
 
@@ -307,7 +307,7 @@ def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
 
 
 def test_half_space_in_stick_and_in_slip(half_space):
-    """Stuck, a slide x is answered by dQ/dx = 8 a G*; slipping, only friction is: dQ/dmu = P. Each other is nothing."""
+    """A stuck disk has dQ/dx = 8 a G* by its slide x, a slipping one dQ/dmu = P by friction."""
     radius, slide = 0.45, 1.5 * compute_slip_distance(half_space, 0.45)
     near = np.flatnonzero(half_space.radius < 1.2 * radius)
     rows = (3 * near[:, None] + np.arange(3)).ravel()

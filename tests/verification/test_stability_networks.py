@@ -1,4 +1,4 @@
-"""The judge of networks at their extremes: what it passes, and that it does not pass what is wrong."""
+"""The judge of networks at their extremes: what passes, and what does not."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,7 +26,10 @@ from verification.network_images import (
 from verification.network_trainings import SHALLOW, make_steps_case
 
 FINE = judge.CaseOutput({"values": np.ones(3)})
-LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
+LINE = (
+    "training x stopped: supervised not finite at step 7, of batch 6; "
+    "the checkpoint of step 4 is kept"
+)
 NAN = make_steps_case(
     "NaN",
     SHALLOW,
