@@ -144,29 +144,37 @@ def show_grouping(
             "  scenes  nodes  of its scenes  increments  contact",
         ]
         for batch in batches:
-            nodes = [alone[i] for i in batch.rows]
-            row = {
-                "omission": "",
-                "kind": kind,
-                "scenes": len(batch.rows),
-                "nodes": len(batch.nodes),
-                "nodes_least": min(nodes),
-                "nodes_most": max(nodes),
-                "increments": batch.steps,
-                "friction": batch.friction,
-                "tilted": batch.tilted,
-            }
+            row = _describe_batch(batch, kind, [alone[i] for i in batch.rows])
             rows.append(row)
-            contact = _format_contact(bool(len(batch.nodes)), batch.friction, batch.tilted)
-            lines.append(
-                f"  {row['scenes']:6}  {row['nodes']:5}  "
-                f"{row['nodes_least']:5} to {row['nodes_most']:<5}  {batch.steps:10}  {contact}"
-            )
+            lines.append(_format_batch(row))
         with Progress(f"{kind}s", 1, unit="omissions") as progress:
             omissions = _measure_omissions(work, settings, ("grouping",), progress)
         rows += [{**row, "kind": kind} for row in omissions]
         lines += ["", *_format_table(omissions), ""]
     return PlanReport(rows, "\n".join(lines))
+
+
+def _describe_batch(batch: ContactBatch, kind: str, nodes: list[int]) -> Json:
+    """Describe a batch whose scenes need so many `nodes` by themselves."""
+    return {
+        "omission": "",
+        "kind": kind,
+        "scenes": len(batch.rows),
+        "nodes": len(batch.nodes),
+        "nodes_least": min(nodes),
+        "nodes_most": max(nodes),
+        "increments": batch.steps,
+        "friction": batch.friction,
+        "tilted": batch.tilted,
+    }
+
+
+def _format_batch(row: Json) -> str:
+    contact = _format_contact(row["nodes"] > 0, row["friction"], row["tilted"])
+    return (
+        f"  {row['scenes']:6}  {row['nodes']:5}  {row['nodes_least']:5} to {row['nodes_most']:<5}  "
+        f"{row['increments']:10}  {contact}"
+    )
 
 
 def _measure_omissions(

@@ -125,11 +125,8 @@ def make_pin_model(
     ratios = ratios or (sensor_ratio,)
     obstacles = sample_obstacles(names)
     rest = domes.load_dome(sensor)
-
-    def find_reachable(wide: bool) -> np.ndarray:
-        return find_reachable_nodes(obstacles, rest.nodes, sensor.dome_radius_mm, paths, wide)
-
-    reachable = find_reachable(wide)
+    inputs = (obstacles, rest.nodes, sensor.dome_radius_mm, paths)
+    reachable, usual = find_reachable_nodes(*inputs, wide), find_reachable_nodes(*inputs, False)
     if start is not None:
         check_start(paths, start, len(rest.nodes))
         reachable |= np.any(start.force_n != 0, axis=-1)
@@ -151,7 +148,7 @@ def make_pin_model(
         which=jnp.asarray(paths.stimulus, jnp.int32),
         shares=jnp.asarray(compute_path_shares(paths, level, sensor.dome_radius_mm)),
         force_n=jnp.asarray(force),
-        max_touching=int(TOUCHING_SHARE * find_reachable(False).sum(axis=1).max(initial=0)) + 1,
+        max_touching=int(TOUCHING_SHARE * usual.sum(axis=1).max(initial=0)) + 1,
     )
 
 

@@ -1,4 +1,7 @@
-"""The contact linearised at a solution: slopes of the projection, and linear systems."""
+"""The contact linearised at a solution: slopes of the projection, and linear systems.
+
+D is the projection's slope by the force and W the compliance; see `implicit`.
+"""
 
 from functools import partial
 from typing import NamedTuple
