@@ -1,5 +1,7 @@
-"""Other solvers of an increment, to be measured beside the simulator's own ADMM. All have the signature of
-`friction.solve_increment`, but for its relaxation, for contacts without tilt, and stop on the same kind of length:
+"""Other solvers of an increment, to be measured beside the simulator's own ADMM.
+
+All have the signature of `admm.solve_increment`, but for its relaxation. They are for contacts
+without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
 - `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
@@ -7,22 +9,22 @@
 """
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from jaxunshear.simulator.friction import (
+from jaxunshear.simulator.admm import (
     BETWEEN_CHECKS,
     OVER_RELAXATION,
     RHO,
+    Increment,
+    Solver,
     SolverResult,
-    System,
+    SolverStart,
     project,
 )
 
-Start = tuple[jax.Array, jax.Array, jax.Array]
-Solver = Callable[..., SolverResult]
 State = TypeVar("State")
 _Walk = tuple[
     jax.Array,
@@ -44,27 +46,25 @@ def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
 
 
 def _length(
-    system: System, miss: jax.Array, force: jax.Array, factor: jax.Array | float
+    w: jax.Array, miss: jax.Array, force: jax.Array, factor: jax.Array | float
 ) -> jax.Array:
     """(B,) mm, as the simulator's own: what a miss of the forces does to the skin, and `factor` times the miss."""
     touching = jnp.maximum(jnp.sum(force[..., -1] > 0, axis=-1), 1)
-    squared = _times(system.w, miss) ** 2 + (factor * miss) ** 2
+    squared = _times(w, miss) ** 2 + (factor * miss) ** 2
     return jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
 
 
-def _largest_eigenvalue(system: System) -> jax.Array:
+def _largest_eigenvalue(w: jax.Array) -> jax.Array:
     """Of w, by the power method; a little above."""
 
     def step(_: jax.Array, v: jax.Array) -> jax.Array:
-        moved = v @ system.w
+        moved = v @ w
         return moved / jnp.linalg.norm(moved)
 
-    count = len(system.w)
-    start = jnp.ones(count, system.w.dtype) / count**0.5 + jnp.linspace(
-        0, 1, count, dtype=system.w.dtype
-    )
+    count = len(w)
+    start = jnp.ones(count, w.dtype) / count**0.5 + jnp.linspace(0, 1, count, dtype=w.dtype)
     vector = jax.lax.fori_loop(0, 30, step, start / jnp.linalg.norm(start))
-    return 1.02 * jnp.linalg.norm(vector @ system.w)
+    return 1.02 * jnp.linalg.norm(vector @ w)
 
 
 def _iterate(
@@ -93,35 +93,41 @@ def _iterate(
     return state, missing, spent
 
 
+class _Accelerated(NamedTuple):
+    force: jax.Array
+    ahead: jax.Array  # where the next gradient is taken
+    momentum: jax.Array  # (B,)
+
+
 def _gradient(accelerate: bool) -> Solver:
     def solve(
-        system: System,
-        frame: jax.Array | None,
-        offset: jax.Array,
-        friction: jax.Array,
-        start: Start,
+        increment: Increment,
+        inverse: jax.Array,
+        start: SolverStart,
         tolerance: jax.Array,
         limit: int,
     ) -> SolverResult:
-        _check_untilted(frame)
-        largest = _largest_eigenvalue(system)
+        _check_untilted(increment.frame)
+        w, offset, friction = increment.w, increment.offset, increment.friction
+        largest = _largest_eigenvalue(w)
 
-        def step(state: Start) -> tuple[Start, jax.Array]:
+        def step(state: _Accelerated) -> tuple[_Accelerated, jax.Array]:
             z, ahead, momentum = state
-            after = project(ahead - (_times(system.w, ahead) + offset) / largest, friction)
-            error = _length(system, after - ahead, after, largest)
+            after = project(ahead - (_times(w, ahead) + offset) / largest, friction)
+            error = _length(w, after - ahead, after, largest)
             if not accelerate:
-                return (after, after, momentum), error
+                return _Accelerated(after, after, momentum), error
             against = jnp.sum((ahead - after) * (after - z), axis=(1, 2)) > 0
             momentum = jnp.where(against, 1.0, momentum).astype(z.dtype)
             following = (1 + jnp.sqrt(1 + 4 * momentum**2)) / 2
             share = jnp.where(against, 0, (momentum - 1) / following)
-            return (after, after + share[:, None, None] * (after - z), following), error
+            ahead = after + share[:, None, None] * (after - z)
+            return _Accelerated(after, ahead, following), error
 
-        force, dual, _ = start
-        state = (force, force, jnp.ones(len(force), force.dtype))
+        force = start.force
+        state = _Accelerated(force, force, jnp.ones(len(force), force.dtype))
         state, error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
-        return state[0], dual, error, spent
+        return SolverResult(state.force, start.dual, error, spent)
 
     return solve
 
@@ -130,21 +136,20 @@ projected_gradient, accelerated = _gradient(False), _gradient(True)
 
 
 def solve_anderson(
-    system: System,
-    frame: jax.Array | None,
-    offset: jax.Array,
-    friction: jax.Array,
-    start: Start,
+    increment: Increment,
+    inverse: jax.Array,
+    start: SolverStart,
     tolerance: jax.Array,
     limit: int,
 ) -> SolverResult:
     """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
-    _check_untilted(frame)
+    _check_untilted(increment.frame)
+    w, offset, friction = increment.w, increment.offset, increment.friction
     count, size = len(offset), offset[0].size
 
     def move(v: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         z = project(v, friction)
-        x = _times(system.inverse, RHO * (2 * z - v) - offset)
+        x = _times(inverse, RHO * (2 * z - v) - offset)
         return OVER_RELAXATION * (x - z), z, x
 
     def step(state: _Walk) -> tuple[_Walk, jax.Array]:
@@ -166,13 +171,12 @@ def solve_anderson(
         back = jnp.einsum("bm,bmi->bi", share, ways + pulls).reshape(v.shape)
         after = jnp.where(worse, plain, v + pull - back)
         touching = jnp.maximum(jnp.sum(z[..., -1] > 0, axis=-1), 1)
-        squared = _times(system.w, x - z) ** 2 + (RHO * (z - z_before)) ** 2
+        squared = _times(w, x - z) ** 2 + (RHO * (z - z_before)) ** 2
         error = jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
         held = jnp.where(worse[:, 0, 0], before, norm)
         return (after, v + pull, ways, pulls, (v, pull), held, z, number + 1), error
 
-    force, dual, _ = start
-    v = force + dual
+    v = start.force + start.dual
     pull, z, _ = move(v)
     none = jnp.zeros((count, ANDERSON_DEPTH, size), v.dtype)
     state = (
@@ -188,44 +192,43 @@ def solve_anderson(
     state, error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
     v = state[0]
     force = project(v, friction)
-    return force, v - force, error, spent
+    return SolverResult(force, v - force, error, spent)
 
 
 def solve_newton(
-    system: System,
-    frame: jax.Array | None,
-    offset: jax.Array,
-    friction: jax.Array,
-    start: Start,
+    increment: Increment,
+    inverse: jax.Array,
+    start: SolverStart,
     tolerance: jax.Array,
     limit: int,
 ) -> SolverResult:
     """Full steps on f - P(f - (W f + b)) = 0, from zero."""
-    _check_untilted(frame)
+    _check_untilted(increment.frame)
+    w, offset, friction = increment.w, increment.offset, increment.friction
     count, nodes, unknowns = offset.shape
     of_node = jax.jacfwd(lambda force, mu: project(force[None, None], mu[None])[0, 0])
     slopes_of = jax.vmap(jax.vmap(of_node, (0, None)))
     identity = jnp.eye(nodes * unknowns, dtype=offset.dtype)
 
     def step(force: jax.Array) -> tuple[jax.Array, jax.Array]:
-        inner = force - _times(system.w, force) - offset
+        inner = force - _times(w, force) - offset
         miss = force - project(inner, friction)
 
         def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
             slopes, miss = item
-            rows = (identity - system.w).reshape(nodes, unknowns, -1)
+            rows = (identity - w).reshape(nodes, unknowns, -1)
             through = jnp.einsum("nij,njk->nik", slopes, rows).reshape(identity.shape)
             return jnp.linalg.solve(identity - through, miss.ravel()).reshape(miss.shape)
 
         change = jax.lax.map(one, (slopes_of(inner, friction), miss))
         after = force - change
-        miss = after - project(after - _times(system.w, after) - offset, friction)
-        return after, _length(system, miss, after, 1.0)
+        miss = after - project(after - _times(w, after) - offset, friction)
+        return after, _length(w, miss, after, 1.0)
 
     force, error, spent = _iterate(
         step, jnp.zeros_like(offset), tolerance, min(limit, NEWTON_LIMIT), 1
     )
-    return force, start[1], error, spent
+    return SolverResult(force, start.dual, error, spent)
 
 
 def _check_untilted(frame: jax.Array | None) -> None:

@@ -48,8 +48,7 @@ def _key(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -
     )
     for field in (scenes.stimulus.astype(np.int64), scenes.pose, scenes.move, scenes.friction):
         found.update(np.ascontiguousarray(field).tobytes())
-    for package in ("contact", "scene"):
-        for source in sorted(files(f"jaxunshear.{package}").iterdir(), key=lambda file: file.name):
-            if source.name.endswith(".py"):
-                found.update(source.read_bytes())
+    for source in sorted(files("jaxunshear.simulator").iterdir(), key=lambda file: file.name):
+        if source.name.endswith(".py"):
+            found.update(source.read_bytes())
     return found.hexdigest()[:16]

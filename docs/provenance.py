@@ -74,7 +74,7 @@ PROGRAMS = {  # the modules that a command starts from
 TOOL_PROGRAMS = {  # the same, of `python -m`
     "verification verify": ("verification.verify",),
     "verification stability": ("verification.stability",),
-    "verification plan": ("verification.show_plan",),
+    "verification plan": ("verification.plan_report",),
     **{
         f"benchmarks {name}": ("benchmarks.bench_networks",)
         for name in ("train", "infer", "stream")

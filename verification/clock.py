@@ -1,7 +1,9 @@
-"""Wall-clock time, and the time of a matrix product in the same minutes: a yardstick that other machines and other loads share.
+"""Wall-clock time, and the time of a matrix product as a yardstick.
 
-product = make_matrix_product()
-spent = time_repeats(work, product, repeats=5)          # work: a function without arguments
+The product is timed in the same minutes, so that figures of other machines and loads compare.
+
+    product = make_matrix_product()
+    laps = time_repeats(work, product, repeats=5)  # work: a function without arguments
 """
 
 import time
@@ -23,12 +25,12 @@ class Laps(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Of the medians."""
+        """The ratio of the medians."""
         return float(np.median(self.work) / np.median(self.product))
 
 
 def make_matrix_product() -> Callable[[], None]:
-    """A 2048 x 2048 float32 product on JAX' device, compiled and warm."""
+    """Make a 2048 x 2048 float32 product on JAX' device, compiled and warm."""
     left = jnp.asarray(np.random.default_rng(0).random((SIZE, SIZE)), jnp.float32)
     run = jax.jit(lambda a, b: a @ b)
 
@@ -48,10 +50,13 @@ def time_call(work: Callable[[], object]) -> float:
 def time_repeats(
     work: Callable[[], object], product: Callable[[], None], repeats: int, budget_s: float = np.inf
 ) -> Laps:
-    """`repeats` of the work, or fewer once `budget_s` is spent; after each, the median of three matrix products."""
-    spent: list[float] = []
-    yard: list[float] = []
-    while len(spent) < max(repeats, 1) and (not spent or sum(spent) < budget_s):
-        spent.append(time_call(work))
-        yard.append(float(np.median([time_call(product) for _ in range(3)])))
-    return Laps(np.array(spent), np.array(yard))
+    """Time `repeats` of the work, or fewer once `budget_s` is spent.
+
+    After each, the median of three matrix products is taken.
+    """
+    work_s: list[float] = []
+    product_s: list[float] = []
+    while len(work_s) < max(repeats, 1) and (not work_s or sum(work_s) < budget_s):
+        work_s.append(time_call(work))
+        product_s.append(float(np.median([time_call(product) for _ in range(3)])))
+    return Laps(np.array(work_s), np.array(product_s))

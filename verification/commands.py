@@ -1,4 +1,4 @@
-"""The commands of `python -m verification`. Everything heavy is imported when it is needed."""
+"""The commands of `python -m verification`, which import heavy modules when needed."""
 
 import argparse
 import re
@@ -13,16 +13,18 @@ from jaxunshear.simulator.level import LEVELS
 
 COMMANDS = {
     "verify": "compare the simulator with closed forms, conservation laws and independent solvers",
-    "stability": "run stiff, extreme and senseless contacts, and networks and trainings at their extremes",
+    "stability": "run stiff, extreme and senseless contacts, "
+    "and networks and trainings at their extremes",
     "plan": "show what a contact needs, and what leaving out the rest saves and costs",
 }
+# what `plan` shows by default
 _CONTACT: Json = {
     "stimulus": "disk",
     "pose": "0,0,0,3",
     "move": "0,0",
     "twist": 0.0,
     "tilt": "0,0",
-}  # of plan
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -79,7 +81,7 @@ def _run(arguments: argparse.Namespace, keep: Keep) -> int:
     return _RUN[arguments.command](arguments, keep)
 
 
-def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+def _parse_numbers(text: str, count: int, option: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -99,9 +101,8 @@ def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
     print(format_rows(rows))
     keep([convert_row(row) for row in rows])
     missed = [row.problem for row in rows if not row.holds]
-    print(
-        f"\n{len(rows)} rows, {len(missed)} do not hold{': ' if missed else ''}{', '.join(missed)}"
-    )
+    names = f": {', '.join(missed)}" if missed else ""
+    print(f"\n{len(rows)} rows, {len(missed)} do not hold{names}")
     return 1 if missed else 0
 
 
@@ -118,31 +119,31 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.config.sensor import get_sensor
     from verification import plan_report
 
-    given, sensor = vars(arguments), get_sensor(arguments.sensor)
+    options, sensor = vars(arguments), get_sensor(arguments.sensor)
     if arguments.scenes is not None:
         for option in (*_CONTACT, "friction"):
-            if given[option] is not None:
+            if options[option] is not None:
                 raise UserError(
-                    f"--{option}: plan --scenes draws its own contacts; it takes --level, --sensor and --json"
+                    f"--{option}: plan --scenes draws its own contacts; "
+                    "it takes --level, --sensor and --json"
                 )
-        shown = plan_report.show_grouping(arguments.scenes, arguments.level, sensor)
+        report = plan_report.show_grouping(arguments.scenes, arguments.level, sensor)
     else:
-        one = {
-            option: usual if given[option] is None else given[option]
-            for option, usual in _CONTACT.items()
+        values = {
+            option: default if options[option] is None else options[option]
+            for option, default in _CONTACT.items()
         }
-        shown = plan_report.show_plan(
-            one["stimulus"],
-            _numbers(one["pose"], 4, "--pose"),
-            _numbers(one["move"], 2, "--move"),
-            one["twist"],
-            _numbers(one["tilt"], 2, "--tilt"),
+        contact = plan_report.PlannedContact(
+            values["stimulus"],
+            _parse_numbers(values["pose"], 4, "--pose"),
+            _parse_numbers(values["move"], 2, "--move"),
+            values["twist"],
+            _parse_numbers(values["tilt"], 2, "--tilt"),
             arguments.friction,
-            arguments.level,
-            sensor,
         )
-    print(shown.text)
-    keep(shown.rows)
+        report = plan_report.show_plan(contact, arguments.level, sensor)
+    print(report.text)
+    keep(report.rows)
     return 0
 
 

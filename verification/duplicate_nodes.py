@@ -1,12 +1,14 @@
-"""A contact whose nodes stand there twice: the compliance is singular and the share of each twin is anybody's choice."""
+"""A contact with duplicate nodes, whose compliance is singular."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
+from jaxunshear.simulator.admm import RHO, SolverOptions
+from jaxunshear.simulator.contact_problem import ContactProblem, System
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.friction import RHO, System, follow_path, make_undeformed_skins
+from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.node_state import count_node_states
 from jaxunshear.simulator.obstacle import sample_distances
@@ -19,7 +21,7 @@ from jaxunshear.simulator.systems import load_shared_dome
 def solve_with_duplicates(
     sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7
 ) -> Contacts:
-    """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
+    """Solve one path (K, 6) over the disk, with the first `twice` of the nodes once more."""
     full = load_shared_dome(sensor)
     count = len(full.nodes)
     index = np.concatenate([np.arange(count), np.arange(twice)])
@@ -35,33 +37,26 @@ def solve_with_duplicates(
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)
+        obstacles = sample_distances((get_stimulus("disk"),))
         skin, quality = follow_path(
-            system,
-            sample_distances((get_stimulus("disk"),)),
-            jnp.zeros(1, jnp.int32),
-            mu,
+            ContactProblem(system, obstacles, jnp.zeros(1, jnp.int32), mu),
             path[1:],
             make_undeformed_skins(system, path[0]),
-            level.tolerance,
-            level.limit,
+            SolverOptions(level.tolerance, level.limit),
         )
-        states = count_node_states(skin, mu)
-        skin, quality, states = jax.device_get((skin, quality, states))
+        skin, quality, counts = jax.device_get((skin, quality, count_node_states(skin, mu)))
     force = skin.force[0].astype(np.float64) / scale
     pins = full.pins + (full.g[:, columns] @ force.ravel()).reshape(-1, 3)
     converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()
-    total, nodes = force.sum(axis=0)[None], np.array([len(index)])
-    never = np.zeros(1, bool)
-    stuck, slipping, free = states
     return Contacts(
-        pins[None],
-        quality.residual_mm,
-        converged,
-        quality.iterations,
-        stuck,
-        slipping,
-        free,
-        total,
-        nodes,
-        never,
+        pins=pins[None],
+        residual_mm=quality.residual_mm,
+        converged=converged,
+        iterations=quality.iterations,
+        stuck_nodes=counts.stuck,
+        slipping_nodes=counts.slipping,
+        free_nodes=counts.free,
+        force_n=force.sum(axis=0)[None],
+        nodes=np.array([len(index)]),
+        retried=np.zeros(1, bool),
     )

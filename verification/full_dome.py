@@ -1,6 +1,7 @@
-"""The dome as it is used: scenes turned, mirrored, split in two, tilted, and moved across an edge, compared pin by pin.
+"""Symmetries of the dome as it is used, compared pin by pin.
 
-Pin errors are in px of the default camera's 256-px frame, the largest of any pin.
+Scenes are turned, mirrored, split in two, tilted, and moved across an edge. Pin errors are in px of
+the default camera's 256-px frame, the largest of any pin.
 """
 
 from dataclasses import replace
@@ -19,7 +20,8 @@ from verification.verification_rows import Row, make_zero_row
 
 GROUP = "the dome"
 FINE = "fine tolerance"
-# solved so well that what is left is the model's; scenes are not turned to a common side, as that would be the answer
+# solved so well that the remaining error is the model's; scenes are not turned to a common side, as
+# that would hide it
 EXACT = replace(
     LEVELS["auto"], tolerance=0.003, limit=20000, precision="float64", omit=("untouched", "nodes")
 )
@@ -41,7 +43,7 @@ def _solve_ends(
     return follow(sensor, (EDGE,), make_paths(points, friction), level)[0]
 
 
-def _rotation(degrees: float) -> np.ndarray:
+def _make_rotation(degrees: float) -> np.ndarray:
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
@@ -54,7 +56,7 @@ def make_slide(
     depth: float = 2.5,
     twist: float = 0.0,
 ) -> np.ndarray:
-    """(3, 6): down at (x, y) - move with this yaw, then along `move` and around by `twist` deg."""
+    """Make points (3, 6): down at (x, y) - move, then along `move` and around by `twist` deg."""
     points = np.zeros((3, 6))
     points[:, :2] = np.array([x, y]) - move
     points[2, :2] = x, y
@@ -64,22 +66,19 @@ def make_slide(
 
 
 def check_rotation(sensor: Sensor) -> list[Row]:
-    """The sensor turned about its axis over an edge: the same skin, seen from another side."""
+    """Check that a sensor turned about its axis over an edge has the same skin, turned."""
     angles = (0.0, 60.0, 17.0)
-    made = _solve_ends(sensor, [make_slide(-1.0, 0.0, (0.8, 1.5), yaw) for yaw in angles])
-    still = made.pins[0]
-    sixth = compute_pin_distance(
-        sensor,
-        made.pins[1],
-        (still @ _rotation(-60.0).T)[make_sixfold_permutations(sensor.pins)[1]],
-    )
-    other = compute_pin_distance(sensor, made.pins[2], _at_angles(sensor, still, -17.0))
+    ends = _solve_ends(sensor, [make_slide(-1.0, 0.0, (0.8, 1.5), yaw) for yaw in angles])
+    still = ends.pins[0]
+    turned = (still @ _make_rotation(-60.0).T)[make_sixfold_permutations(sensor.pins)[1]]
+    sixth = compute_pin_distance(sensor, ends.pins[1], turned)
+    other = compute_pin_distance(sensor, ends.pins[2], _interpolate_turned(sensor, still, -17.0))
     outer = np.arange(sensor.pins) > 3 * 3 * 4  # rings with enough pins to interpolate between
-    force = _rotation(angles[2]) @ made.force_n[2] - made.force_n[0]
+    force = _make_rotation(angles[2]) @ ends.force_n[2] - ends.force_n[0]
     note = "the contact nodes' lattice; pins from the 4th ring on, interpolated"
     words = "slide over an edge, all turned by 17 deg: change of the force"
-    size = float(np.linalg.norm(made.force_n[0]))
-    good = bool(made.converged.all())
+    size = float(np.linalg.norm(ends.force_n[0]))
+    good = bool(ends.converged.all())
     return [
         _px("slide over an edge, all turned by 60 deg", sixth, 0.02, good, FINE),
         _px("slide over an edge, all turned by 17 deg", other[outer], None, good, note),
@@ -87,93 +86,80 @@ def check_rotation(sensor: Sensor) -> list[Row]:
     ]
 
 
-def _at_angles(sensor: Sensor, pins: np.ndarray, degrees: float) -> np.ndarray:
-    """Pins (P, 3) of a sensor that is turned by -`degrees`: their field, interpolated around each ring by its harmonics."""
+def _interpolate_turned(sensor: Sensor, pins: np.ndarray, degrees: float) -> np.ndarray:
+    """Compute the pins (P, 3) of a sensor that is turned by -`degrees`.
+
+    Their displacements are interpolated around each ring by its harmonics.
+    """
     field = pins - compute_pin_tips(sensor)
-    made, start = np.zeros_like(pins), 0
+    turned, start = np.zeros_like(pins), 0
     for ring in range(sensor.rings + 1):
         size = max(6 * ring, 1)
         angle = 2 * np.pi * np.arange(size) / size
-        waves = np.fft.rfft(_polar(field[start : start + size], -angle), axis=0)
+        waves = np.fft.rfft(_turn_each(field[start : start + size], -angle), axis=0)
         shift = np.exp(-1j * np.arange(len(waves)) * np.radians(degrees))[:, None]
         moved = np.fft.irfft(waves * shift, size, axis=0)
-        made[start : start + size] = _polar(moved, angle)
+        turned[start : start + size] = _turn_each(moved, angle)
         start += size
-    return made + compute_pin_tips(sensor)
+    return turned + compute_pin_tips(sensor)
 
 
-def _polar(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def _turn_each(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, z = vectors.T
     return np.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
 
 
 def check_mirroring(sensor: Sensor) -> list[Row]:
-    made = _solve_ends(
-        sensor, [make_slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
-    )
+    slides = [make_slide(-1.0, 0.0, (0.8, side * 1.0), twist=side * 25.0) for side in (1, -1)]
+    ends = _solve_ends(sensor, slides)
     tips = compute_pin_tips(sensor)
-    partner = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
-    apart = compute_pin_distance(sensor, made.pins[0] * [1, -1, 1], made.pins[1][partner])
-    return [
-        _px(
-            "slide with a twist to the right against to the left",
-            apart,
-            0.02,
-            bool(made.converged.all()),
-            FINE,
-        )
-    ]
+    mirrored = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
+    distance = compute_pin_distance(sensor, ends.pins[0] * [1, -1, 1], ends.pins[1][mirrored])
+    words = "slide with a twist to the right against to the left"
+    return [_px(words, distance, 0.02, bool(ends.converged.all()), FINE)]
 
 
 def check_resuming(sensor: Sensor) -> list[Row]:
-    """One motion in two calls."""
-    full = np.array(
-        [
-            make_slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist)
-            for depth, twist in ((2.0, 0.0), (3.5, 15.0))
-        ]
-    )
+    """Check that a motion in two calls ends as in one."""
+    shallow = make_slide(-1.0, 0.0, (0.8, 1.5), depth=2.0)
+    deep = make_slide(-1.0, 0.0, (0.8, 1.5), depth=3.5, twist=15.0)
+    full = np.array([shallow, deep])
     rows = []
     for level, bar, note in (("auto", 0.1, ""), (EXACT, 0.02, FINE)):
         at_once, _ = follow(sensor, (EDGE,), make_paths(full), level)
         _, pressed = follow(sensor, (EDGE,), make_paths(full[:, :2]), level)
         later, _ = follow(sensor, (EDGE,), make_paths(full[:, 1:]), level, pressed)
-        apart = compute_pin_distance(sensor, at_once.pins, later.pins)
+        distance = compute_pin_distance(sensor, at_once.pins, later.pins)
         good = bool(at_once.converged.all() and later.converged.all())
-        rows.append(_px("press and slide in one call against in two", apart, bar, good, note))
+        rows.append(_px("press and slide in one call against in two", distance, bar, good, note))
     return rows
 
 
 def check_frictionless(sensor: Sensor) -> list[Row]:
-    """Without friction only the end of a path counts, up to where each increment searched for the edge."""
+    """Check that without friction only the end of a path counts.
+
+    The increments differ in where they searched for the edge.
+    """
     end = make_slide(-1.0, 0.5, (0.0, 0.0), yaw=10.0)
     roundabout = make_slide(-1.0, 0.5, (2.0, -1.5), yaw=-20.0, twist=30.0)
-    made = _solve_ends(sensor, [end, roundabout], friction=0.0)
-    apart = compute_pin_distance(sensor, made.pins[0], made.pins[1])
-    return [
-        _px(
-            "no friction: pressed straight down against from the side",
-            apart,
-            0.1,
-            bool(made.converged.all()),
-            FINE,
-        )
-    ]
+    ends = _solve_ends(sensor, [end, roundabout], friction=0.0)
+    distance = compute_pin_distance(sensor, ends.pins[0], ends.pins[1])
+    words = "no friction: pressed straight down against from the side"
+    return [_px(words, distance, 0.1, bool(ends.converged.all()), FINE)]
 
 
 def check_edge_sweep(sensor: Sensor) -> list[Row]:
-    """Ends 0.05 mm apart across an edge, taps and slides: does a node that comes to touch make a pin jump?"""
+    """Check that no pin jumps where nodes begin to touch: ends 0.05 mm apart at an edge."""
     places = np.arange(-3.0, 3.0 + 1e-9, 0.05)
     rows = []
     for words, move, yaw in (
         ("taps", (0.0, 0.0), 0.0),
         ("slides of 1.5 mm along it", (0.0, 1.5), 10.0),
     ):
-        made = _solve_ends(
-            sensor, [make_slide(x, 0.0, move, yaw, depth=3.0) for x in places], "auto"
-        )
-        pins, good = made.pins.astype(float), bool(made.converged.all())
+        motions = [make_slide(x, 0.0, move, yaw, depth=3.0) for x in places]
+        ends = _solve_ends(sensor, motions, "auto")
+        pins, good = ends.pins.astype(float), bool(ends.converged.all())
         step = compute_pin_distance(sensor, pins[1:], pins[:-1])
         change = compute_pin_distance(sensor, pins[2:] + pins[:-2] - pins[1:-1], pins[1:-1])
         rows += [
@@ -184,22 +170,22 @@ def check_edge_sweep(sensor: Sensor) -> list[Row]:
 
 
 def check_tilt(sensor: Sensor) -> list[Row]:
-    """A tilt on the flat brings another place of the dome into contact: alike, but for the lattice and the clamp at its base."""
+    """Check tilted slides and presses on the flat, where another place of the dome touches.
+
+    It differs only in the lattice of the nodes, and in its distance from the clamp at the base.
+    """
     points = []
     for direction in (0.0, 60.0, 17.0):
-        along = _rotation(direction)[:2, :2]
+        along = _make_rotation(direction)[:2, :2]
         point = make_slide(-FLAT_MM, 0.0, tuple(along @ [1.0, 0.0]))
         point[:, TILT_X:] = along @ [0.0, 20.0]
         points.append(point)
-    made = _solve_ends(sensor, points)
-    force = np.linalg.norm(made.force_n, axis=-1)
-    sixth = compute_pin_distance(
-        sensor,
-        made.pins[1][make_sixfold_permutations(sensor.pins)[1]],
-        made.pins[0] @ _rotation(60.0).T,
-    )
+    ends = _solve_ends(sensor, points)
+    force = np.linalg.norm(ends.force_n, axis=-1)
+    turned_back = ends.pins[1][make_sixfold_permutations(sensor.pins)[1]]
+    sixth = compute_pin_distance(sensor, turned_back, ends.pins[0] @ _make_rotation(60.0).T)
     words = "slide on the flat, tilted by 20 deg, turned by 17 deg: change of the force"
-    good = bool(made.converged.all())
+    good = bool(ends.converged.all())
     rows = [
         _px("slide on the flat, tilted by 20 deg, turned by 60 deg", sixth, 0.02, good, FINE),
         make_zero_row(GROUP, words, force[2] - force[0], force[0], 0.01, settled=good),
@@ -207,19 +193,16 @@ def check_tilt(sensor: Sensor) -> list[Row]:
     tilts = (0.0, 10.0, 20.0)
     presses = np.array([make_slide(-FLAT_MM, 0.0, (0.0, 0.0)) for _ in tilts])
     presses[:, :, TILT_X + 1] = np.array(tilts)[:, None]
-    made = _solve_ends(sensor, presses, friction=0.0)
-    force = np.linalg.norm(made.force_n, axis=-1)
-    for tilt, here in zip(tilts[1:], force[1:], strict=True):
+    ends = _solve_ends(sensor, presses, friction=0.0)
+    force = np.linalg.norm(ends.force_n, axis=-1)
+    good = bool(ends.converged.all())
+    for tilt, change in zip(tilts[1:], force[1:] - force[0], strict=True):
         words = f"frictionless press on the flat, tilted by {tilt:g} deg: change of the force"
-        rows.append(
-            make_zero_row(
-                GROUP, words, here - force[0], force[0], 0.03, settled=bool(made.converged.all())
-            )
-        )
+        rows.append(make_zero_row(GROUP, words, change, force[0], 0.03, settled=good))
     return rows
 
 
-def _px(problem: str, apart: np.ndarray, bar: float | None, settled: bool, note: str = "") -> Row:
+def _px(problem: str, px: np.ndarray, bar: float | None, settled: bool, note: str = "") -> Row:
     return make_zero_row(
-        GROUP, f"{problem}, px", apart.max(), 1.0, bar, settled=settled, note=note, px=True
+        GROUP, f"{problem}, px", px.max(), 1.0, bar, settled=settled, note=note, px=True
     )

@@ -1,16 +1,20 @@
-"""The dome at large strain, pressed by a flat plate without friction. A reference for the linear dome, not the simulator.
+"""The dome at large strain, pressed by a flat plate without friction.
 
-    made = press_dome(TACTIP_331, (1.0, 3.0, 6.0))
-    made.force_n[made.converged], made.pins  # (D,) N, (D, 331, 3) mm
+It is a reference for the linear dome.
 
-Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c = 0 at two points c of each
-surface edge. The plate pushes along z only, so skin slides on it. Displacement and active set are found together by a
-semismooth Newton method (Hueber & Wohlmuth 2005, CMAME 194, 3147), each increment of depth starting from the line through the
-last two. Newton's steps are cut where they would squeeze an element; where that does not help, the increment is halved.
+    presses = press_dome(TACTIP_331, (1.0, 3.0, 6.0))
+    presses.force_n[presses.converged], presses.pins  # (D,) N, (D, 331, 3) mm
+
+Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c =
+0 at two points c of each surface edge. The plate pushes along z only, so skin slides on it.
+Displacement and active set are found together by a semismooth Newton method (Hueber & Wohlmuth
+2005, CMAME 194, 3147), each increment of depth starting from the line through the last two.
+Newton's steps are cut where they would squeeze an element; where that does not help, the increment
+is halved.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -46,26 +50,25 @@ _EDGE_GAUSS = np.array([-1, 1]) / np.sqrt(3)
 
 
 class LargeStrain(NamedTuple):
-    """D depths (numpy). Where `converged` is false there is no equilibrium to show: the physical fields are NaN."""
+    """Presses to D depths (numpy). The physical fields of one that did not converge are NaN."""
 
     depth_mm: np.ndarray  # (D,)
     force_n: np.ndarray  # (D,) along z, on the sensor
     contact_radius_mm: np.ndarray  # (D,) on the plate
     pins: np.ndarray  # (D, P, 3) mm, displaced pin tips in the sensor frame
     max_stretch: np.ndarray  # (D,) largest principal stretch anywhere
-    strained: (
-        np.ndarray
-    )  # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
+    # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
+    strained: np.ndarray
     residual: np.ndarray  # (D,) largest unbalanced nodal force over the largest nodal force
     converged: np.ndarray  # (D,) bool
     iterations: np.ndarray  # (D,) of Newton's method since the depth before
 
 
 class Face(NamedTuple):
-    """Points of the surface where the plate may press: rows (C, V) give their displacement, place (C, 2) is at rest."""
+    """Points of the surface where the plate may press."""
 
-    rows: sp.csr_matrix
-    place: np.ndarray
+    rows: sp.csr_matrix  # (C, V) from the nodes' displacement to theirs
+    place: np.ndarray  # (C, 2) mm, at rest
 
 
 class State(NamedTuple):
@@ -83,42 +86,44 @@ def press_dome(
     density: Density = neo_hookean,
     progress: Progress | None = None,
 ) -> LargeStrain:
-    """The dome pressed to each of D depths (mm, rows in the order given); `density` as `hyperelastic.neo_hookean`."""
-    depths = np.asarray(depths_mm, float)
-    if (
-        depths.ndim != 1
-        or not len(depths)
-        or not np.all(np.isfinite(depths) & (depths < sensor.dome_radius_mm / 2))
-    ):
+    """Press the dome to each of D depths in mm, with rows in the order given.
+
+    `density` is as `hyperelastic.neo_hookean`.
+    """
+    depths, most = np.asarray(depths_mm, float), sensor.dome_radius_mm / 2
+    valid = depths.ndim == 1 and len(depths) > 0
+    if not valid or not np.all(np.isfinite(depths) & (depths < most)):
         raise UserError(
-            f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
+            f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's "
+            f"radius, {most:g} mm"
         )
     body = make_dome_body(sensor, mesh_mm, density)
     face = make_face(body.mesh)
     order = np.argsort(depths, kind="stable")
+    states = follow_depths(body, face, depths[order], progress)
     rows = [
-        _row(sensor, body, face, state, depth)
-        for state, depth in zip(
-            follow_depths(body, face, depths[order], progress), depths[order], strict=True
-        )
+        _describe_press(sensor, body, face, state, depth)
+        for state, depth in zip(states, depths[order], strict=True)
     ]
-    fields = (np.array(field)[np.argsort(order)] for field in zip(*rows, strict=True))
-    return LargeStrain(*fields)
+    back = np.argsort(order)
+    return LargeStrain(*(np.array(field)[back] for field in zip(*rows, strict=True)))
 
 
 def make_dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
-    """The sensor's gel under its skin."""
+    """Make the body of the sensor's gel under its skin."""
     mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
-    skin, gel = (
-        compute_lame_constants(sensor.skin_modulus_mpa, sensor.skin_poisson),
-        compute_lame_constants(sensor.gel_modulus_mpa, sensor.gel_poisson),
-    )
+    skin = compute_lame_constants(sensor.skin_modulus_mpa, sensor.skin_poisson)
+    gel = compute_lame_constants(sensor.gel_modulus_mpa, sensor.gel_poisson)
     shear, first = np.where(mesh.skin[:, None], skin, gel).T
     return make_body(mesh, shear, first, density)
 
 
 def make_face(mesh: Mesh) -> Face:
-    """Two points an edge: as many as the nodes that an edge adds, so that pressures are neither loose nor overtight."""
+    """Make the face with two points per edge.
+
+    Those are as many as the nodes that an edge adds, so that pressures are neither under- nor
+    overdetermined.
+    """
     line, _ = compute_edge_shapes(_EDGE_GAUSS)
     columns = np.repeat(mesh.surface, len(line), axis=0)
     rows = np.repeat(np.arange(len(columns)), 3)
@@ -132,35 +137,26 @@ def make_face(mesh: Mesh) -> Face:
 def follow_depths(
     body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None
 ) -> list[State]:
-    """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
+    """Follow rising `depths` (mm of the plate's z); after one that fails, all fail."""
     state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
-    moving, pushing = (
-        np.zeros_like(state.displacement),
-        np.zeros_like(state.push),
-    )  # per mm of depth
+    # per mm of depth
+    moving, pushing = np.zeros_like(state.displacement), np.zeros_like(state.push)
     at, step, states = min(float(depths[0]), 0.0), STEP_MM, []
     for end in depths:
         spent, first = 0, True
         while state.converged and (at < end or first):
             there = min(at + step, end)
-            guess = State(
-                state.displacement + (there - at) * moving,
-                state.push + (there - at) * pushing,
-                0.0,
-                0,
-                False,
-            )
-            found = solve_equilibrium(body, face, there, guess, body.fixed_unknowns)
-            spent, first = spent + found.iterations, False
-            if found.converged:
+            moved = state.displacement + (there - at) * moving
+            guess = State(moved, state.push + (there - at) * pushing, 0.0, 0, False)
+            after = solve_equilibrium(body, face, there, guess, body.fixed_unknowns)
+            spent, first = spent + after.iterations, False
+            if after.converged:
                 if there > at:
-                    moving, pushing = (
-                        (now - before) / (there - at)
-                        for now, before in zip(found[:2], state[:2], strict=True)
-                    )
-                state, at, step = found, there, min(2 * step, STEP_MM)
+                    moving = (after.displacement - state.displacement) / (there - at)
+                    pushing = (after.push - state.push) / (there - at)
+                state, at, step = after, there, min(2 * step, STEP_MM)
             elif (step := step / 2) < SMALLEST_STEP_MM:
-                state = found
+                state = after
         states.append(state._replace(iterations=spent))
         if progress is not None:
             progress.advance(1)
@@ -170,61 +166,62 @@ def follow_depths(
 def solve_equilibrium(
     body: Body, face: Face, depth: float, start: State, fixed: np.ndarray
 ) -> State:
-    """Newton's method from `start` with the plate at z = `depth` mm; the unknowns `fixed` keep the displacement they have."""
+    """Solve for equilibrium with the plate at z = `depth` mm by Newton's method.
+
+    It begins at `start`. The unknowns `fixed` keep their displacement.
+    """
     free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), fixed)
     normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()  # (C, 2V)
-    stiff = float(
-        np.median(body.shear_modulus) * np.ptp(body.mesh.nodes[:, 0])
-    )  # N/mm, weighs a gap against a push
+    # N/mm, weighs a gap against a push
+    stiff = float(np.median(body.shear_modulus) * np.ptp(body.mesh.nodes[:, 0]))
     moved, push = start.displacement, start.push
     for count in range(ITERATIONS + 1):
         inner = compute_forces(body, moved)
         gap = face.place[:, 1] + face.rows @ moved[:, 1] - depth
         active = push - stiff * gap > 0
-        residual = np.abs((inner - normal.T @ push)[free]).max() / max(
-            np.abs(inner).max(), stiff * GAP_MM
-        )
+        unbalanced = np.abs((inner - normal.T @ push)[free]).max()
+        residual = unbalanced / max(np.abs(inner).max(), stiff * GAP_MM)
         wrong = np.where(active, np.abs(gap), np.abs(push) / stiff).max(initial=0.0)
         if residual < TOLERANCE and wrong < GAP_MM:
             return State(moved, push, float(residual), count, True)
         if count == ITERATIONS or not np.isfinite(residual):
             break
         touching = normal[active][:, free]
-        matrix = sp.bmat(
-            [[compute_tangent(body, moved)[free][:, free], -touching.T], [-touching, None]],
-            format="csc",
-        )
+        tangent = compute_tangent(body, moved)[free][:, free]
+        matrix = sp.bmat([[tangent, -touching.T], [-touching, None]], format="csc")
+        right = np.concatenate([-inner[free], gap[active]])
         try:
-            answer = splu(matrix, permc_spec="COLAMD").solve(
-                np.concatenate([-inner[free], gap[active]])
-            )
+            solution = splu(matrix, permc_spec="COLAMD").solve(right)
         except RuntimeError:  # singular
             break
         step, goal = np.zeros(moved.size), np.zeros_like(push)
-        step[free], goal[active] = answer[: len(free)], answer[len(free) :]
-        share = _share(body, moved, step.reshape(moved.shape))
+        step[free], goal[active] = solution[: len(free)], solution[len(free) :]
+        share = _choose_share(body, moved, step.reshape(moved.shape))
         if share < SMALLEST_SHARE:
             break
         moved, push = moved + share * step.reshape(moved.shape), push + share * (goal - push)
     return State(moved, push, float(residual), count, False)
 
 
-def _share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
-    """Of a Newton step, the largest 1, 1/2, 1/4 ... that squeezes nothing below SMALLEST_VOLUME."""
+def _choose_share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
+    """Choose the largest share 1, 1/2, 1/4 ... of a step that squeezes nothing too much."""
     share = 1.0
-    while (
-        share >= SMALLEST_SHARE
-        and compute_deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME
-    ):
+    while share >= SMALLEST_SHARE:
+        _, volume_ratios = compute_deformation(body, moved + share * step)
+        if not volume_ratios.min() < SMALLEST_VOLUME:
+            break
         share /= 2
     return share
 
 
-def _row(sensor: Sensor, body: Body, face: Face, state: State, depth: float) -> tuple:
-    """The fields of `LargeStrain` at one depth."""
+def _describe_press(
+    sensor: Sensor, body: Body, face: Face, state: State, depth: float
+) -> tuple[Any, ...]:
+    """Compute the fields of `LargeStrain` at one depth, without their first axis."""
     quality = (state.residual, state.converged, state.iterations)
     if not state.converged:
-        return (depth, np.nan, np.nan, np.full((sensor.pins, 3), np.nan), np.nan, np.nan, *quality)
+        pins = np.full((sensor.pins, 3), np.nan)
+        return (depth, np.nan, np.nan, pins, np.nan, np.nan, *quality)
     stretches, _ = compute_deformation(body, state.displacement)
     volume = body.volume[~body.mesh.skin]
     beyond = np.any(np.abs(stretches[~body.mesh.skin] - 1) > LARGE_STRAIN, axis=-1)
@@ -232,14 +229,18 @@ def _row(sensor: Sensor, body: Body, face: Face, state: State, depth: float) -> 
     radius = fit_contact_radius(place[:, 0], place[:, 1] - depth, state.push > 0)
     pins = compute_deformed_tips(sensor, body.mesh, state.displacement)
     strained = np.sum(volume * beyond) / np.sum(volume)
-    return (depth, state.push.sum(), radius, pins, stretches.max(), strained, *quality)
+    force = state.push.sum()
+    return (depth, force, radius, pins, stretches.max(), strained, *quality)
 
 
 def fit_contact_radius(
     radius: Float[np.ndarray, "C"], gap: Float[np.ndarray, "C"], touching: Bool[np.ndarray, "C"]
 ) -> float:
-    """Where the gap closes, mm, from points in rising radius: past the rim it opens as (r - a)^1.5 (Johnson 1985,
-    Contact Mechanics, sec. 4.2), so its power 2/3 is a line through the first two points that do not touch."""
+    """Fit the radius in mm at which the gap closes, from points in rising radius.
+
+    Past the rim the gap opens as (r - a)^1.5 (Johnson 1985, Contact Mechanics, sec. 4.2), so its
+    power 2/3 is a line through the first two points that do not touch.
+    """
     if not touching.any():
         return 0.0
     last = np.flatnonzero(touching)[-1]
@@ -254,31 +255,28 @@ def fit_contact_radius(
 def compute_deformed_tips(
     sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]
 ) -> Float[np.ndarray, "P 3"]:
-    """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
+    """Compute the displaced pin tips in mm: rigid levers on the skin's inner face."""
     flat = compute_pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
-    arcs, which = np.unique(np.round(arc, 9), return_inverse=True)
-    change = (
-        _tips(sensor, mesh, mesh.nodes + moved, arcs) - _tips(sensor, mesh, mesh.nodes, arcs)
-    )[which.ravel()]
+    arcs, index = np.unique(np.round(arc, 9), return_inverse=True)
+    deformed = _place_tips(sensor, mesh, mesh.nodes + moved, arcs)
+    change = (deformed - _place_tips(sensor, mesh, mesh.nodes, arcs))[index.ravel()]
     around = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
     return compute_pin_tips(sensor) + np.concatenate([change[:, :1] * around, change[:, 1:]], -1)
 
 
-def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
-    """Tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface, with the mesh's nodes at `nodes`."""
+def _place_tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
+    """Place the tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface."""
     edges = find_inner_face(mesh)
     rest = mesh.nodes[edges]
-    angles = np.arctan2(
-        rest[..., 0], sensor.dome_radius_mm - rest[..., 1]
-    )  # (S, 3), evenly spaced on each edge
+    # (S, 3), evenly spaced on each edge
+    angles = np.arctan2(rest[..., 0], sensor.dome_radius_mm - rest[..., 1])
     angle = arcs / sensor.dome_radius_mm
     edge = np.clip(np.searchsorted(angles[:, 0], angle, side="right") - 1, 0, len(edges) - 1)
-    shapes = compute_edge_shapes(
-        2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1
-    )
-    base, along = (np.einsum("an,anx->ax", shape, nodes[edges[edge]]) for shape in shapes)
-    inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(
-        along, axis=-1, keepdims=True
-    )
+    along_edge = 2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1
+    values, slopes = compute_edge_shapes(along_edge)
+    base = np.einsum("an,anx->ax", values, nodes[edges[edge]])
+    tangent = np.einsum("an,anx->ax", slopes, nodes[edges[edge]])
+    inward = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    inward /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     return base + sensor.pin_length_mm * inward

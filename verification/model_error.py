@@ -1,6 +1,8 @@
-"""The simulator's own model error: its linear dome against the large-strain reference, under a flat plate without friction.
+"""The simulator's model error: its linear dome against the large-strain reference.
 
-    for row in model_error(TACTIP_331):
+Both are pressed by a flat plate without friction.
+
+    for row in measure_model_error(TACTIP_331):
         print(row.depth_mm, row.rms_px, row.motion_px)
 
 Errors are of the pins, over all pins. Px are those of the default camera's 256-px frame.
@@ -30,7 +32,7 @@ TINY = 1e-16  # squared difference of squared stretches, below which their direc
 
 
 class ModelError(NamedTuple):
-    """One depth. Where `converged` is false, of either model, the figures are NaN."""
+    """The error at one depth. If either model has not converged the figures are NaN."""
 
     depth_mm: float
     converged: bool
@@ -38,9 +40,8 @@ class ModelError(NamedTuple):
     rms_px: float
     p95_px: float
     max_px: float
-    material_px: (
-        float  # rms that exact kinematics with a linear law (of logarithmic strain) would leave
-    )
+    # rms that exact kinematics with a linear law (of logarithmic strain) would leave
+    material_px: float
     force_ratio: float  # linear over reference
     radius_ratio: float  # of the contact
     strained: float  # share of the gel's volume beyond 20 % of principal strain, in the reference
@@ -52,31 +53,37 @@ def measure_model_error(
     mesh_mm: float = 1.0,
     level: str = "reference",
 ) -> list[ModelError]:
-    """Rows, a depth each. `level` "reference" keeps the solver's own error out of the model's."""
+    """Measure the model's error at each depth.
+
+    The level "reference" keeps the solver's own error out of it.
+    """
     with Progress("large strain", 2 * len(depths), unit="presses") as progress:
         exact = press_dome(sensor, depths, mesh_mm, progress=progress)
-        straight = press_dome(sensor, depths, mesh_mm, compute_hencky_energy, progress)
-    contacts, skins = _linear(sensor, depths, level)
-    radii = _linear_radii(sensor, skins)
+        hencky = press_dome(sensor, depths, mesh_mm, compute_hencky_energy, progress)
+    contacts, skins = _press_linear_dome(sensor, depths, level)
+    radii = _fit_radii(sensor, skins)
     rows = []
     for i, depth in enumerate(depths):
-        converged = bool(exact.converged[i] and straight.converged[i] and contacts.converged[i])
+        converged = bool(exact.converged[i] and hencky.converged[i] and contacts.converged[i])
         figures = (
             compute_pin_error(sensor, exact.pins[i], compute_pin_tips(sensor)).rms_px,
             *compute_pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
-            compute_pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
+            compute_pin_error(sensor, hencky.pins[i], exact.pins[i]).rms_px,
             _ratio(contacts.force_n[i, 2], exact.force_n[i]),
             _ratio(radii[i], exact.contact_radius_mm[i]),
             float(exact.strained[i]),
         )
-        shown = figures if converged else [np.nan] * len(figures)
-        rows.append(ModelError._make([float(depth), converged, *shown]))
+        values = figures if converged else [np.nan] * len(figures)
+        rows.append(ModelError._make([float(depth), converged, *values]))
     return rows
 
 
 def compute_hencky_energy(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
-    """mu |log U|^2 + lambda/2 (ln J)^2 in MPa (Hencky 1928) of an axisymmetric deformation gradient (3, 3): exact rotations
-    and stretches, stress linear in the strain, so that what it has apart from `neo_hookean` is the law of the material."""
+    """Compute mu |log U|^2 + lambda/2 (ln J)^2 in MPa (Hencky 1928).
+
+    The deformation gradient (3, 3) is axisymmetric. Rotations and stretches are exact and stress is
+    linear in the strain, so that it differs from `neo_hookean` only in the law of the material.
+    """
     plane = gradient[::2, ::2]
     squared = plane.T @ plane
     mean = jnp.trace(squared) / 2
@@ -91,16 +98,17 @@ def _ratio(value: float, reference: float) -> float:
     return float(value / reference) if reference else np.nan
 
 
-def _linear(sensor: Sensor, depths: Sequence[float], level: str) -> tuple[Contacts, Skins]:
-    """Pressed by the linear dome."""
+def _press_linear_dome(
+    sensor: Sensor, depths: Sequence[float], level: str
+) -> tuple[Contacts, Skins]:
     zeros = np.zeros(len(depths))
     pose = np.stack([zeros - INSIDE_MM, zeros, zeros, np.asarray(depths, float)], -1)
     paths = make_paths(Scenes(zeros.astype(int), pose, np.zeros((len(depths), 2)), zeros))
     return follow(sensor, ("disk",), paths, level)
 
 
-def _linear_radii(sensor: Sensor, skins: Skins) -> np.ndarray:
-    """(B,) mm, from the nodes along +x, one of each ring."""
+def _fit_radii(sensor: Sensor, skins: Skins) -> np.ndarray:
+    """Fit contact radii (B,) mm from the nodes along +x, one of each ring."""
     full = load_shared_dome(sensor)
     along = np.flatnonzero((np.abs(full.nodes[:, 1]) < 1e-9) & (full.nodes[:, 0] > -1e-9))
     radii = []

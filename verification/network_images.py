@@ -1,7 +1,7 @@
-"""Images like a tactile sensor's, and what could be wrong with them: food for the networks' cases.
+"""Images like a tactile sensor's, and ways to corrupt them, for the networks' cases.
 
->>> batch = make_pairs(step=3, count=4, size=64)          # {"canonical", "sheared"} uint8 (4, 64, 64, 1) of {0, 255}
->>> batch = corrupt_images(KINDS["all black"], corrupt_images(as_floats, batch))
+batch = make_pairs(step=3, count=4, size=64)  # uint8 (4, 64, 64, 1) of {0, 255}
+batch = corrupt_images(KINDS["all black"], corrupt_images(convert_to_floats, batch))
 """
 
 from collections.abc import Callable
@@ -14,45 +14,51 @@ Batch = dict[str, np.ndarray]
 
 
 def make_pairs(step: int, count: int, size: int) -> Batch:
-    """Dots about a contact, once as a tap and once slid; the same for the same `step`."""
-    at, slide = _contacts(step, count)
-    return {"canonical": _dots(size, at, 0 * slide), "sheared": _dots(size, at, slide)}
+    """Make dots about a contact, once as a tap and once slid; the same for the same `step`."""
+    place, slide = _sample_contacts(step, count)
+    return {
+        "canonical": _draw_dots(size, place, 0 * slide),
+        "sheared": _draw_dots(size, place, slide),
+    }
 
 
 def make_poses(step: int, count: int, size: int) -> Batch:
-    """Taps with labels: "pose" (count, 4) mm, mm, deg, mm and "edge" (count, 2) mm, deg."""
-    at, slide = _contacts(step, count)
-    off = 10 * (at - 0.5)
-    pose = np.concatenate([off, 450 * slide[:, :1], np.full((count, 1), 3.0)], 1).astype(np.float32)
-    edge = np.stack([off[:, 0], np.rad2deg(np.arctan2(slide[:, 1], slide[:, 0]))], 1).astype(
-        np.float32
-    )
-    return {"image": _dots(size, at, 0 * slide), "pose": pose, "edge": edge}
+    """Make taps with labels: "pose" (count, 4) mm, mm, deg, mm and "edge" (count, 2) mm, deg."""
+    place, slide = _sample_contacts(step, count)
+    offset = 10 * (place - 0.5)
+    pose = np.concatenate([offset, 450 * slide[:, :1], np.full((count, 1), 3.0)], 1)
+    edge = np.stack([offset[:, 0], np.rad2deg(np.arctan2(slide[:, 1], slide[:, 0]))], 1)
+    return {
+        "image": _draw_dots(size, place, 0 * slide),
+        "pose": pose.astype(np.float32),
+        "edge": edge.astype(np.float32),
+    }
 
 
-def _contacts(step: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where (count, 2), and by how much it slid, as fractions of the image."""
+def _sample_contacts(step: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sample places (count, 2) and slides (count, 2), as fractions of the image."""
     generator = np.random.default_rng(step)
     return generator.uniform(0.3, 0.7, (count, 2)), generator.uniform(-0.08, 0.08, (count, 2))
 
 
-def _dots(size: int, at: np.ndarray, slide: np.ndarray) -> np.ndarray:
+def _draw_dots(size: int, place: np.ndarray, slide: np.ndarray) -> np.ndarray:
     y, x = (np.mgrid[:size, :size] + 0.5) / size
-    away_x, away_y = x - at[:, :1, None], y - at[:, 1:, None]
+    away_x, away_y = x - place[:, :1, None], y - place[:, 1:, None]
     bump = np.exp(-(away_x**2 + away_y**2) / 0.05)
     u = x - bump * (0.3 * away_x + slide[:, :1, None])
     v = y - bump * (0.3 * away_y + slide[:, 1:, None])
-    near = np.hypot(*((place + PITCH / 2) % PITCH - PITCH / 2 for place in (u, v))) < 0.3 * PITCH
-    return (near[..., None] * 255).astype(np.uint8)
+    away_u, away_v = (u + PITCH / 2) % PITCH - PITCH / 2, (v + PITCH / 2) % PITCH - PITCH / 2
+    inside = np.hypot(away_u, away_v) < 0.3 * PITCH
+    return (inside[..., None] * 255).astype(np.uint8)
 
 
 def corrupt_images(kind: Callable[[np.ndarray], np.ndarray], batch: Batch) -> Batch:
-    """`kind` done to the images of a batch, not to its labels."""
+    """Apply `kind` to the images of a batch, not to its labels."""
     return {name: kind(values) if name in IMAGES else values for name, values in batch.items()}
 
 
 def vary_one_pixel(images: np.ndarray) -> np.ndarray:
-    """The first image over and over, each time with another pixel of its first line inverted."""
+    """Repeat the first image, each time with another pixel of its first line inverted."""
     same = np.repeat(images[:1], len(images), 0)
     flat = same.reshape(len(same), -1)
     flat[np.arange(len(flat)), np.arange(len(flat))] = 1 - flat[0, : len(flat)]
@@ -60,7 +66,7 @@ def vary_one_pixel(images: np.ndarray) -> np.ndarray:
 
 
 def insert_nan(images: np.ndarray) -> np.ndarray:
-    """As floats in [0, 1], a NaN in the middle of the second image."""
+    """Convert to floats in [0, 1], and put a NaN in the middle of the second image."""
     floats = convert_to_floats(images).copy()
     middle = images.shape[1] // 2
     floats[1, middle, middle] = np.nan
@@ -68,7 +74,7 @@ def insert_nan(images: np.ndarray) -> np.ndarray:
 
 
 def convert_to_floats(images: np.ndarray) -> np.ndarray:
-    """In [0, 1]; floats stay as they are."""
+    """Convert to floats in [0, 1]; floats stay as they are."""
     return images / np.float32(255) if images.dtype == np.uint8 else images
 
 

@@ -1,8 +1,9 @@
-"""Training steps without the loop about them, so that networks of one shape are compiled once for all that is tried on them.
+"""Training steps without their loop, so that a network is compiled once for many cases.
 
-    found = run_steps(net, training, make, folder)     # some steps, each inspected, saved, and used
+    output = run_steps(net, training, make, folder)  # some steps, each inspected, saved, and used
 
-Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
+Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments
+of the compiled step.
 """
 
 import functools
@@ -36,11 +37,12 @@ Guards = tuple[Callable[..., dict[str, float]], Callable[..., None]]
 
 
 class Programs(NamedTuple):
-    """Of one network: its first state, (state, batch, learning rate, patch weight) -> (state, terms), and `infer_all`."""
+    """The compiled programs of one network."""
 
-    state: State
+    state: State  # the first one
+    # state, batch, learning rate, patch weight -> state, terms
     step: Callable[..., tuple[State, dict[str, jax.Array]]]
-    infer: Callable[..., dict[str, jax.Array]]
+    infer: Callable[..., dict[str, jax.Array]]  # as `infer_all`
 
 
 def make_task(net: Net, training: Training) -> Task:
@@ -50,18 +52,22 @@ def make_task(net: Net, training: Training) -> Task:
 
 
 def build_programs(net: Net, training: Training) -> Programs:
-    """Those of `net`; trainings that differ in learning rate and (positive) patch weight share them. Raises `UserError`."""
+    """Build the programs of `net`.
+
+    Trainings that differ only in learning rate and (positive) patch weight share them. Raises
+    `UserError`.
+    """
     same: Json = {
         "learning_rate": 1.0,
         "losses": {**training.losses, "patch": float("patch" in training.losses)},
         "schedule": "steps",
         "drops": (),
     }
-    return _programs(net, replace(training, **same))
+    return _compile(net, replace(training, **same))
 
 
 @functools.cache
-def _programs(net: Net, training: Training) -> Programs:
+def _compile(net: Net, training: Training) -> Programs:
     task = make_task(net, training)
 
     def step(
@@ -84,10 +90,13 @@ def run_steps(
     steps: int = STEPS,
     guards: Guards = (check_terms, check_state),
 ) -> CaseOutput:
-    """`steps` training steps of float batches `make(step)`, then inference with the kept network on `make(-1)`. The learning
-    rate stays, and is that of `training` or of its last drop. Raises `UserError` where the loop would,
-    by `guards` of each step's terms and of a state to be saved."""
-    state, step, use = build_programs(net, training)
+    """Run training steps of float batches `make(step)`, then infer from `make(-1)`.
+
+    Inference uses the network that was kept. The learning rate stays, and is that of `training` or
+    of its last drop. Raises `UserError` where the loop would, by `guards` of each step's terms and
+    of a state to be saved.
+    """
+    state, step, infer = build_programs(net, training)
     drops = dict(training.drops)
     for done in range(1, steps + 1):
         batch = make(done - 1)
@@ -100,62 +109,55 @@ def run_steps(
             guards[1](state, done, batch, folder)
             checkpoint.save(folder, done, state, {"best_step": done, "history": []})
     variables = checkpoint.load_best(folder)
-    arrays = {
-        "terms": last,
-        "variables": variables,
-        "outputs": dict(use(variables, get_images(make(-1)))),
-    }
-    return build_found(net, arrays, variables, steps, last)
+    outputs = dict(infer(variables, get_images(make(-1))))
+    arrays = {"terms": last, "variables": variables, "outputs": outputs}
+    return describe_training(net, arrays, variables, steps, last)
 
 
-def build_found(
+def describe_training(
     net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]
 ) -> CaseOutput:
-    loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
-    note = (
-        ""
-        if last["gradient"]
-        else "the gradient is 0: all is saturated, and nothing more is learnt"
-    )
+    """Make the output of a case from the `last` terms and the variables of a training."""
+    loss, gradient = last[get_loss_name(net)], last["gradient"]
+    note = "" if gradient else "the gradient is 0: all is saturated, and nothing more is learnt"
     if last["regularisation"] > loss:
-        note = f"l1 and l2 weigh {last['regularisation'] / loss:.2g} times the loss: kernels shrink first"
-    wrong = _parts(net, variables)
-    return CaseOutput(
-        arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=last["gradient"]
-    )
+        ratio = last["regularisation"] / loss
+        note = f"l1 and l2 weigh {ratio:.2g} times the loss: kernels shrink first"
+    wrong = _check_parts(net, variables)
+    return CaseOutput(arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=gradient)
+
+
+def get_loss_name(net: Net) -> str:
+    return "pose" if isinstance(net, PoseNet) else "supervised"
 
 
 def get_images(batch: Batch) -> np.ndarray:
-    """The images that a network is given: taps for PoseNet, sheared images for the others."""
+    """Return a network's input images: taps for PoseNet, sheared images for the others."""
     return batch["image" if "image" in batch else "sheared"]
 
 
 def infer_all(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
-    """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
+    """Infer all that the network can from images (B, S, S, 1) in [0, 1], each (B, ...)."""
     if isinstance(net, PoseNet):
-        outputs = posenet.predict(net, variables, images)
-        return {"outputs": outputs, **posenet.unscale_outputs(outputs, TARGETS)}
+        scaled = posenet.predict(net, variables, images)
+        return {"outputs": scaled, **posenet.unscale_outputs(scaled, TARGETS)}
     if isinstance(net, UNet):
         return {"unsheared": unet.unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)
-    reported = {
-        "unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)),
-        "z_p": z_p,
-    }
+    unsheared = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
+    outputs = {"unsheared": unsheared, "z_p": z_p}
     if z_s is not None:
-        reported |= {
-            "z_s": z_s,
-            "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s)),
-        }
-    return reported
+        sheared = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
+        outputs |= {"z_s": z_s, "sheared": sheared}
+    return outputs
 
 
-def _parts(net: Net, variables: Variables) -> str:
-    """What is built though it should not be, or the other way round."""
+def _check_parts(net: Net, variables: Variables) -> str:
+    """Describe how the parts of a network differ from those of its settings, if they do."""
     if not isinstance(net, UnshearNet):
         return ""
-    wanted = {"E", "DC"}
+    expected = {"E", "DC"}
     if net.disentangled:
-        wanted |= {"pose"} | ({"shear", "DS"} if net.shear_channels else set())
+        expected |= {"pose"} | ({"shear", "DS"} if net.shear_channels else set())
     built = set(variables["params"])
-    return "" if built == wanted else f"built {sorted(built)}, not {sorted(wanted)}"
+    return "" if built == expected else f"built {sorted(built)}, not {sorted(expected)}"

@@ -1,7 +1,8 @@
-"""Trainings at their extremes: settings, images and labels that could make a network's numbers infinite.
+"""Trainings at their extremes: settings, images and labels that risk infinite numbers.
 
-Most are steps without the loop (`network_steps.py`), some a full training as a user would run it. Where images are spoilt, every
-second batch is: a network that has only ever seen one constant learns nothing that could break.
+Most are steps without the loop (`network_steps.py`), some a full training as a user would run it.
+Where images are spoilt, every second batch is: a network that has only ever seen one constant
+learns nothing that could break.
 """
 
 import itertools
@@ -33,8 +34,8 @@ from verification.network_steps import (
     SAVED_EVERY,
     STEPS,
     Net,
-    build_found,
     build_programs,
+    describe_training,
     get_images,
     make_task,
     run_steps,
@@ -59,27 +60,27 @@ PAPER = Training(learning_rate=1e-4, l1=1e-3, l2=1e-3, kernels="mean", averaging
 DECAYS = (1e-3, 1e3)
 RATES = (1e-8, 1e-4, 1e-1, 1.0, 10.0)
 PATCH_WEIGHTS = (0.0, 1e-2, 1.0, 1e2, 1e4)
-BROKEN_FROM = 6  # steps before what breaks a training: more than to its first checkpoint, fewer than to its second
-VALIDATION = (
-    -1
-)  # the step whose batch is validated and used: odd, so spoilt where every second one is
+# steps before what breaks a training: more than to its first checkpoint, fewer than to its second
+BROKEN_FROM = 6
+# the step whose batch is validated and used: odd, so spoilt where every second one is
+VALIDATION = -1
 KEPT = f"the checkpoint of step {SAVED_EVERY} is kept"
 REMEDY = "the data, then run the same command"
-Change = Callable[[int, Batch], Batch]  # of the float batch that follows so many steps
+Change = Callable[[int, Batch], Batch]  # changes the float batch after so many steps
 
 
 def list_training_cases() -> Iterator[NetworkCase]:
-    """All of them; names are unique and begin with "network"."""
-    yield from _settings()
-    yield from _starts()
+    """List all cases of trainings; names are unique and begin with "network"."""
+    yield from _list_settings()
+    yield from _list_starts()
     for net in (SHALLOW, POSENET):
-        yield from _decays(net)
+        yield from _list_decays(net)
     for net in (NET, POSENET):
-        yield from _rates(net)
-        yield from _images(net)
-        yield from _batches(net)
+        yield from _list_rates(net)
+        yield from _list_images(net)
+        yield from _list_batches(net)
     for trained in (SHALLOW, POSENET, UNET):
-        yield from _entire(trained)
+        yield from _list_trainings(trained)
 
 
 def make_steps_case(
@@ -113,7 +114,7 @@ def change_every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
     return lambda step, batch: corrupt_images(kind, batch) if step % 2 else batch
 
 
-def _settings() -> Iterator[NetworkCase]:
+def _list_settings() -> Iterator[NetworkCase]:
     for weight in PATCH_WEIGHTS:
         yield make_steps_case(
             f"patch weight {weight:g}",
@@ -143,26 +144,24 @@ def _settings() -> Iterator[NetworkCase]:
     )
 
 
-def _decays(net: Net) -> Iterator[NetworkCase]:
-    """Weights on kernels: the paper's, and such as leave nothing else to learn."""
+def _list_decays(net: Net) -> Iterator[NetworkCase]:
+    """List cases by weights on kernels: the paper's, and such as leave nothing else to learn."""
     for weight in DECAYS:
         yield make_steps_case(f"l1 {weight:g}", net, replace(TRAINING, l1=weight))
         yield make_steps_case(f"l2 {weight:g}", net, replace(TRAINING, l2=weight))
 
 
-def _starts() -> Iterator[NetworkCase]:
-    """The first steps of experiments/paper.py, in smaller batches, by what its weights on kernels can mean."""
+def _list_starts() -> Iterator[NetworkCase]:
+    """List first steps of experiments/paper.py, by what its weights on kernels can mean."""
     nets: tuple[Net, ...] = (PAPER_NET, PAPER_POSENET)
-    ways: tuple[Literal["sum", "mean"], ...] = ("sum", "mean")
-    for net, kernels in itertools.product(nets, ways):
-        name, training = (
-            f"the paper's start, l1 and l2 per {kernels}",
-            replace(PAPER, batch=2, kernels=kernels),
-        )
+    sums: tuple[Literal["sum", "mean"], ...] = ("sum", "mean")
+    for net, kernels in itertools.product(nets, sums):
+        name = f"the paper's start, l1 and l2 per {kernels}"
+        training = replace(PAPER, batch=2, kernels=kernels)
         yield make_steps_case(name, net, training, steps=SAVED_EVERY)
 
 
-def _rates(net: Net) -> Iterator[NetworkCase]:
+def _list_rates(net: Net) -> Iterator[NetworkCase]:
     for rate in RATES:
         name, training = f"learning rate {rate:g}", replace(TRAINING, learning_rate=rate)
         yield make_steps_case(name, net, training, expects=(FINITE, STOPPED))
@@ -172,48 +171,43 @@ def _rates(net: Net) -> Iterator[NetworkCase]:
     yield make_steps_case("learning rate inf", net, training, expects=(STOPPED,), words=words)
 
 
-def _images(net: Net) -> Iterator[NetworkCase]:
+def _list_images(net: Net) -> Iterator[NetworkCase]:
     for name, kind in KINDS.items():
         yield make_steps_case(f"images {name}", net, change=change_every_second(kind))
+    words = _list_words("of examples 1;", REMEDY)
     yield make_steps_case(
-        "images with a NaN",
-        net,
-        change=_nan,
-        expects=(STOPPED,),
-        words=_words("of examples 1;", REMEDY),
+        "images with a NaN", net, change=_put_nan, expects=(STOPPED,), words=words
     )
-    words = _words("to 1e+25;", "learning_rate")
-    yield make_steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
+    words = _list_words("to 1e+25;", "learning_rate")
+    yield make_steps_case("images of 1e25", net, change=_scale_up, expects=(STOPPED,), words=words)
     if isinstance(net, PoseNet):
-        words = _words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
+        words = _list_words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
         yield make_steps_case(
-            "infinite labels", net, change=_unknown, expects=(STOPPED,), words=words
+            "infinite labels", net, change=_make_labels_infinite, expects=(STOPPED,), words=words
         )
 
 
-def _words(*more: str) -> tuple[str, ...]:
-    """What the line must hold of a training that breaks after `BROKEN_FROM` steps."""
+def _list_words(*more: str) -> tuple[str, ...]:
+    """List what the message of a training that breaks after `BROKEN_FROM` steps must hold."""
     return (*SAYS_WHERE, f"step {BROKEN_FROM + 1}", f"batch {BROKEN_FROM}", KEPT, *more)
 
 
-def _nan(step: int, batch: Batch) -> Batch:
+def _put_nan(step: int, batch: Batch) -> Batch:
     return corrupt_images(insert_nan, batch) if step == BROKEN_FROM else batch
 
 
-def _huge(step: int, batch: Batch) -> Batch:
-    """Whose variance overflows."""
-    return (
-        corrupt_images(lambda images: images * np.float32(1e25), batch)
-        if step == BROKEN_FROM
-        else batch
-    )
+def _scale_up(step: int, batch: Batch) -> Batch:
+    """Scale images up until their variance overflows."""
+    if step != BROKEN_FROM:
+        return batch
+    return corrupt_images(lambda images: images * np.float32(1e25), batch)
 
 
-def _unknown(step: int, batch: Batch) -> Batch:
+def _make_labels_infinite(step: int, batch: Batch) -> Batch:
     return batch | {"pose": np.full_like(batch["pose"], np.inf)} if step == BROKEN_FROM else batch
 
 
-def _batches(net: Net) -> Iterator[NetworkCase]:
+def _list_batches(net: Net) -> Iterator[NetworkCase]:
     single, alone = replace(TRAINING, batch=1), net if isinstance(net, PoseNet) else SHALLOW
     yield make_steps_case("batches of one image", alone, single)
     # so small that a channel of the last convolution is one number, which normalisation makes zero
@@ -230,12 +224,12 @@ def _batches(net: Net) -> Iterator[NetworkCase]:
     yield make_steps_case("one pose only", net, change=one_pose)
 
 
-def _entire(net: Net) -> Iterator[NetworkCase]:
-    """Through the loop: as usual, and with a learning rate that throws the weights away after a good start."""
+def _list_trainings(net: Net) -> Iterator[NetworkCase]:
+    """List trainings through the loop: as usual, and one that diverges later."""
     diverging = replace(TRAINING, schedule="steps", drops=((float(BROKEN_FROM), 1e30),))
     words = (*SAYS_WHERE, KEPT, "whose numbers are", "learning_rate")
-    tried = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
-    for name, training, expects in tried[: 1 if isinstance(net, UNet) else 2]:
+    trainings = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
+    for name, training, expects in trainings[: 1 if isinstance(net, UNet) else 2]:
         run = partial(run_training, net, training)
         yield NetworkCase(
             f"network {get_kind(net)}, {name}", run, f"{net}, {training}", (expects,), words
@@ -243,31 +237,38 @@ def _entire(net: Net) -> Iterator[NetworkCase]:
 
 
 def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
-    """A training in `folder`, then the kept network at work on the validation batch."""
+    """Train in `folder`, then infer from the validation batch with the kept network."""
 
-    def batches(start: int) -> Iterator[Batch]:
+    def make_batches(start: int) -> Iterator[Batch]:
         return (make_batch(net, step, training.batch) for step in itertools.count(start))
 
-    checked = make_batch(net, VALIDATION, 4)
+    validation = make_batch(net, VALIDATION, 4)
     task = make_task(net, training)
     summary = train_network(
-        task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch
+        task,
+        training,
+        make_batches,
+        lambda: iter([validation]),
+        0,
+        folder,
+        epoch_images=training.batch,
     )
-    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
+    terms = []
+    for text in (folder / "log.jsonl").read_text().splitlines():
+        line = json.loads(text)
+        terms.append({part: _fill_nulls(line[part]) for part in ("train", "validation")})
     variables = checkpoint.load_best(folder)
-    outputs = dict(
-        build_programs(net, TRAINING).infer(variables, convert_to_floats(get_images(checked)))
-    )
+    images = convert_to_floats(get_images(validation))
+    outputs = dict(build_programs(net, TRAINING).infer(variables, images))
     arrays = {
         "log": terms,
         "best loss": summary.best_loss,
         "variables": variables,
         "outputs": outputs,
     }
-    return build_found(net, arrays, variables, summary.steps, terms[-1]["train"])
+    return describe_training(net, arrays, variables, summary.steps, terms[-1]["train"])
 
 
-def _numbers(terms: dict[str, float | None]) -> dict[str, float]:
-    """A log's terms, where JSON has null for what was not finite."""
+def _fill_nulls(terms: dict[str, float | None]) -> dict[str, float]:
+    """Fill in NaN for a log's terms that were not finite, which JSON has as null."""
     return {name: np.nan if value is None else value for name, value in terms.items()}

@@ -1,4 +1,4 @@
-"""How far apart two answers for the same pins lie: in mm, and in px of the default camera's 256-px frame."""
+"""Distances between two solutions for pins, in mm and in px of the default camera."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from jaxunshear.simulator.camera import project
 
 
 class PinError(NamedTuple):
-    """Over all pins of all contacts."""
+    """Errors over all pins of all contacts; px are those of the camera's 256-px frame."""
 
     rms_px: float
     p95_px: float
@@ -20,7 +20,7 @@ class PinError(NamedTuple):
 
 
 def compute_pin_distance(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
+    """Compute the distances (..., P) in px between pins (..., P, 3) mm and `others`."""
 
     def project_px(tips: np.ndarray) -> np.ndarray:
         return np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor))
@@ -29,7 +29,7 @@ def compute_pin_distance(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -
 
 
 def compute_pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:
-    """Of pins (..., P, 3) mm against `others`; NaN where any pin is not finite."""
+    """Compute the error of pins (..., P, 3) mm against `others`; NaN if any is not finite."""
     px = compute_pin_distance(sensor, pins, others)
     mm = np.linalg.norm(np.asarray(pins, np.float64) - others, axis=-1)
     if not px.size:

@@ -1,6 +1,6 @@
-"""What a contact needs, what was left out of it, and what each omission saves (time) and costs (pin error).
+"""What a contact needs, and what each omission saves (time) and costs (pin error).
 
-print(show_plan("leaf", (0, 0, 20, 3), move=(2, 1)).text)
+print(show_plan(PlannedContact("leaf", (0, 0, 20, 3), move=(2, 1))).text)
 print(show_grouping(64).text)
 """
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.outlines import parse_stimulus as named
+from jaxunshear.config.outlines import parse_stimulus
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
@@ -62,33 +62,41 @@ class _Work(NamedTuple):
         return simulator.follow(self.sensor, self.names, self.paths, level, retry=False)[0]
 
 
+class PlannedContact(NamedTuple):
+    """A contact that ends at a pose after a slide and a turn."""
+
+    stimulus: str
+    pose: Sequence[float]  # x, y (mm), yaw (deg), depth (mm)
+    move: Sequence[float] = (0.0, 0.0)  # mm
+    twist: float = 0.0  # deg
+    tilt: Sequence[float] = (0.0, 0.0)  # deg
+    friction: float | None = None  # None: that of the stimulus
+
+    def make_points(self) -> np.ndarray:
+        """Make the way points (3, 6) of the contact."""
+        points = np.zeros((3, 6))
+        points[:, :4], points[:, 4:] = self.pose, self.tilt
+        points[:2, :2] -= self.move
+        points[:2, YAW] -= self.twist
+        points[0, DEPTH] = min(0.0, self.pose[3])
+        return points
+
+
 def show_plan(
-    stimulus: str,
-    pose: Sequence[float],
-    move: Sequence[float] = (0.0, 0.0),
-    twist: float = 0.0,
-    tilt: Sequence[float] = (0.0, 0.0),
-    friction: float | None = None,
-    level: str = "auto",
-    sensor: Sensor = TACTIP_331,
+    contact: PlannedContact, level: str = "auto", sensor: Sensor = TACTIP_331
 ) -> PlanReport:
-    """One contact that ends at pose (x, y, yaw, depth) after a slide and a turn; friction None: the stimulus' own."""
-    touched = make_stimulus(named(stimulus))
-    points = np.zeros((3, 6))
-    points[:, :4], points[:, 4:] = pose, tilt
-    points[:2, :2] -= move
-    points[:2, YAW] -= twist
-    points[0, DEPTH] = min(0.0, pose[3])
-    mu = touched.friction if friction is None else friction
-    paths = Paths(np.array([0]), np.array([float(mu)]), points[None])
-    how = get_level(level)
+    """Report what one contact needs, and what each omission saves and costs."""
+    stimulus = make_stimulus(parse_stimulus(contact.stimulus))
+    friction = stimulus.friction if contact.friction is None else contact.friction
+    paths = Paths(np.array([0]), np.array([float(friction)]), contact.make_points()[None])
+    settings = get_level(level)
     check_paths(sensor, 1, paths)
-    work = _Work(sensor, (touched,), sample_distances((touched,)), paths)
+    work = _Work(sensor, (stimulus,), sample_distances((stimulus,)), paths)
     systems.load_shared_dome(sensor)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
-        rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
-    batch = work.plan(how)[0]
-    count, contacts = len(systems.load_shared_dome(sensor).nodes), work.solve(how)
+        rows = _measure_omissions(work, settings, (*OMISSIONS, TOGETHER), progress)
+    batch = work.plan(settings)[0]
+    count, contacts = len(systems.load_shared_dome(sensor).nodes), work.solve(settings)
     needs = {
         "omission": "",
         "level": level,
@@ -98,13 +106,14 @@ def show_plan(
         "increments": batch.steps,
         "friction": batch.friction,
         "tilted": batch.tilted,
-        "precision": how.precision,
+        "precision": settings.precision,
         "converged": bool(contacts.converged[0]),
         "residual_mm": float(contacts.residual_mm[0]),
         "iterations": int(contacts.iterations[0]),
     }
-    title = f"{touched.name}, friction {mu:g}, level {level}, {sensor.name}"
-    return PlanReport([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
+    title = f"{stimulus.name}, friction {friction:g}, level {level}, {sensor.name}"
+    lines = [title, *_format_needs(needs), "", *_format_table(rows)]
+    return PlanReport([needs, *rows], "\n".join(lines))
 
 
 def show_grouping(
@@ -113,62 +122,72 @@ def show_grouping(
     sensor: Sensor = TACTIP_331,
     scenes: Callable[[str, int], Scenes] = sample_paper_scenes,
 ) -> PlanReport:
-    """How `count` random slides and as many taps (of the paper) share batches, and what sharing by need saves."""
+    """Report how `count` random slides and as many taps of the paper share batches.
+
+    It also says what sharing batches by need saves.
+    """
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
-    how = get_level(level)
+    settings = get_level(level)
     obstacles = sample_distances(tuple(make_stimulus(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
         work = _Work(sensor, NAMES, obstacles, make_paths(scenes(kind, count)))
-        batches = work.plan(how)
-        alone = [
-            len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes)
-            for i in range(count)
-        ]
+        batches = work.plan(settings)
+        alone = []  # nodes that each scene needs by itself
+        for i in range(count):
+            scene = work._replace(paths=work.paths.take(np.array([i])))
+            alone.append(len(scene.plan(settings)[0].nodes))
         lines += [
             f"{count} {kind}s, level {level}: {len(batches)} batches",
             "  scenes  nodes  of its scenes  increments  contact",
         ]
         for batch in batches:
-            own = [alone[i] for i in batch.rows]
-            row = {
-                "omission": "",
-                "kind": kind,
-                "scenes": len(batch.rows),
-                "nodes": len(batch.nodes),
-                "nodes_least": min(own),
-                "nodes_most": max(own),
-                "increments": batch.steps,
-                "friction": batch.friction,
-                "tilted": batch.tilted,
-            }
+            row = _describe_batch(batch, kind, [alone[i] for i in batch.rows])
             rows.append(row)
-            lines.append(
-                f"  {row['scenes']:6}  {row['nodes']:5}  {row['nodes_least']:5} to {row['nodes_most']:<5}  {batch.steps:10}  "
-                f"{_contact(bool(len(batch.nodes)), batch.friction, batch.tilted)}"
-            )
+            lines.append(_format_batch(row))
         with Progress(f"{kind}s", 1, unit="omissions") as progress:
-            found = _omissions(work, how, ("grouping",), progress)
-        rows += [{**row, "kind": kind} for row in found]
-        lines += ["", *_table(found), ""]
+            omissions = _measure_omissions(work, settings, ("grouping",), progress)
+        rows += [{**row, "kind": kind} for row in omissions]
+        lines += ["", *_format_table(omissions), ""]
     return PlanReport(rows, "\n".join(lines))
 
 
-def _omissions(
+def _describe_batch(batch: ContactBatch, kind: str, nodes: list[int]) -> Json:
+    """Describe a batch whose scenes need so many `nodes` by themselves."""
+    return {
+        "omission": "",
+        "kind": kind,
+        "scenes": len(batch.rows),
+        "nodes": len(batch.nodes),
+        "nodes_least": min(nodes),
+        "nodes_most": max(nodes),
+        "increments": batch.steps,
+        "friction": batch.friction,
+        "tilted": batch.tilted,
+    }
+
+
+def _format_batch(row: Json) -> str:
+    contact = _format_contact(row["nodes"] > 0, row["friction"], row["tilted"])
+    return (
+        f"  {row['scenes']:6}  {row['nodes']:5}  {row['nodes_least']:5} to {row['nodes_most']:<5}  "
+        f"{row['increments']:10}  {contact}"
+    )
+
+
+def _measure_omissions(
     work: _Work, level: Level, omissions: Sequence[str], progress: Progress
 ) -> list[Json]:
-    """A row each. Switched off one by one; what changes nothing in the plan is not timed."""
+    """Switch off omissions one by one; one that does not change the plan is not timed."""
     usual_s, usual = _time_plan(work, level)
     rows = []
     for omission in omissions:
-        less = replace(
-            level,
-            omit=() if omission == TOGETHER else tuple(o for o in level.omit if o != omission),
-        )
+        others = () if omission == TOGETHER else tuple(o for o in level.omit if o != omission)
+        less = replace(level, omit=others)
         row: Json = {"omission": omission, "made": less.omit != level.omit, "matters": False}
-        if row["made"] and not _same(work.plan(level), work.plan(less)):
+        if row["made"] and not _is_same(work.plan(level), work.plan(less)):
             spent, contacts = _time_plan(work, less)
             error = compute_pin_error(work.sensor, usual.pins, contacts.pins)
             times = {
@@ -188,7 +207,7 @@ def _omissions(
 
 
 def _time_plan(work: _Work, level: Level) -> tuple[float, Contacts]:
-    """Median of warm runs, each with its systems set up anew."""
+    """Time warm runs, each with its systems built anew, and take their median."""
     contacts = work.solve(level)
     spent = [time_call(lambda: work.solve(level))]
     while len(spent) < REPEATS and sum(spent) < BUDGET_S:
@@ -196,41 +215,39 @@ def _time_plan(work: _Work, level: Level) -> tuple[float, Contacts]:
     return float(np.median(spent)), contacts
 
 
-def _same(some: list[ContactBatch], others: list[ContactBatch]) -> bool:
-    """Whether two plans solve the same; in what order the nodes are turned does not matter where all else agrees."""
+def _is_same(some: list[ContactBatch], others: list[ContactBatch]) -> bool:
+    """Say whether two plans solve the same batches."""
     if len(some) != len(others):
         return False
-    pairs = zip(some, others, strict=True)
-    return all(
-        np.array_equal(a.rows, b.rows)
-        and np.array_equal(a.nodes, b.nodes)
-        and np.array_equal(a.turn, b.turn)
-        and a[3:] == b[3:]
-        for a, b in pairs
-    )
+    for batch, other in zip(some, others, strict=True):
+        equal = [np.array_equal(batch[i], other[i]) for i in range(len(batch))]
+        if not all(equal):
+            return False
+    return True
 
 
-def _contact(touching: bool, friction: bool, tilted: bool) -> str:
+def _format_contact(touching: bool, friction: bool, tilted: bool) -> str:
     if not touching:
         return "nothing is touched"
-    return (
-        "friction: three unknowns a node" if friction else "no friction: one unknown a node"
-    ) + (", tilted" if tilted else "")
+    unknowns = "friction: three unknowns a node" if friction else "no friction: one unknown a node"
+    return unknowns + (", tilted" if tilted else "")
 
 
-def _needs(needs: Json) -> list[str]:
+def _format_needs(needs: Json) -> list[str]:
+    contact = _format_contact(needs["touching"], needs["friction"], needs["tilted"])
+    solved = "yes" if needs["converged"] else "NOT CONVERGED"
     return [
-        f"  contact     {_contact(needs['touching'], needs['friction'], needs['tilted'])}",
+        f"  contact     {contact}",
         f"  nodes       {needs['nodes']} of {needs['nodes_of']}",
         f"  increments  {needs['increments']}",
         f"  precision   {needs['precision']}",
         "  batch       1 scene",
-        f"  solved      {'yes' if needs['converged'] else 'NOT CONVERGED'}, residual {needs['residual_mm']:.2g} mm, "
+        f"  solved      {solved}, residual {needs['residual_mm']:.2g} mm, "
         f"{needs['iterations']} iterations",
     ]
 
 
-def _table(rows: Sequence[Json]) -> list[str]:
+def _format_table(rows: Sequence[Json]) -> list[str]:
     lines = [f"{'left out':44}  with, ms  without it   saves   rms px  p95 px  max px   rms mm"]
     for row in rows:
         name = f"{row['omission']}: {WORDS[row['omission']]}"
@@ -240,7 +257,8 @@ def _table(rows: Sequence[Json]) -> list[str]:
             lines.append(f"{name:44}  makes no difference here")
         else:
             lines.append(
-                f"{name:44}  {row['ms']:8.3g}  {row['ms_without_it']:10.4g}  {100 * row['saves']:4.0f} %  {row['rms_px']:7.3f} "
+                f"{name:44}  {row['ms']:8.3g}  {row['ms_without_it']:10.4g}  "
+                f"{100 * row['saves']:4.0f} %  {row['rms_px']:7.3f} "
                 f"{row['p95_px']:7.3f} {row['max_px']:7.3f}  {row['rms_mm']:7.4f}"
                 + ("" if row["converged"] else "  NOT CONVERGED")
             )

@@ -1,11 +1,11 @@
-"""Contacts and networks at their extremes, in a table: solved, refused, or given up with a report; never silently wrong.
+"""Contacts and networks at their extremes: solved, refused or given up, never wrong.
 
     rows = run_stability()
     select_failed(rows)
 
-Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more, in
-float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference. Networks are judged in
-`stability_networks.py`.
+Each contact is solved as a user would (`auto`, again at a stronger level where that does not
+converge), and twice more, in float32 and in float64, to a tolerance so small that how the solver
+stops is no part of the difference. Networks are judged in `stability_networks.py`.
 """
 
 import difflib
@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -24,20 +23,21 @@ from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.level import LEVELS
 from verification import stability_networks
-from verification.contact_cases import Case, list_cases
+from verification.contact_case import Case
+from verification.contact_cases import list_cases
 from verification.network_trainings import list_training_cases
 from verification.network_values import list_value_cases
 from verification.pin_distance import PinError, compute_pin_error
 from verification.stability_networks import NetworkCase, NetworkRow
 
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
-SILENT_PX = (
-    1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
-)
+# a solution that calls itself converged and is further (rms) from the tight one is wrong
+SILENT_PX = 1.0
+# the first at which both precisions converge is used
 TIGHT = tuple(
     replace(LEVELS["auto"], tolerance=tolerance, limit=3000)
     for tolerance in (0.005, 0.015, 0.02, 0.03)
-)  # the first at which both precisions converge
+)
 SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
 UNSOLVED = "given up: not converged"  # and it says so: whoever uses contacts drops and counts it
 UNCOMPARED = "solved, with no tight solution to compare with"
@@ -46,17 +46,19 @@ PROMISED = (SOLVED, RETRIED, REFUSED, UNSOLVED, UNCOMPARED)
 
 @dataclass(frozen=True)
 class StabilityRow:
-    """Of one case; NaN where nothing was measured."""
+    """The outcome of one case; NaN where nothing was measured."""
 
     case: str
     outcome: str
-    holds: bool  # finite, or refused by name; in float32 as in float64; and not converged only if it says so
+    # finite, or refused by name; in float32 as in float64; and not converged only if it says so
+    holds: bool
     finite: bool | None = None
     converged: bool | None = None
     residual_mm: float = np.nan
     float_px: float = np.nan  # tight float32 against tight float64: largest of any pin
     twin_px: float = np.nan  # tight, against the other way to the same contact: largest
-    tight_px: float = np.nan  # auto against tight float64, or the reference where that does not converge: rms over the pins
+    # auto against tight float64, or the reference where that does not converge: rms over the pins
+    tight_px: float = np.nan
     iterations: int = 0
     nodes: int = 0
     ms: float = np.nan  # of auto, once compiled
@@ -64,38 +66,38 @@ class StabilityRow:
     scene: str = ""  # Python that runs it again
 
 
-def _words_like(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
-    """Words of the cases' names: those spelt like `word`, or the most frequent."""
-    words = Counter(
-        chain.from_iterable(set(re.findall(r"[A-Za-z]\w{3,}", case.name)) for case in cases)
-    )
-    return difflib.get_close_matches(word or "", words, n=5) or [
-        name for name, _ in words.most_common(8)
-    ]
+def _find_similar_words(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
+    """Find words of the cases' names: those spelt like `word`, or the most frequent."""
+    words: Counter[str] = Counter()
+    for case in cases:
+        words.update(set(re.findall(r"[A-Za-z]\w{3,}", case.name)))
+    similar = difflib.get_close_matches(word or "", words, n=5)
+    return similar or [name for name, _ in words.most_common(8)]
 
 
 def run_stability(
     only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None
 ) -> list[StabilityRow | NetworkRow]:
-    """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
-    every: Sequence[Case | NetworkCase] = (
-        [*list_cases(), *list_training_cases(), *list_value_cases()] if cases is None else cases
-    )
-    found = [case for case in every if only is None or only in case.name]
-    if not found:
-        raise UserError(
-            f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}"
-        )
+    """Run all cases, or those whose name contains `only`.
+
+    Raises `UserError` if there is none.
+    """
+    if cases is None:
+        cases = [*list_cases(), *list_training_cases(), *list_value_cases()]
+    selected = [case for case in cases if only is None or only in case.name]
+    if not selected:
+        words = ", ".join(_find_similar_words(only, cases))
+        raise UserError(f"--only '{only}': no case's name contains this; some do {words}")
     rows: list[StabilityRow | NetworkRow] = []
-    with Progress("stability", len(found), unit="cases") as progress:
-        for case in found:
+    with Progress("stability", len(selected), unit="cases") as progress:
+        for case in selected:
             rows.append(examine_case(case))
             progress.advance(1)
     return rows
 
 
 def select_failed(rows: Sequence[StabilityRow | NetworkRow]) -> list[StabilityRow | NetworkRow]:
-    """Those that break the promise."""
+    """Select the rows that break the promise."""
     return [row for row in rows if not row.holds]
 
 
@@ -104,15 +106,14 @@ def select_given_up(rows: Sequence[StabilityRow]) -> list[StabilityRow]:
 
 
 def examine_case(case: Case | NetworkCase) -> StabilityRow | NetworkRow:
-    """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    """Run and judge one case; an exception is a judgement too, and the other cases still run."""
     if isinstance(case, NetworkCase):
         return stability_networks.examine(case)
     try:
         return _examine(case)
     except Exception as error:
-        return StabilityRow(
-            case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line
-        )
+        said = f"{type(error).__name__}: {error}"
+        return StabilityRow(case.name, "crashed", False, said=said, scene=case.line)
 
 
 def _examine(case: Case) -> StabilityRow:
@@ -121,9 +122,8 @@ def _examine(case: Case) -> StabilityRow:
     except UserError as error:
         return _judge_refusal(case, str(error))
     if case.refused is not None:
-        return StabilityRow(
-            case.name, f"not refused: {case.refused} is senseless", False, scene=case.line
-        )
+        outcome = f"not refused: {case.refused} is senseless"
+        return StabilityRow(case.name, outcome, False, scene=case.line)
     start = time.perf_counter()
     case.solve("auto", True)
     row = StabilityRow(
@@ -142,29 +142,28 @@ def _examine(case: Case) -> StabilityRow:
         outcome = UNSOLVED if row.finite else "not finite"
         return replace(row, outcome=outcome, holds=outcome in PROMISED)
     for level in TIGHT:
-        narrow, wide = (
-            case.solve(replace(level, precision=kind), False) for kind in ("float32", "float64")
-        )
+        narrow = case.solve(replace(level, precision="float32"), False)
+        wide = case.solve(replace(level, precision="float64"), False)
         if narrow.converged.all() and wide.converged.all():
             break
-    row = replace(row, float_px=_apart(case, narrow, wide).max_px)
+    row = replace(row, float_px=_compare(case, narrow, wide).max_px)
     if not wide.converged.all():
         wide = case.solve("reference", False)
-    row = replace(row, tight_px=_apart(case, contacts, wide).rms_px)
+    row = replace(row, tight_px=_compare(case, contacts, wide).rms_px)
     if case.twin is not None:
-        row = replace(row, twin_px=_apart(case, case.twin(level, False), narrow).max_px)
-    outcome = _outcome(row, bool(contacts.retried.any()), case.twin is not None)
+        row = replace(row, twin_px=_compare(case, case.twin(level, False), narrow).max_px)
+    outcome = _judge_solution(row, bool(contacts.retried.any()), case.twin is not None)
     return replace(row, outcome=outcome, holds=outcome in PROMISED)
 
 
-def _apart(case: Case, some: Contacts, others: Contacts) -> PinError:
-    """NaN where one of the two has not converged, and so says nothing about the other."""
+def _compare(case: Case, some: Contacts, others: Contacts) -> PinError:
+    """Compare pins; the error is NaN if either solution has not converged."""
     if not (some.converged.all() and others.converged.all()):
         return PinError(*(np.nan,) * 5)
     return compute_pin_error(case.sensor, some.pins, others.pins)
 
 
-def _outcome(row: StabilityRow, retried: bool, twin: bool) -> str:
+def _judge_solution(row: StabilityRow, retried: bool, twin: bool) -> str:
     if row.tight_px > SILENT_PX:
         return "converged to something else"
     if row.float_px > PRECISION_PX:
@@ -177,19 +176,12 @@ def _outcome(row: StabilityRow, retried: bool, twin: bool) -> str:
 
 
 def _judge_refusal(case: Case, said: str) -> StabilityRow:
+    outcome, holds = REFUSED, True
     if case.refused is None:
-        return StabilityRow(
-            case.name, "refused, though it can be solved", False, said=said, scene=case.line
-        )
-    if case.refused not in said or "\n" in said:
-        return StabilityRow(
-            case.name,
-            f"refused by a line that does not name '{case.refused}'",
-            False,
-            said=said,
-            scene=case.line,
-        )
-    return StabilityRow(case.name, REFUSED, True, said=said, scene=case.line)
+        outcome, holds = "refused, though it can be solved", False
+    elif case.refused not in said or "\n" in said:
+        outcome, holds = f"refused by a line that does not name '{case.refused}'", False
+    return StabilityRow(case.name, outcome, holds, said=said, scene=case.line)
 
 
 def as_dicts(rows: Sequence[StabilityRow | NetworkRow]) -> list[Json]:
@@ -197,19 +189,22 @@ def as_dicts(rows: Sequence[StabilityRow | NetworkRow]) -> list[Json]:
 
 
 def format_table(rows: Sequence[StabilityRow | NetworkRow]) -> str:
-    """For people: a line a case, then what was given up or went wrong, and how to run it again; contacts, then networks."""
+    """Format a line per case, then what went wrong and how to run it again.
+
+    Contacts come first, then networks.
+    """
     networks = [row for row in rows if isinstance(row, NetworkRow)]
     contacts = [row for row in rows if isinstance(row, StabilityRow)]
-    parts = [_table(contacts)] if contacts else []
-    return "\n\n".join(
-        parts + ([stability_networks.format_network_table(networks)] if networks else [])
-    )
+    parts = [_format_contacts(contacts)] if contacts else []
+    if networks:
+        parts.append(stability_networks.format_network_table(networks))
+    return "\n\n".join(parts)
 
 
-def _table(rows: Sequence[StabilityRow]) -> str:
+def _format_contacts(rows: Sequence[StabilityRow]) -> str:
     width = max(len(row.case) for row in rows)
-    head = f"{'case':{width}}  finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
-    lines = [head, *(_line(row, width) for row in rows)]
+    head = "finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
+    lines = [f"{'case':{width}}  {head}", *(_format_line(row, width) for row in rows)]
     broken = [row for row in rows if not row.holds]
     for title, some in (("GIVEN UP", select_given_up(rows)), ("FAILED", broken)):
         for row in some:
@@ -218,31 +213,29 @@ def _table(rows: Sequence[StabilityRow]) -> str:
                 f"  again: python -m verification stability --only {row.case!r}",
                 f"  scene: {row.scene}",
             ]
-    counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
+    outcomes = Counter(row.outcome for row in rows)
+    counted = ", ".join(f"{outcomes[kind]} {kind}" for kind in PROMISED)
     widest = max((row.float_px for row in rows if not np.isnan(row.float_px)), default=0.0)
     lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
     solved = [row for row in rows if row.iterations]
     if solved:
-        slowest, median = (
-            max(solved, key=lambda row: row.iterations),
-            np.median([row.iterations for row in solved]),
-        )
+        slowest = max(solved, key=lambda row: row.iterations)
+        median = np.median([row.iterations for row in solved])
         lines.append(
-            f"slowest: {slowest.case}: {slowest.iterations} iterations, the median case {median:.0f}"
+            f"slowest: {slowest.case}: {slowest.iterations} iterations, "
+            f"the median case {median:.0f}"
         )
     lines.append(f"float32 against float64: at most {widest:.2g} px")
     return "\n".join(lines)
 
 
-def _line(row: StabilityRow, width: int) -> str:
+def _format_line(row: StabilityRow, width: int) -> str:
     if row.finite is None:
         return f"{row.case:{width}}  {row.outcome}: {row.said}"
-    figures = [
-        stability_networks.format_short(value)
-        for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)
-    ]
-    answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]
+    finite, converged = "yes" if row.finite else "NO", "yes" if row.converged else "NO"
+    short = stability_networks.format_short
     return (
-        f"{row.case:{width}}  {answers[0]:6} {answers[1]:5}  {figures[0]:9}  {figures[1]:7}  {figures[2]:7}  {figures[3]:7}  "
+        f"{row.case:{width}}  {finite:6} {converged:5}  {short(row.residual_mm):9}  "
+        f"{short(row.float_px):7}  {short(row.twin_px):7}  {short(row.tight_px):7}  "
         f"{row.iterations:<5}  {row.nodes:<5}  {row.ms:<7.4g}  {row.outcome}"
     )

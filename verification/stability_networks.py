@@ -1,16 +1,18 @@
-"""The networks at their extremes, judged: finite, or stopped by a line that names what; never silently wrong.
+"""Judgement of networks at their extremes: finite or stopped by name, never wrong.
 
     row = examine(case)
 
-A case computes something and hands back what it found, or raises `UserError`. It promises one outcome (or either of two), and
-whatever else happens breaks the promise: a number that is not finite, a NaN that came in and does not come out, a
-line that does not say where, a kept checkpoint that cannot be used, a traceback.
+A case computes something and hands back what it found, or raises `UserError`. It promises one
+outcome (or either of two), and whatever else happens breaks the promise: a number that is not
+finite, a NaN that came in and does not come out, a line that does not say where, a kept checkpoint
+that cannot be used, a traceback.
 """
 
 import contextlib
 import io
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,9 +31,10 @@ SAYS_WHERE = ("not finite at step", "batch", "checkpoint")  # in the line of a t
 
 @dataclass(frozen=True)
 class CaseOutput:
-    """What a case measured. `arrays`: trees that must be finite. `shown`: what must hold a NaN, as one came in."""
+    """What a case measured."""
 
-    arrays: Mapping[str, object]
+    arrays: Mapping[str, object]  # trees that must be finite
+    # trees that must hold a NaN, as one came in
     shown: Mapping[str, object] = field(default_factory=dict)
     error: float = np.nan  # at most `bar`, where there is one
     bar: float = np.nan
@@ -44,18 +47,18 @@ class CaseOutput:
 
 @dataclass(frozen=True)
 class NetworkCase:
-    """`run` works in an empty folder. `expects` is what it promises; a line must then hold all of `words`."""
+    """A computation with networks, and what it promises."""
 
     name: str
-    run: Callable[[Path], CaseOutput]
+    run: Callable[[Path], CaseOutput]  # in an empty folder
     line: str  # for people: what was run
-    expects: tuple[str, ...] = (FINITE,)
-    words: tuple[str, ...] = ()
+    expects: tuple[str, ...] = (FINITE,)  # outcomes that it promises
+    words: tuple[str, ...] = ()  # that the message of a stop must hold
 
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """Of one case; NaN where nothing was measured."""
+    """The outcome of one case; NaN where nothing was measured."""
 
     case: str
     outcome: str
@@ -66,16 +69,15 @@ class NetworkRow:
     gradient: float = np.nan
     error: float = np.nan
     bar: float = np.nan
-    kept: int | None = (
-        None  # step of the checkpoint that a stopped training left, loaded and found finite
-    )
+    # step of the checkpoint that a stopped training left, loaded and found finite
+    kept: int | None = None
     seconds: float = np.nan
     said: str = ""
     scene: str = ""
 
 
 def examine(case: NetworkCase) -> NetworkRow:
-    """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    """Run and judge one case; an exception is a judgement too, and the other cases still run."""
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         row = _examine(case, Path(name))
@@ -85,39 +87,42 @@ def examine(case: NetworkCase) -> NetworkRow:
 def _examine(case: NetworkCase, folder: Path) -> NetworkRow:
     row = NetworkRow(case.name, "", False, scene=case.line)
     try:
-        with contextlib.redirect_stderr(
-            io.StringIO()
-        ):  # a line of progress for each little training
-            found = case.run(folder)
-        return _judge(case, row, found)
+        # each little training prints its progress
+        with contextlib.redirect_stderr(io.StringIO()):
+            output = case.run(folder)
+        return _judge(case, row, output)
     except UserError as error:
-        return _judge_stop(
-            case, replace(row, said=str(error).replace(str(folder), "FOLDER")), folder
-        )
+        said = str(error).replace(str(folder), "FOLDER")
+        return _judge_stop(case, replace(row, said=said), folder)
     except Exception as error:
         return replace(row, outcome="crashed", said=f"{type(error).__name__}: {error}")
 
 
-def _judge(case: NetworkCase, row: NetworkRow, found: CaseOutput) -> NetworkRow:
-    if not jax.tree.leaves(dict(found.arrays)):
+def _judge(case: NetworkCase, row: NetworkRow, output: CaseOutput) -> NetworkRow:
+    if not jax.tree.leaves(dict(output.arrays)):
         return replace(row, outcome="nothing was measured")
-    broken = list_not_finite(found.arrays)
+    broken = list_not_finite(output.arrays)
     row = replace(
-        row, finite=not broken, steps=found.steps, loss=found.loss, gradient=found.gradient
+        row,
+        finite=not broken,
+        steps=output.steps,
+        loss=output.loss,
+        gradient=output.gradient,
+        error=output.error,
+        bar=output.bar,
     )
-    row = replace(row, error=found.error, bar=found.bar)
     if broken:
         return replace(row, outcome="not finite", said=", ".join(broken[:5]))
-    hidden = [name for name, tree in found.shown.items() if not list_not_finite({name: tree})]
+    hidden = [name for name, tree in output.shown.items() if not list_not_finite({name: tree})]
     if hidden:
         return replace(row, outcome="hides a NaN", said=", ".join(hidden))
-    if found.wrong:
-        return replace(row, outcome="wrong", said=found.wrong)
-    if not (np.isnan(found.bar) or found.error <= found.bar):
+    if output.wrong:
+        return replace(row, outcome="wrong", said=output.wrong)
+    if not (np.isnan(output.bar) or output.error <= output.bar):
         return replace(row, outcome="off by more than allowed")
     if FINITE not in case.expects:
         return replace(row, outcome=f"neither {' nor '.join(case.expects)}")
-    return replace(row, outcome=FINITE, holds=True, said=found.note)
+    return replace(row, outcome=FINITE, holds=True, said=output.note)
 
 
 def _judge_stop(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
@@ -126,12 +131,8 @@ def _judge_stop(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
         return replace(row, outcome="stopped, though it can be computed")
     missing = [word for word in case.words if word not in row.said]
     if missing or "\n" in row.said:
-        return replace(
-            row,
-            outcome=f"stopped by a line without '{', '.join(missing)}'"
-            if missing
-            else "several lines",
-        )
+        without = f"stopped by a line without '{', '.join(missing)}'"
+        return replace(row, outcome=without if missing else "several lines")
     kept = checkpoint.find_latest_step(folder)
     if kept is not None:
         try:
@@ -139,29 +140,31 @@ def _judge_stop(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
         except UserError as error:
             broken = [str(error)]
         if broken:
-            return replace(
-                row, outcome="left a checkpoint that cannot be used", said=", ".join(broken[:5])
-            )
+            outcome = "left a checkpoint that cannot be used"
+            return replace(row, outcome=outcome, said=", ".join(broken[:5]))
     return replace(row, outcome=outcome, holds=True, kept=kept)
 
 
 def list_not_finite(tree: Mapping[str, object]) -> list[str]:
-    """Dotted names of the arrays that hold a NaN or an infinity."""
-    leaves = list_leaves(dict(tree))
-    return [
-        name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()
-    ]
+    """List the dotted names of the arrays that hold a NaN or an infinity."""
+    names = []
+    for name, leaf in list_leaves(dict(tree)).items():
+        if not np.isfinite(np.asarray(leaf, np.float64)).all():
+            names.append(name)
+    return names
 
 
 def format_network_table(rows: Sequence[NetworkRow]) -> str:
-    """For people: a line a case, then what went wrong, and how to run it again."""
+    """Format a line per case, then what went wrong and how to run it again."""
     width = max(len(row.case) for row in rows)
     lines = [f"{'case':{width}}  steps  loss     gradient  error    allowed  kept  s      outcome"]
     for row in rows:
-        figures = [format_short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
+        loss, gradient = format_short(row.loss), format_short(row.gradient)
+        error, bar = format_short(row.error), format_short(row.bar)
+        kept = "" if row.kept is None else row.kept
         lines.append(
-            f"{row.case:{width}}  {row.steps or '':<5}  {figures[0]:7}  {figures[1]:8}  {figures[2]:7}  {figures[3]:7}  "
-            f"{'' if row.kept is None else row.kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
+            f"{row.case:{width}}  {row.steps or '':<5}  {loss:7}  {gradient:8}  {error:7}  "
+            f"{bar:7}  {kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
         )
         if row.said:
             lines.append(f"{'':{width}}  {row.said}")
@@ -173,10 +176,10 @@ def format_network_table(rows: Sequence[NetworkRow]) -> str:
                 f"  again: {again}",
                 f"  scene: {row.scene}",
             ]
-    counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
-    lines.append(
-        f"\n{len(rows)} cases of networks: {counted}; {sum(not row.holds for row in rows)} break the promise"
-    )
+    outcomes = Counter(row.outcome for row in rows)
+    counted = ", ".join(f"{outcomes[kind]} {kind}" for kind in PROMISED)
+    broken = sum(not row.holds for row in rows)
+    lines.append(f"\n{len(rows)} cases of networks: {counted}; {broken} break the promise")
     return "\n".join(lines)
 
 

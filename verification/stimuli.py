@@ -6,13 +6,7 @@ import numpy as np
 from jaxunshear.simulator.shapes import make_disk, make_stroke
 from jaxunshear.simulator.stimuli import Stimulus
 
-_ARM = np.array(
-    [
-        [radius * np.cos(a), radius * np.sin(a)]
-        for a in np.linspace(0, 4 * np.pi, 81)
-        for radius in [3 + a]
-    ]
-)
+_ARM = np.array([[(3 + a) * np.cos(a), (3 + a) * np.sin(a)] for a in np.linspace(0, 4 * np.pi, 81)])
 SHAPES = {
     shape.name: shape
     for shape in (

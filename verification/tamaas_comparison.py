@@ -1,12 +1,15 @@
-"""Normal contact against tamaas (Frerot et al. 2020, JOSS 5(51), 2121): an independent solver, on FFTs, of a periodic half-space.
+"""Normal contact against tamaas, an independent FFT solver of a periodic half-space.
 
-Ours is not periodic. Both are given the same total force; the copies of the load, with the even load that balances them in a
-period, then only lift the entire contact, by 3.900265 P / (pi E* L) for a square period L (the constant is that of the
-square Wigner lattice: Bonsall and Maradudin 1977, Phys. Rev. B 15, 1959); their curvature falls with (a / L)^3.
+Tamaas is described in Frerot et al. 2020, JOSS 5(51), 2121. Ours is not periodic. Both are given
+the same total force; the copies of the load, with the even load that balances them in a period,
+then only lift the entire contact, by 3.900265 P / (pi E* L) for a square period L (the constant is
+that of the square Wigner lattice: Bonsall and Maradudin 1977, Phys. Rev. B 15, 1959); their
+curvature falls with (a / L)^3.
 """
 
 from collections.abc import Callable
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,15 +19,16 @@ from verification.verification_rows import Row, fit_order, make_comparison_row, 
 GROUP = "normal contact against tamaas"
 PERIOD_MM, CELLS = 12.0, 480  # of its square grid
 LATTICE = 3.900265
+Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def compute_sphere_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(...) mm by which the surface stands back from the plane of its highest point."""
+    """Compute by how many mm (...) the surface stands back from its highest point."""
     return (x**2 + y**2) / 100.0
 
 
 def compute_two_sphere_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Of unlike radius and height, off the axis."""
+    """Compute the height of two spheres of unlike radius and height, off the axis."""
     first = ((x + 0.5) ** 2 + y**2) / 60.0
     second = ((x - 0.52) ** 2 + (y - 0.15) ** 2) / 40.0 + 0.002
     return np.minimum(first, second)
@@ -43,6 +47,7 @@ SCALES = np.array([0.5, 0.7, 1.0])  # of the profile, on the same nodes: smaller
 
 
 def compare_with_tamaas(body: HalfSpace) -> list[Row]:
+    """Compare pressed profiles; a single row says so if tamaas is not installed."""
     try:
         import tamaas
     except ImportError:
@@ -51,59 +56,53 @@ def compare_with_tamaas(body: HalfSpace) -> list[Row]:
     tamaas.set_log_level(tamaas.LogLevel.error)
     rows = []
     for name, (profile, depth) in PROFILES.items():
-        forces, settled = [], True
-        for scale in SCALES:
-            height = scale * profile(*body.nodes[:, :2].T / scale)
-            made = trace_forces(
-                body, height, make_press_poses(np.array([scale * depth]), 0), 0.0, tolerance=1e-6
-            )
-            forces.append(made.force[-1, 0, :, 2])
-            settled &= made.settled
-        total = forces[-1].sum()
-        exact_depth, line, pressure = _tamaas(tamaas, body, profile, total)
-        apart, shapes = [], []
-        for scale, force in zip(SCALES, forces, strict=True):
-            shapes.append(_on_grid(force / force.sum() / body.node_area, scale * line))
-            theirs = pressure / (scale**2 * total)
-            apart.append(np.abs(shapes[-1] - theirs).sum() / 2 * (scale * (line[1] - line[0])) ** 2)
-        order = fit_order(1 / SCALES, apart)
-        words = f"{name}: share of the force at another place"
-        rows += [
-            make_comparison_row(
-                GROUP,
-                f"{name}: depth at the same force, mm",
-                exact_depth,
-                depth,
-                0.01,
-                settled=settled,
-            ),
-            make_zero_row(
-                GROUP, words, apart[-1], 1.0, 0.05, order=order, least_order=1.0, settled=settled
-            ),
-        ]
-        for axis, ours, exact in zip(
-            "xy", _spread(shapes[-1], line), _spread(pressure, line), strict=True
-        ):
-            rows.append(
-                make_comparison_row(
-                    GROUP,
-                    f"{name}: extent of the pressure along {axis}, mm",
-                    exact,
-                    ours,
-                    0.02,
-                    settled=settled,
-                )
-            )
+        rows += _compare_profile(tamaas, body, name, profile, depth)
     return rows
 
 
-def _tamaas(
-    tamaas: ModuleType,
-    body: HalfSpace,
-    profile: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    total: float,
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Depth in mm (of an endless half-space), the grid's line, and the pressure (CELLS, CELLS) under a total force in N."""
+def _compare_profile(
+    tamaas: ModuleType, body: HalfSpace, name: str, profile: Profile, depth: float
+) -> list[Row]:
+    forces, settled = [], True
+    for scale in SCALES:
+        height = scale * profile(*body.nodes[:, :2].T / scale)
+        poses = make_press_poses(np.array([scale * depth]), 0)
+        trace = trace_forces(body, height, poses, 0.0, tolerance=1e-6)
+        forces.append(trace.force[-1, 0, :, 2])
+        settled &= trace.settled
+    total = forces[-1].sum()
+    exact = _press_with_tamaas(tamaas, body, profile, total)
+    line = exact.line
+    distances, shapes = [], []
+    for scale, force in zip(SCALES, forces, strict=True):
+        shapes.append(_interpolate_on_grid(force / force.sum() / body.node_area, scale * line))
+        theirs = exact.pressure / (scale**2 * total)
+        cell = (scale * (line[1] - line[0])) ** 2
+        distances.append(np.abs(shapes[-1] - theirs).sum() / 2 * cell)
+    words = f"{name}: depth at the same force, mm"
+    elsewhere = f"{name}: share of the force at another place"
+    order = {"order": fit_order(1 / SCALES, distances), "least_order": 1.0}
+    rows = [
+        make_comparison_row(GROUP, words, exact.depth, depth, 0.01, settled=settled),
+        make_zero_row(GROUP, elsewhere, distances[-1], 1.0, 0.05, settled=settled, **order),
+    ]
+    ours, theirs = _measure_extent(shapes[-1], line), _measure_extent(exact.pressure, line)
+    for i, axis in enumerate("xy"):
+        words = f"{name}: extent of the pressure along {axis}, mm"
+        rows.append(make_comparison_row(GROUP, words, theirs[i], ours[i], 0.02, settled=settled))
+    return rows
+
+
+class _TamaasPress(NamedTuple):
+    depth: float  # mm, of an endless half-space
+    line: np.ndarray  # (CELLS,) mm, of the grid
+    pressure: np.ndarray  # (CELLS, CELLS) MPa
+
+
+def _press_with_tamaas(
+    tamaas: ModuleType, body: HalfSpace, profile: Profile, total: float
+) -> _TamaasPress:
+    """Press a profile with a total force in N."""
     model = tamaas.Model(tamaas.model_type.basic_2d, [PERIOD_MM, PERIOD_MM], [CELLS, CELLS])
     model.E, model.nu = 1.0, body.poisson
     line = np.arange(CELLS) * PERIOD_MM / CELLS - PERIOD_MM / 2
@@ -113,11 +112,15 @@ def _tamaas(
     pressure, lift = np.asarray(model.traction), np.asarray(model.displacement)
     touching = pressure > 0
     level = np.mean((lift - surface)[touching]) - lift.mean()
-    return level + LATTICE * total / (np.pi * body.normal_modulus * PERIOD_MM), line, pressure
+    depth = level + LATTICE * total / (np.pi * body.normal_modulus * PERIOD_MM)
+    return _TamaasPress(depth, line, pressure)
 
 
-def _on_grid(nodal: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Nodal values (N,) on the square of `line` (C,): with hats of the radius times hats of the angle, as a node's force is spread."""
+def _interpolate_on_grid(nodal: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Interpolate nodal values (N,) on the square of `line` (C,).
+
+    Hats of the radius times hats of the angle are those with which a node's force is spread.
+    """
     x, y = np.meshgrid(line, line, indexing="ij")
     rings = round((1 + np.sqrt((4 * len(nodal) - 1) / 3)) / 2)
     inside = np.hypot(x, y) < (rings - 1) * SPACING_MM
@@ -135,6 +138,6 @@ def _on_grid(nodal: np.ndarray, line: np.ndarray) -> np.ndarray:
     return grid
 
 
-def _spread(pressure: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """(2,) mm: root mean square distance of the pressure (C, C) from the axis, along x and y."""
+def _measure_extent(pressure: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Measure the rms distance (2,) mm of the pressure (C, C) from the axis, along x and y."""
     return np.sqrt(np.array([pressure.sum(1), pressure.sum(0)]) @ line**2 / pressure.sum())

@@ -1,11 +1,11 @@
-"""The contact simulator against closed forms, another solver, and the symmetries that it must have.
+"""The contact simulator against closed forms, another solver, and its symmetries.
 
     rows = run_verification()
-    print(table(rows))
+    print(format_rows(rows))
     ok = all(row.holds for row in rows)
 
-Each of `CHECKS` is one problem, or a few that share their work. The half-space is the solver's own mesh, condensation and
-friction; the dome is the sensor as everybody uses it.
+Each of `CHECKS` is one problem, or a few that share their work. The half-space is the solver's own
+mesh, condensation and friction; the dome is the standard sensor.
 """
 
 from collections.abc import Callable
@@ -36,69 +36,64 @@ def _on_half_space(check: Callable[..., list[Row]]) -> Check:
 
 
 def check_compressible() -> list[Row]:
-    """Where the normal load drags the surface inwards, which Cattaneo and Mindlin leave out."""
+    """Inform where the normal load drags the surface inwards, which the theory leaves out."""
     return tangential_contact.check_cattaneo_mindlin(
         make_half_space(0.3, rings=9), np.array([7.5]), exact=False
     )
 
 
 def report_large_strain() -> list[Row]:
-    """What the model itself leaves out: no bar, as no solver of it could meet one."""
+    """Report what the model itself leaves out: no bar, as no solver of it could meet one."""
     from verification.model_error import measure_model_error
 
     group = "the model's own error: linear dome against neo-Hookean, pressed flat without friction"
     rows = []
-    for made in measure_model_error(TACTIP_331):
-        note = f"p95 {made.p95_px:.2f}, largest {made.max_px:.2f} px; force x {made.force_ratio:.3f}, radius x {made.radius_ratio:.3f}"
-        note += f"; {made.material_px:.2f} px rms with exact kinematics and a linear law"
-        note += f"; strain beyond 20 % in {100 * made.strained:.0f} % of the gel"
-        words = f"{made.depth_mm:g} mm deep: rms error of the pins, px of their {made.motion_px:.1f} px rms motion"
-        rows.append(
-            make_zero_row(
-                group, words, made.rms_px, made.motion_px, None, settled=made.converged, note=note
-            )
+    for error in measure_model_error(TACTIP_331):
+        note = (
+            f"p95 {error.p95_px:.2f}, largest {error.max_px:.2f} px; "
+            f"force x {error.force_ratio:.3f}, radius x {error.radius_ratio:.3f}; "
+            f"{error.material_px:.2f} px rms with exact kinematics and a linear law; "
+            f"strain beyond 20 % in {100 * error.strained:.0f} % of the gel"
         )
+        words = (
+            f"{error.depth_mm:g} mm deep: rms error of the pins, "
+            f"px of their {error.motion_px:.1f} px rms motion"
+        )
+        details = {"settled": error.converged, "note": note}
+        rows.append(make_zero_row(group, words, error.rms_px, error.motion_px, None, **details))
     return rows
 
 
 _HALF_SPACE = (
-    *(
-        normal_contact.check_hertz,
-        normal_contact.check_flat_punch,
-        tamaas_comparison.compare_with_tamaas,
-    ),
-    *(
-        tangential_contact.check_cattaneo_mindlin,
-        tangential_contact.check_oblique,
-        tangential_contact.check_cycle,
-        tangential_contact.check_torsion,
-    ),
+    normal_contact.check_hertz,
+    normal_contact.check_flat_punch,
+    tamaas_comparison.compare_with_tamaas,
+    tangential_contact.check_cattaneo_mindlin,
+    tangential_contact.check_oblique,
+    tangential_contact.check_cycle,
+    tangential_contact.check_torsion,
 )
 _LAWS = (
-    *(
-        invariants.check_compliance,
-        invariants.check_random_paths,
-        invariants.check_no_contact,
-        invariants.check_rotation,
-        invariants.check_full_slip,
-    ),
-    *(
-        invariants.check_closed_loop,
-        invariants.check_increment_order,
-        invariants.check_tolerance_order,
-    ),
+    invariants.check_compliance,
+    invariants.check_random_paths,
+    invariants.check_no_contact,
+    invariants.check_rotation,
+    invariants.check_full_slip,
+    invariants.check_closed_loop,
+    invariants.check_increment_order,
+    invariants.check_tolerance_order,
 )
 _DOME = (
-    *(
-        full_dome.check_rotation,
-        full_dome.check_mirroring,
-        full_dome.check_resuming,
-        full_dome.check_frictionless,
-    ),
-    *(full_dome.check_edge_sweep, full_dome.check_tilt),
+    full_dome.check_rotation,
+    full_dome.check_mirroring,
+    full_dome.check_resuming,
+    full_dome.check_frictionless,
+    full_dome.check_edge_sweep,
+    full_dome.check_tilt,
 )
 CHECKS: tuple[Check, ...] = (
-    *(elements.run_patch_test, elements.measure_manufactured_orders),
+    elements.run_patch_test,
+    elements.measure_manufactured_orders,
     *(_on_half_space(check) for check in _HALF_SPACE),
     check_compressible,
     *(_on_half_space(check) for check in _LAWS),
@@ -109,7 +104,10 @@ CHECKS: tuple[Check, ...] = (
 
 
 def run_verification(progress: Progress | None = None) -> list[Row]:
-    """All rows; `progress` is advanced by one for each of `CHECKS`. Minutes on two cores."""
+    """Run all checks, which takes minutes on two cores.
+
+    `progress` is advanced by one for each of `CHECKS`.
+    """
     rows = []
     for check in CHECKS:
         rows += check()

@@ -1,8 +1,9 @@
-"""Direct solver for the many right-hand sides of one sparse, symmetric positive definite matrix: dense blocks of a sparse band.
+"""Direct solver for many right-hand sides of a sparse, positive definite matrix.
 
-A mesh of a few thousand unknowns in the plane has a narrow band (about 240 here), which dense blocks use at the speed of
-matrix products: four times faster than a general sparse LU, and without its pivoting, so that a symmetric problem keeps a
-symmetric answer to rounding.
+The matrix is symmetric. The solver works on dense blocks of a sparse band. A mesh of a few thousand
+unknowns in the plane has a narrow band (about 240 here), which dense blocks use at the speed of
+matrix products: four times faster than a general sparse LU. There is no pivoting, so that a
+symmetric problem keeps a symmetric solution to rounding.
 """
 
 from collections.abc import Callable
@@ -12,18 +13,19 @@ import scipy.sparse as sp
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-_LEAST = 64  # rows of a block
+_MIN_ROWS = 64  # of a block
 
 
 def factorise(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that solves matrix (n, n) x = b for b (n, k). Raises numpy.linalg.LinAlgError where it is not definite.
+    """Make a function that solves matrix (n, n) x = b for b (n, k).
 
-    Block-tridiagonal Cholesky in the order of Cuthill and McKee (1969, Proc. 24th ACM Conf., 157-172): every row couples
-    with its own block and the next.
+    It is a block-tridiagonal Cholesky factorisation in the order of Cuthill and McKee (1969, Proc.
+    24th ACM Conf., 157-172): every row couples with its own block and the next. Raises
+    numpy.linalg.LinAlgError where the matrix is not definite.
     """
     order = reverse_cuthill_mckee(matrix, symmetric_mode=True)
     banded = matrix[order][:, order].tocsr()
-    blocks = _blocks(banded)
+    blocks = _find_blocks(banded)
     lower: list[np.ndarray] = []
     coupling: list[np.ndarray] = []  # with the block before, already divided by its factor
     for number, here in enumerate(blocks):
@@ -46,19 +48,19 @@ def factorise(matrix: sp.csr_matrix) -> Callable[[np.ndarray], np.ndarray]:
             parts[number] = solve_triangular(
                 lower[number], parts[number], lower=True, trans="T", check_finite=False
             )
-        answer = np.empty_like(right)
-        answer[order] = np.concatenate(parts)
-        return answer
+        solution = np.empty_like(right)
+        solution[order] = np.concatenate(parts)
+        return solution
 
     return solve
 
 
-def _blocks(banded: sp.csr_matrix) -> list[slice]:
-    """Slices of the rows, each of which reaches as far as the one before couples."""
+def _find_blocks(banded: sp.csr_matrix) -> list[slice]:
+    """Slice the rows so that each block reaches as far as the one before couples."""
     furthest = np.maximum.accumulate(np.maximum.reduceat(banded.indices, banded.indptr[:-1]))
     slices, start = [], 0
     while start < len(furthest):
-        stop = max(start + _LEAST, furthest[start - 1] + 1 if start else 0)
+        stop = max(start + _MIN_ROWS, furthest[start - 1] + 1 if start else 0)
         slices.append(slice(start, min(stop, len(furthest))))
         start = slices[-1].stop
     return slices

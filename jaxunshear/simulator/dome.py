@@ -1,7 +1,8 @@
-"""The condensed dome of a sensor: computed once (about 10 s), then kept in a cache folder.
+"""The condensed dome of a sensor: computed once (about 10 s), then cached on disk.
 
-A cache file is a checksum and what it is the checksum of: the harmonics of the answer (7 MB), and the settings they belong to.
-Whatever is not as it should be is reported and made again; two processes at the same work each put a complete file in place.
+A cache file is a checksum, the harmonics of the compliance (7 MB), and the settings they belong to.
+A file that does not hold what it should is reported and made again. Two processes at the same work
+each put a complete file in place.
 """
 
 import contextlib
@@ -26,6 +27,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.simulator.elasticity import (
     Compliance,
     HarmonicResponse,
+    Pins,
     compute_isotropic_stiffness,
     compute_response,
     sum_harmonics,
@@ -33,27 +35,27 @@ from jaxunshear.simulator.elasticity import (
 from jaxunshear.simulator.mesh import make_dome_mesh
 from jaxunshear.simulator.pin_layout import compute_pin_levers, compute_pin_tips
 
-VERSION = 5  # of what a cache file means: to be raised with every change of the model
+VERSION = 5  # of what a cache file means: raise it with every change of the model
 MESH_MM = 1.0  # of elements, where rings are RING_MM apart
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def load_dome(sensor: Sensor) -> Compliance:
-    """The compliance of a sensor's contact nodes and pins, from the cache where it is there and complete."""
-    return sum_harmonics(_load_cached(sensor, varied=False))
+    """Load the compliance of a sensor's contact nodes and pins, or compute and cache it."""
+    return sum_harmonics(_load_response(sensor, varied=False))
 
 
 def load_sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of w (3N, 3N) and g (3P, 3N) by log(skin_modulus_mpa), from the cache like the dome itself.
+    """Load the derivatives of w (3N, 3N) and g (3P, 3N) by log(skin_modulus_mpa), cached too.
 
     By log(gel_modulus_mpa) they are -w and -g less these: both moduli together only scale.
     """
-    slopes = sum_harmonics(_load_cached(sensor, varied=True))
+    slopes = sum_harmonics(_load_response(sensor, varied=True))
     return slopes.w, slopes.g
 
 
 def compute_dome(sensor: Sensor) -> Compliance:
-    """`load_dome` without the cache. Raises `UserError` for a sensor that cannot be."""
+    """Compute what `load_dome` loads. Raises `UserError` for a sensor that cannot be."""
     return sum_harmonics(_compute(sensor, modulus_derivative=False))
 
 
@@ -71,25 +73,24 @@ def _compute(
     materials = np.where(mesh.skin[:, None, None], skin, gel)
     arcs = compute_ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + compute_ring_spacing(sensor))
-    levers, part = compute_pin_levers(sensor), mesh.skin if modulus_derivative else None
-    return compute_response(
-        mesh, materials, hats, compute_pin_tips(sensor), _harmonics(sensor), levers, part, progress
-    )
+    pins = Pins(compute_pin_tips(sensor), compute_pin_levers(sensor))
+    varied = mesh.skin if modulus_derivative else None
+    return compute_response(mesh, materials, hats, pins, _count_harmonics(sensor), varied, progress)
 
 
-def _harmonics(sensor: Sensor) -> int:
-    """As many as nodes in the outer ring; the others bear fewer."""
+def _count_harmonics(sensor: Sensor) -> int:
+    """Count the nodes in the outer ring; the other rings bear fewer harmonics."""
     return 6 * (len(compute_ring_arcs(sensor)) - 1)
 
 
-def _load_cached(sensor: Sensor, varied: bool) -> HarmonicResponse:
+def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
     check_sensor(sensor)
     settings = {
         **asdict(sensor),
         "version": VERSION,
         "mesh": _mesh_mm(sensor),
         "rings": compute_ring_arcs(sensor).tolist(),
-        "harmonics": _harmonics(sensor),
+        "harmonics": _count_harmonics(sensor),
         "varied": varied,
     }
     text = json.dumps(settings, sort_keys=True)
@@ -106,47 +107,48 @@ def _load_cached(sensor: Sensor, varied: bool) -> HarmonicResponse:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.touch()  # before the work: a folder that cannot be written to is reported at once
         with Progress(
-            f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics"
+            f"dome of {sensor.name}", _count_harmonics(sensor) + 1, unit="harmonics"
         ) as progress:
-            made = _compute(sensor, varied, progress)
-        part.write_bytes(_pack_response(made, text))
+            response = _compute(sensor, varied, progress)
+        part.write_bytes(_pack_response(response, text))
         os.replace(part, path)
     except OSError as error:
         raise UserError(
-            f"cannot write the cache file {path}: {error.strerror}; set JAXUNSHEAR_CACHE to a folder with room"
+            f"cannot write the cache file {path}: {error.strerror}; "
+            "set JAXUNSHEAR_CACHE to a folder with room"
         ) from error
     finally:
         with contextlib.suppress(OSError):  # the first error is the one worth reporting
             part.unlink(missing_ok=True)
-    return made
+    return response
 
 
-def _pack_response(made: HarmonicResponse, settings: str) -> bytes:
+def _pack_response(response: HarmonicResponse, settings: str) -> bytes:
     stream = io.BytesIO()
     np.savez(
         stream,
         settings=np.array(settings),
-        **{field.name: getattr(made, field.name) for field in fields(made)},
+        **{field.name: getattr(response, field.name) for field in fields(response)},
     )
     return hashlib.sha256(stream.getvalue()).digest() + stream.getvalue()
 
 
 def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
-    """Raises one of _BROKEN, with what is wrong, where the file does not hold just what belongs to these settings."""
+    """Read a cache file.
+
+    Raises one of _BROKEN if it does not hold what belongs to the settings.
+    """
     data = path.read_bytes()
     if hashlib.sha256(data[32:]).digest() != data[:32]:
         raise ValueError("damaged: its checksum does not agree")
     with np.load(io.BytesIO(data[32:])) as stored:
-        made = HarmonicResponse(
+        response = HarmonicResponse(
             **{field.name: stored[field.name] for field in fields(HarmonicResponse)}
         )
         if str(stored["settings"]) != settings:
             raise ValueError("made with other settings")
-    rings, harmonics, places = (
-        len(compute_ring_arcs(sensor)),
-        _harmonics(sensor) + 1,
-        int(made.positions.max(initial=0)) + 1,
-    )
+    rings, harmonics = len(compute_ring_arcs(sensor)), _count_harmonics(sensor) + 1
+    places = int(response.positions.max(initial=0)) + 1
     shapes = {
         "nodes": (1 + 3 * rings * (rings - 1), 3),
         "pins": (sensor.pins, 3),
@@ -155,7 +157,7 @@ def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
         "fields": (harmonics, 3 * places, 3 * rings),
     }
     for name, shape in shapes.items():
-        values = getattr(made, name)
+        values = getattr(response, name)
         if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(f"its {name} are not {shape} finite numbers")
-    return made
+    return response

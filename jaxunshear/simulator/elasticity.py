@@ -1,19 +1,22 @@
-"""From a body of revolution to the compliance of its contact nodes and pins: linear elasticity by Fourier harmonics.
+"""Linear elasticity of a body of revolution: compliance of its contact nodes and pins.
 
-The body is axisymmetric, its load is not: loads and displacements are expanded in exp(i m theta), and every harmonic m is a
-small 2-D problem on the (r, z) mesh (Wilson 1965, AIAA J. 3(12)). With u_r = U, u_theta = -i V, u_z = W the stiffness is
-real, K_m = K_0 + m K_1 + m^2 K_2. Elements are 8-node quadrilaterals with 2 x 2 reduced integration, which do not lock up to
-a Poisson ratio of 0.4999.
+The body is axisymmetric, its load is not: loads and displacements are expanded in exp(i m theta),
+and every harmonic m is a small 2-D problem on the (r, z) mesh (Wilson 1965, AIAA J. 3(12)). With
+u_r = U, u_theta = -i V, u_z = W the stiffness is real, K_m = K_0 + m K_1 + m^2 K_2. Elements are
+8-node quadrilaterals with 2 x 2 reduced integration, which do not lock up to a Poisson ratio of
+0.4999.
 
-Contact nodes stand in rings 1 + 6 + 12 + ... A unit force at a node is spread with a hat function along the ring's
-meridian and another around the axis, and a node's displacement is the mean with the same weights, so that the condensed
-compliance W is symmetric positive definite by construction, if there are at least as many harmonics as nodes in a ring.
+Contact nodes stand in rings 1 + 6 + 12 + ... A unit force at a node is spread with a hat function
+along the ring's meridian and another around the axis, and a node's displacement is the mean with
+the same weights. The condensed compliance W is then symmetric positive definite by construction, if
+there are at least as many harmonics as nodes in a ring.
 
-Read `condense` first: `compute_response` solves the harmonics, `harmonics` puts them together.
+Read `condense` first: `compute_response` solves the harmonics, `harmonics` sums them.
 """
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,49 +40,71 @@ _SAMPLES = 40  # of a surface edge
 
 @dataclass(frozen=True)
 class Compliance:
-    """`nodes` (N, 3) contact nodes and `pins` (P, 3) in mm; forces and displacements are ordered node by node, (x, y, z).
+    """Displacements of N contact nodes and P pins per nodal force, mm/N for moduli in MPa.
 
-    `w` (3N, 3N) is displacement of the nodes per nodal force, `g` (3P, 3N) of the pins, mm/N for moduli in MPa.
+    Forces and displacements are ordered node by node, (x, y, z).
     """
 
-    nodes: np.ndarray
-    pins: np.ndarray
-    w: np.ndarray
-    g: np.ndarray
+    nodes: np.ndarray  # (N, 3) mm
+    pins: np.ndarray  # (P, 3) mm
+    w: np.ndarray  # (3N, 3N) of the nodes
+    g: np.ndarray  # (3P, 3N) of the pins
 
 
 @dataclass(frozen=True)
 class HarmonicResponse:
     """A `Compliance` before its harmonics are summed, a tenth of its size.
 
-    `rings` (M, 3R, 3R): mean displacement (U, V, W) of each ring per unit load on each; `fields` (M, 3Q, 3R): of the pins that
-    stand at Q places of the half-plane; pin p belongs to place[p].
+    Pins stand at Q places of the half-plane; displacements (U, V, W) are per unit load on each of R
+    rings.
     """
 
-    nodes: np.ndarray
-    pins: np.ndarray
-    positions: np.ndarray
-    rings: np.ndarray
-    fields: np.ndarray
+    nodes: np.ndarray  # (N, 3) mm
+    pins: np.ndarray  # (P, 3) mm
+    positions: np.ndarray  # (P,) the place of each pin
+    rings: np.ndarray  # (M, 3R, 3R) mean displacement of each ring
+    fields: np.ndarray  # (M, 3Q, 3R) displacement of the pins
+
+
+class Pins(NamedTuple):
+    """P pins, each a rigid lever from a face of the body to its tip, along the face's normal.
+
+    A tip moves with the face's rotation too. A pin without length moves with the gel around it.
+    """
+
+    tips: np.ndarray  # (P, 3) mm
+    levers: np.ndarray  # (P, 3) mm from the face to the tip
+
+
+class HarmonicStiffness(NamedTuple):
+    """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns U, V, W node by node."""
+
+    k0: sp.csc_matrix
+    k1: sp.csc_matrix
+    k2: sp.csc_matrix
+
+    def compute_harmonic(self, m: int) -> sp.csc_matrix:
+        return self.k0 + m * self.k1 + m * m * self.k2
 
 
 def compute_lame_constants(modulus: float, poisson: float) -> tuple[float, float]:
-    """Lame's constants mu and lambda in MPa."""
+    """Compute Lame's constants mu and lambda in MPa."""
     return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
 
 def compute_isotropic_stiffness(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
-    """Stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
+    """Compute the stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z).
+
+    The last three are engineering shears.
+    """
     shear, first = compute_lame_constants(modulus, poisson)
     d = np.diag([2 * shear] * 3 + [shear] * 3)
     d[:3, :3] += first
     return d
 
 
-def assemble_stiffness(
-    mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]
-) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
-    """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
+def assemble_stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> HarmonicStiffness:
+    """Assemble the stiffness of the body's elements."""
     values, slopes, area, r = sample_elements(mesh, GAUSS)
     over_r = values[None] / r[..., None]
     in_r, in_z = slopes[..., 0], slopes[..., 1]
@@ -108,44 +133,58 @@ def assemble_stiffness(
         return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsc()
 
     mixed = assemble(fixed, growing)
-    return assemble(fixed, fixed), (mixed + mixed.T).tocsc(), assemble(growing, growing)
+    return HarmonicStiffness(
+        assemble(fixed, fixed), (mixed + mixed.T).tocsc(), assemble(growing, growing)
+    )
 
 
-def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the surface edges at `samples` (Q,) in [-1, 1]: shape functions (Q, 3), points (S, Q, 2), speeds (S, Q)."""
-    line, slope = compute_edge_shapes(samples)
+class _SurfaceSamples(NamedTuple):
+    """Q points of each of S surface edges."""
+
+    shapes: np.ndarray  # (Q, 3) shape functions
+    points: np.ndarray  # (S, Q, 2) mm
+    speeds: np.ndarray  # (S, Q) mm per unit of the edge's coordinate
+
+
+def _sample_surface(mesh: Mesh, samples: np.ndarray) -> _SurfaceSamples:
+    """Sample the surface edges at `samples` (Q,) in [-1, 1]."""
+    shapes, slope = compute_edge_shapes(samples)
     ends = mesh.nodes[mesh.surface]
     speeds = np.linalg.norm(np.einsum("qn,snx->sqx", slope, ends), axis=-1)
-    return line, np.einsum("qn,snx->sqx", line, ends), speeds
+    return _SurfaceSamples(shapes, np.einsum("qn,snx->sqx", shapes, ends), speeds)
 
 
 def compute_ring_loads(
     mesh: Mesh, arcs: Float[np.ndarray, "_"]
 ) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
-    """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
+    """Compute how a unit force on a ring spreads over mesh nodes, and the rings' r and z.
 
-    `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
+    `arcs` (R + 1,) are lengths along the surface from the axis, rising from 0; the last one only
+    ends the last hat.
     """
-    line, points, speeds = _along_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
-    lengths = 2 * speeds / _SAMPLES
+    middles = _sample_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
+    lengths = 2 * middles.speeds / _SAMPLES
     ends = np.cumsum(lengths.ravel()).reshape(lengths.shape)
     hats = np.stack(
         [np.interp(ends - lengths / 2, arcs, row, right=0.0) for row in np.eye(len(arcs))[:-1]], -1
     )
-    weight = hats * (points[..., 0] * lengths)[..., None]
+    weight = hats * (middles.points[..., 0] * lengths)[..., None]
     weight /= weight.sum(axis=(0, 1))
     loads = np.zeros((len(mesh.nodes), len(arcs) - 1))
-    np.add.at(loads, mesh.surface, np.einsum("qn,sqk->snk", line, weight))
+    np.add.at(loads, mesh.surface, np.einsum("qn,sqk->snk", middles.shapes, weight))
 
-    _, outline, _ = _along_surface(mesh, np.arange(1, _SAMPLES + 1) / _SAMPLES * 2 - 1)
+    outline = _sample_surface(mesh, np.arange(1, _SAMPLES + 1) / _SAMPLES * 2 - 1).points
     outline = np.concatenate([mesh.nodes[mesh.surface[:1, 0]], outline.reshape(-1, 2)])
-    reached = np.concatenate([[0.0], ends.ravel()])
-    return loads, np.stack([np.interp(arcs[:-1], reached, axis) for axis in outline.T], -1)
+    arc = np.concatenate([[0.0], ends.ravel()])
+    return loads, np.stack([np.interp(arcs[:-1], arc, axis) for axis in outline.T], -1)
 
 
-def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
-    """Columns: the free unknowns of harmonic m. On the axis a field is finite and single-valued only if
-    U = V = 0 (m = 0), U + V = 0 and W = 0 (m = 1), all zero (m > 1)."""
+def _make_axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
+    """Make the matrix whose columns are the free unknowns of harmonic m.
+
+    On the axis a field is finite and single-valued only if U = V = 0 (m = 0), U + V = 0 and W = 0
+    (m = 1), or all are zero (m > 1).
+    """
     size = 3 * len(mesh.nodes)
     keep = np.ones(size, bool)
     keep[(3 * mesh.clamped[:, None] + np.arange(3)).ravel()] = False
@@ -168,22 +207,38 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     return select.tocsc()
 
 
+class _StandingPins(NamedTuple):
+    levers: PinLevers
+    positions: np.ndarray  # (P,) the place of each pin
+
+
+def _stand_pins(mesh: Mesh, pins: Pins) -> _StandingPins:
+    """Stand the pins on the mesh; those of equal place in the half-plane share one lever."""
+    ends = []
+    for points in (pins.tips - pins.levers, pins.tips):
+        ends.append(np.stack([np.hypot(*points.T[:2]), points[:, 2]], -1))
+    rounded = np.round(np.concatenate(ends, -1), 9)
+    places, positions = np.unique(rounded, axis=0, return_inverse=True)
+    feet, tips = places[:, :2], places[:, 2:]
+    levers = PinLevers(feet, tips - feet, compute_interpolation(mesh, feet))
+    return _StandingPins(levers, positions.ravel())
+
+
 def compute_response(
     mesh: Mesh,
     materials: Float[np.ndarray, "E 6 6"],
     ring_arcs: Float[np.ndarray, "_"],
-    pins: Float[np.ndarray, "P 3"],
+    pins: Pins,
     harmonics: int,
-    levers: Float[np.ndarray, "P 3"] | None = None,
     varied: Bool[np.ndarray, "E"] | None = None,
     progress: Progress | None = None,
 ) -> HarmonicResponse:
-    """As `condense`, before the harmonics are summed.
+    """Compute what `condense` sums: the response of each harmonic.
 
-    A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a thousandth of W, and what
-    a mesh answers to waves shorter than its elements is wrong.
-
-    With `varied`: instead its derivative by the logarithm of a factor on the moduli of these elements.
+    A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a
+    thousandth of W, and what a mesh answers to waves shorter than its elements is wrong. With
+    `varied` the result is its derivative by the logarithm of a factor on the moduli of these
+    elements.
     """
     loads, outline = compute_ring_loads(mesh, ring_arcs)
     sizes = compute_ring_sizes(len(loads.T))
@@ -191,58 +246,59 @@ def compute_response(
     ring, angle = make_ring_lattice(len(sizes))
     around = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], -1)
     nodes = outline[ring][:, [0, 0, 1]] * around
-    levers = np.zeros_like(pins) if levers is None else levers
-    stands = pins - levers
-    flat = [np.stack([np.hypot(*both.T[:2]), both[:, 2]], -1) for both in (stands, pins)]
-    places, place = np.unique(np.round(np.concatenate(flat, -1), 9), axis=0, return_inverse=True)
-    held = PinLevers(
-        places[:, :2], places[:, 2:] - places[:, :2], compute_interpolation(mesh, places[:, :2])
-    )
-
+    levers, positions = _stand_pins(mesh, pins)
     spatial = sp.kron(sp.csr_matrix(loads), sp.eye(3)).tocsc()  # (3V, 3R)
-    parts = assemble_stiffness(mesh, materials)
-    slopes = (
-        None
-        if varied is None
-        else assemble_stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
-    )
+    stiffness = assemble_stiffness(mesh, materials)
+    slope = None
+    if varied is not None:
+        slope = assemble_stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
     rings = np.zeros((harmonics + 1, spatial.shape[1], spatial.shape[1]))
-    fields = np.zeros((harmonics + 1, 3 * len(places), spatial.shape[1]))
-    with _one_thread():
+    fields = np.zeros((harmonics + 1, 3 * len(levers.places), spatial.shape[1]))
+    with _use_one_thread():
         for m in range(harmonics + 1):
-            free = _axis_constraints(mesh, m)
             bears = np.flatnonzero(np.repeat(sizes >= m, 3))
             load = spatial[:, bears]
-            try:
-                solve = factorise(free.T @ _harmonic(parts, m) @ free)
-            except np.linalg.LinAlgError:
-                raise UserError(
-                    "the dome's stiffness is singular to rounding: bring the moduli of skin and gel closer together, "
-                    "or Poisson's ratios away from 0.5"
-                ) from None
-            field = free @ solve((free.T @ load).toarray())
-            if slopes is not None:
-                field = free @ solve(-free.T @ (_harmonic(slopes, m) @ field))
+            field = _solve_harmonic(_make_axis_constraints(mesh, m), stiffness, slope, load, m)
             rings[m][np.ix_(bears, bears)] = load.T @ field
-            fields[m][:, bears] = held.motion(field, m)
+            fields[m][:, bears] = levers.motion(field, m)
             if progress is not None:
                 progress.advance(1)
-    return HarmonicResponse(nodes, pins, place.ravel(), rings, fields)
+    return HarmonicResponse(nodes, pins.tips, positions, rings, fields)
 
 
-def _one_thread() -> AbstractContextManager[object]:
-    """For thousands of small products: threads that wait for each other made them ten times slower on busy cores."""
+def _solve_harmonic(
+    free: sp.csc_matrix,
+    stiffness: HarmonicStiffness,
+    slope: HarmonicStiffness | None,
+    load: sp.csc_matrix,
+    m: int,
+) -> np.ndarray:
+    """Solve harmonic m for the displacements under loads, or for their derivative by `slope`."""
+    try:
+        solve = factorise(free.T @ stiffness.compute_harmonic(m) @ free)
+    except np.linalg.LinAlgError:
+        raise UserError(
+            "the dome's stiffness is singular to rounding: bring the moduli of skin and gel closer "
+            "together, or Poisson's ratios away from 0.5"
+        ) from None
+    field: np.ndarray = free @ solve((free.T @ load).toarray())
+    if slope is not None:
+        field = free @ solve(-free.T @ (slope.compute_harmonic(m) @ field))
+    return field
+
+
+def _use_one_thread() -> AbstractContextManager[object]:
+    """Limit BLAS to one thread.
+
+    On several busy cores thousands of small products took ten times longer.
+    """
     return threadpool_limits(1, user_api="blas")
-
-
-def _harmonic(parts: tuple[sp.csc_matrix, ...], m: int) -> sp.csc_matrix:
-    return parts[0] + m * parts[1] + m * m * parts[2]
 
 
 def sum_harmonics(response: HarmonicResponse) -> Compliance:
     """Sum the harmonics."""
     angle = np.arctan2(response.pins[:, 1], response.pins[:, 0])
-    with _one_thread():
+    with _use_one_thread():
         g = compute_point_compliance(response.fields, response.positions, angle)
         return Compliance(response.nodes, response.pins, compute_node_compliance(response.rings), g)
 
@@ -255,10 +311,12 @@ def condense(
     harmonics: int,
     levers: Float[np.ndarray, "P 3"] | None = None,
 ) -> Compliance:
-    """Compliance of contact rings and of pins with tips at `pins`, for materials as of `compute_isotropic_stiffness`.
+    """Compute the compliance of contact rings and of pins with tips at `pins`.
 
-    `harmonics`: at most the number of nodes in the outer ring is used, as it should be for an answer that is definite.
-    `ring_arcs`: as for `compute_ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
-    face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
+    `materials` are as from `compute_isotropic_stiffness`, `ring_arcs` as for `compute_ring_loads`,
+    `levers` as in `Pins`; without them tips move with the gel around them. At most as many
+    `harmonics` are used as the outer ring has nodes, and as many are needed for a compliance that
+    is positive definite.
     """
-    return sum_harmonics(compute_response(mesh, materials, ring_arcs, pins, harmonics, levers))
+    standing = Pins(pins, np.zeros_like(pins) if levers is None else levers)
+    return sum_harmonics(compute_response(mesh, materials, ring_arcs, standing, harmonics))

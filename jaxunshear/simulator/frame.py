@@ -1,4 +1,7 @@
-"""Turns between the sensor frame, the level frame (the same with its tilt undone) and the target frame; how far a pose is from another."""
+"""Rotations between sensor frame, level frame and target frame, and lengths of motions.
+
+The level frame is the sensor frame with its tilt undone.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +11,7 @@ from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS
 
 
 def compute_level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
-    """Rotations from the sensor frame to the level frame of poses: Rodrigues' formula."""
+    """Compute the rotations from the sensor frame to the level frame of poses (Rodrigues)."""
     tilt = pose[:, TILT_X:]
     squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
     angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
@@ -26,7 +29,10 @@ def compute_level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 
 def matmul(
     a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]
 ) -> Float[jax.Array, "*C m n"]:
-    """Of matrices, in their own precision also on a GPU, which would round float32 to ten bits; as all of the physics."""
+    """Multiply matrices in their own precision, also on a GPU.
+
+    A GPU would otherwise round float32 to ten bits, which no part of the physics may do.
+    """
     return jnp.matmul(a, b, precision="highest")
 
 
@@ -47,7 +53,10 @@ def transform_to_level(
     points: Float[jax.Array, "B N 3"],
     centre_mm: Float[jax.Array, ""],
 ) -> Float[jax.Array, "B N 3"]:
-    """Points of the sensor frame in the level frame (None: the same), whose lowest point of the dome lies at z = 0."""
+    """Transform points of the sensor frame to the level frame; None leaves them.
+
+    The lowest point of the dome lies at z = 0 in the level frame.
+    """
     if frame is None:
         return points
     zero = jnp.zeros_like(centre_mm)
@@ -58,7 +67,7 @@ def transform_to_level(
 def rotate_in_plane(
     angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N 2"]:
-    """By angles in rad."""
+    """Rotate points in the plane by angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     return jnp.stack(
         [cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1
@@ -68,7 +77,7 @@ def rotate_in_plane(
 def compute_increment_length(
     before: Float[jax.Array, "B 6"], after: Float[jax.Array, "B 6"], radius_mm: Float[jax.Array, ""]
 ) -> Float[jax.Array, "B"]:
-    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
+    """Compute by how many mm the dome's tip moves; turns count at `radius_mm`."""
     change = after - before
     turns = radius_mm * jnp.linalg.norm(change[:, jnp.array(TURNS)], axis=-1)
     return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns

@@ -1,20 +1,24 @@
-"""The converged contact as a differentiable function: pins by path, friction and compliance, from the implicit function theorem.
+"""The converged contact as a differentiable function, from the implicit function theorem.
 
-Every increment's force solves f = P(f - c), c = W f + b. Differentiated there, with D = P' (3 x 3 for each node: the identity
-where it sticks, the disk's projection where it slips, nothing where it is free),
+It maps path, friction and compliance to the pins. Every increment's force solves f = P(f - c) with
+c = W f + b. Differentiated there, with D = P' (3 x 3 for each node: the identity where it sticks,
+the disk's projection where it slips, nothing where it is free),
 
     (I - D (I - W)) df = -D (dW f + db) + (dP/dmu) dmu,
 
-one dense system a scene and increment, whichever way the solver came to f. It is written as a forward rule
-(`jax.custom_jvp`), whose transpose JAX derives, so that few inputs (`jax.jacfwd`) and few outputs (`jax.grad`) are cheap alike;
-what an increment inherits from those before it flows through the skin's displacement. Going back, only the forces are kept and
-the systems are built again. The same matrix polishes the force by semismooth Newton steps (Qi & Sun 1993, Math. Program. 58),
-so that the answer that is differentiated holds to rounding.
+one dense system a scene and increment, however the solver came to f. It is written as a forward
+rule (`jax.custom_jvp`), whose transpose JAX derives, so that few inputs (`jax.jacfwd`) and few
+outputs (`jax.grad`) are both cheap. What an increment inherits from those before it flows through
+the skin's displacement. Going back, only the forces are kept and the systems are built again. The
+same matrix polishes the force by semismooth Newton steps (Qi & Sun 1993, Math. Program. 58), so
+that the solution that is differentiated holds to rounding.
 
-At a switch, where a node is about to touch, part, stick or slip, P has a kink and the pins have one-sided derivatives only.
-What comes out then belongs to the side on which the node was found. `compute_switch_distance` says how far the nearest switch was.
+At a switch, where a node is about to touch, part, stick or slip, P has a kink and the pins have
+one-sided derivatives only. The result then belongs to the side on which the node was found.
+`compute_switch_distance` says how far the nearest switch was.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -22,23 +26,26 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.ad_checkpoint import checkpoint_name
-from jax.custom_batching import custom_vmap
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from jaxunshear.simulator.admm import (
+    RHO,
+    Increment,
+    SolverStart,
+    multiply,
+    project,
+    solve_increment,
+)
+from jaxunshear.simulator.contact_problem import ContactProblem, Skin
 from jaxunshear.simulator.frame import compute_increment_length, compute_level_frame, rotate
 from jaxunshear.simulator.friction import (
     LEAST_MM,
     MOST_MM,
     PASSES,
-    RHO,
-    Skin,
-    System,
-    _times,
     compute_increment_offset,
-    project,
-    solve_increment,
+    move_skins,
 )
-from jaxunshear.simulator.obstacle import Obstacles
+from jaxunshear.simulator.linearised_contact import compute_projection_slopes, solve_linearised
 
 TOLERANCE, LIMIT = 1e-3, 2000  # of the solver's first round, before the Newton steps
 ROUNDS, NEWTON = 4, 12
@@ -55,7 +62,7 @@ class WarmStart(NamedTuple):
 
 
 class PinState(NamedTuple):
-    """After a path. Only `motion` and `skin` carry derivatives."""
+    """Pins and skins after a path. Only `motion` and `skin` carry derivatives."""
 
     motion: Array  # (B, P, 3) mm that the pin tips moved, sensor frame
     skin: Skin
@@ -63,47 +70,15 @@ class PinState(NamedTuple):
     residual_mm: Array  # (B,) natural residual of the worst increment
 
 
-_Search = tuple[Array, Array, Array, Array]
-_SolverInputs = tuple[Array, Array, Array, Array, WarmStart]
-_Pass = tuple[Array, Array, Array, Array, Array]
-
-
-def compute_projection_slopes(
-    moved: Float[Array, "B N 3"], friction: Float[Array, "B"]
-) -> tuple[Float[Array, "B N 3 3"], Float[Array, "B N 3"]]:
-    """Derivatives of P: by the force, and by friction.
-
-    Without friction the disk is a point and P is smooth: no tangential force, and none that answers to a tangential move.
-    """
-    tangential, normal = moved[..., :2], moved[..., 2]
-    sticks, mu = jnp.isinf(friction)[:, None], jnp.where(jnp.isinf(friction), 0, friction)[:, None]
-    pull = jnp.sqrt(jnp.sum(tangential**2, axis=-1))
-    limit = mu * jnp.maximum(normal, 0)
-    slips = ~sticks & ((pull > limit) | (mu == 0))
-    along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
-    share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
-    outer = jnp.where(slips[..., None, None], along[..., :, None] * along[..., None, :], 0)
-    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype)[None, None] - outer)
-    zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
-    by_normal = jnp.where(slips, mu, 0)[..., None] * along
-    bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
-    matrix = jnp.concatenate([jnp.concatenate([disk, by_normal[..., None]], -1), bottom], -2)
-    by_friction = jnp.concatenate(
-        [jnp.where(slips, jnp.maximum(normal, 0), 0)[..., None] * along, zero[..., None]], -1
-    )
-    touches = (normal > 0)[..., None]
-    return jnp.where(touches[..., None], matrix, 0), jnp.where(touches, by_friction, 0)
-
-
 def compute_switch_distance(
-    moved: Float[Array, "B N 3"], friction: Float[Array, "B"]
+    trial: Float[Array, "B N 3"], friction: Float[Array, "B"]
 ) -> Float[Array, "B"]:
-    """In mm, by which f - (W f + b) may change before any node touches, parts, sticks or slips.
+    """Compute how far in mm f - (W f + b) may change before any node passes a switch.
 
-    For a free node that is its gap, for a slipping one its slip beyond the last that would stick; forces count in mm of the
-    displacement that each would give to its own node.
+    For a free node that is its gap, for a slipping one its slip beyond the last that would stick.
+    Forces count in mm of the displacement that each would give to its own node.
     """
-    tangential, normal = moved[..., :2], moved[..., 2]
+    tangential, normal = trial[..., :2], trial[..., 2]
     mu = friction[:, None]
     either = (mu > 0) & ~jnp.isinf(mu) & (normal > 0)
     limit = jnp.where(either, mu, 0) * normal
@@ -111,222 +86,201 @@ def compute_switch_distance(
     return jnp.min(jnp.minimum(jnp.abs(normal), jnp.where(either, beyond, jnp.inf)), axis=-1)
 
 
-def _solve_linear(w: Array, frame: Array, slope: Array, right: Array, most: int) -> Array:
-    """df (B, N, 3) of (I - D (I - W)) df = right, in the level frame; free nodes, D = 0, drop out.
-
-    As long as no scene touches with more than `most` nodes, the systems have that size.
-    """
-    back = jnp.swapaxes(frame, 1, 2)
-    inside = (jnp.einsum("bji,bnjk,bkl->bnil", frame, slope, frame), rotate(back, right))
-    touches = jnp.any(slope != 0, axis=(2, 3))
-    if most >= touches.shape[1]:
-        return rotate(frame, _dense(w, *inside))
-    few = _most_touching(jax.lax.stop_gradient(touches)) <= most
-    return rotate(frame, jax.lax.cond(few, partial(_on_touching, most), _dense, w, *inside))
-
-
-@custom_vmap
-def _most_touching(touches: Array) -> Array:
-    """Of all scenes, of those of a vmap too: the choice that stands on it stays one, or both of its sides would be worked out.
-
-    XLA's CPU client was seen to wait for ever for two such factorisations of one loop.
-    """
-    return jnp.max(jnp.sum(touches, axis=-1))
-
-
-@_most_touching.def_vmap
-def _most_touching_rule(size: int, batched: list[bool], touches: Array) -> tuple[Array, bool]:
-    return _most_touching(touches), False
-
-
-def _on_touching(most: int, w: Array, slope: Array, right: Array) -> Array:
-    touches = jnp.any(slope != 0, axis=(2, 3))
-    index = jnp.argsort(~touches, axis=1, stable=True)[:, :most]
-    free = jnp.where(touches[..., None], 0, right)
-    side = right - jnp.einsum("bnij,bnj->bni", slope, _times(w, free, None))
-    pick = lambda field: jax.vmap(lambda row, i: row[i])(field, index)  # noqa: E731
-    nodes = right.shape[1]
-    blocks = (
-        w.T.reshape(nodes, 3, nodes, 3)
-        .transpose(0, 2, 1, 3)[index[:, :, None], index[:, None]]
-        .transpose(0, 1, 3, 2, 4)
-    )
-    found = _dense_blocks(blocks, pick(slope), pick(side))
-    return jax.vmap(lambda row, i, values: row.at[i].set(values, unique_indices=True))(
-        free, index, jnp.where(pick(touches)[..., None], found, pick(free))
-    )
-
-
-def _dense(w: Array, slope: Array, right: Array) -> Array:
-    nodes = right.shape[1]
-    return _dense_blocks(w.T.reshape(1, nodes, 3, nodes, 3), slope, right)
-
-
-def _dense_blocks(blocks: Array, slope: Array, right: Array) -> Array:
-    """(I - D (I - W)) x = right for W as blocks (B or 1, M, 3, M, 3)."""
-    count, nodes = right.shape[:2]
-    one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(1, nodes, 3, nodes, 3)
-    matrix = one + jnp.einsum("bnij,bnjmk->bnimk", slope, blocks - one)
-    factors = jax.scipy.linalg.lu_factor(matrix.reshape(count, 3 * nodes, 3 * nodes))
-    return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(
-        right.shape
-    )
-
-
-def _compute_shifted_force(w: Array, frame: Array, offset: Array, force: Array) -> Array:
-    return force - _times(w, force, frame) - offset
-
-
-def _size(miss: Array) -> Array:
+def _compute_size(miss: Array) -> Array:
+    """Compute the largest miss (B,) of any node from vectors (B, N, 3)."""
     return jnp.max(jnp.linalg.norm(miss, axis=-1), axis=-1)
 
 
-def _find(
-    most: int, w: Array, frame: Array, offset: Array, friction: Array, guess: WarmStart
-) -> Array:
-    """The force by rounds of ADMM, each ten times tighter than the one before, and Newton steps where these help."""
-    goal = jnp.where(guess.length_mm > 0, GOAL_MM[offset.dtype.name], jnp.inf).astype(offset.dtype)
-    system = System(w, guess.inverse, w, jnp.zeros((0, 3), w.dtype), jnp.zeros((), w.dtype))
+class _NewtonState(NamedTuple):
+    force: Array
+    error: Array  # (B,)
+    improved: Array  # () whether the last step improved any scene
+    number: Array  # () of steps
 
-    def miss(force: Array) -> Array:
-        return force - project(_compute_shifted_force(w, frame, offset, force), friction)
 
-    def newton(state: _Search) -> _Search:
-        force, error, _, number = state
-        slope, _ = compute_projection_slopes(
-            _compute_shifted_force(w, frame, offset, force), friction
-        )
-        after = force - _solve_linear(w, frame, slope, miss(force), most)
-        error_after = _size(miss(after))
+def _polish_force(
+    most: int, increment: Increment, force: Array, error: Array, goal: Array
+) -> _NewtonState:
+    """Take semismooth Newton steps for as long as they help a scene that is not at its goal."""
+
+    def step(state: _NewtonState) -> _NewtonState:
+        force, error = state.force, state.error
+        trial = increment.compute_trial_force(force)
+        slope = compute_projection_slopes(trial, increment.friction).by_force
+        right = increment.compute_miss(force)
+        after = force - solve_linearised(increment, slope, right, most)
+        error_after = _compute_size(increment.compute_miss(after))
         better = (error_after < error) & (error > goal)
-        pick = lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
-        return pick(after, force), pick(error_after, error), jnp.any(better), number + 1
+        return _NewtonState(
+            jnp.where(better[:, None, None], after, force),
+            jnp.where(better, error_after, error),
+            jnp.any(better),
+            state.number + 1,
+        )
 
-    def newton_goes_on(state: _Search) -> Array:
-        _, error, improved, number = state
-        return jnp.any(error > goal) & improved & (number < NEWTON)
+    def goes_on(state: _NewtonState) -> Array:
+        return jnp.any(state.error > goal) & state.improved & (state.number < NEWTON)
 
-    def one_round(state: _Search) -> _Search:
-        force, dual, error, number = state
+    start = _NewtonState(force, error, jnp.ones((), bool), jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(goes_on, step, start)
+
+
+class _RoundState(NamedTuple):
+    force: Array
+    dual: Array
+    error: Array  # (B,)
+    number: Array  # () of rounds
+
+
+def _find_force(most: int, increment: Increment, guess: WarmStart) -> Array:
+    """Find the force by rounds of ADMM, each ten times tighter, and Newton steps."""
+    dtype = increment.offset.dtype
+    goal = jnp.where(guess.length_mm > 0, GOAL_MM[dtype.name], jnp.inf).astype(dtype)
+
+    def compute_free_dual(force: Array) -> Array:
+        return -(increment.displace(force) + increment.offset) / RHO
+
+    def solve_round(state: _RoundState) -> _RoundState:
         length = jnp.clip(guess.length_mm, LEAST_MM, MOST_MM)
-        wanted = jnp.where(
-            error > goal, TOLERANCE * length * 10.0 ** -number.astype(length.dtype), jnp.inf
-        ).astype(offset.dtype)
-        warm = (force, dual, _times(w, force, frame))
-        force, dual, _, _ = solve_increment(system, frame, offset, friction, warm, wanted, LIMIT)
-        start = (force, _size(miss(force)), jnp.ones((), bool), jnp.zeros((), jnp.int32))
-        force, error, _, _ = jax.lax.while_loop(newton_goes_on, newton, start)
-        return force, -(_times(w, force, frame) + offset) / RHO, error, number + 1
+        tolerance = TOLERANCE * length * 10.0 ** -state.number.astype(length.dtype)
+        tolerance = jnp.where(state.error > goal, tolerance, jnp.inf).astype(dtype)
+        warm = SolverStart(state.force, state.dual, increment.displace(state.force))
+        force = solve_increment(increment, guess.inverse, warm, tolerance, LIMIT).force
+        error = _compute_size(increment.compute_miss(force))
+        polished = _polish_force(most, increment, force, error, goal)
+        dual = compute_free_dual(polished.force)
+        return _RoundState(polished.force, dual, polished.error, state.number + 1)
 
-    opening = -(_times(w, guess.force, frame) + offset) / RHO
-    dual = jnp.where(guess.force[..., -1:] > 0, guess.dual, opening)
-    error = jnp.where(guess.length_mm > 0, _size(miss(guess.force)), 0)
-    start = (guess.force, dual, error, jnp.zeros((), jnp.int32))
-    return jax.lax.while_loop(lambda s: jnp.any(s[2] > goal) & (s[3] < ROUNDS), one_round, start)[0]
+    def goes_on(state: _RoundState) -> Array:
+        return jnp.any(state.error > goal) & (state.number < ROUNDS)
+
+    dual = jnp.where(guess.force[..., -1:] > 0, guess.dual, compute_free_dual(guess.force))
+    miss = _compute_size(increment.compute_miss(guess.force))
+    error = jnp.where(guess.length_mm > 0, miss, 0)
+    start = _RoundState(guess.force, dual, error, jnp.zeros((), jnp.int32))
+    return jax.lax.while_loop(goes_on, solve_round, start).force
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def solve_contact_force(
-    most: int,
-    w: Float[Array, "N3 N3"],
-    frame: Float[Array, "B 3 3"],
-    offset: Float[Array, "B N 3"],
-    friction: Float[Array, "B"],
-    guess: WarmStart,
-) -> Float[Array, "B N 3"]:
-    """Force, in the level frame, of f = P(f - (W f + b)) with offset b; N3 = 3 N.
+def solve_contact_force(most: int, increment: Increment, guess: WarmStart) -> Float[Array, "B N 3"]:
+    """Solve an increment's equation for the force, in the level frame.
 
-    Fastest where no more than `most` nodes of a scene touch, and right anyway.
+    Fastest where no more than `most` nodes of a scene touch, and right anyway. `increment` must
+    have a frame and three unknowns a node.
     """
-    return _find(most, w, frame, offset, friction, guess)
+    return _find_force(most, increment, guess)
 
 
 @solve_contact_force.defjvp
-def _contact_force_jvp(
-    most: int, primals: _SolverInputs, tangents: _SolverInputs
+def _differentiate_contact_force(
+    most: int, primals: tuple[Increment, WarmStart], tangents: tuple[Increment, WarmStart]
 ) -> tuple[Array, Array]:
-    w, frame, offset, friction, guess = primals
+    increment, tangent = primals[0], tangents[0]
     force = checkpoint_name(solve_contact_force(most, *primals), "force")
     total, change = jax.jvp(
-        lambda *given: _times(given[0], force, given[1]) + given[2],
-        (w, frame, offset),
-        tangents[:3],
+        lambda w, frame, offset: multiply(w, force, frame) + offset,
+        (increment.w, increment.frame, increment.offset),
+        (tangent.w, tangent.frame, tangent.offset),
     )
-    slope, by_friction = compute_projection_slopes(force - total, friction)
-    finite = jnp.where(jnp.isinf(friction), 0, tangents[3])
-    right = by_friction * finite[:, None, None] - jnp.einsum("bnij,bnj->bni", slope, change)
-    return force, _solve_linear(w, frame, slope, right, most)
+    slopes = compute_projection_slopes(force - total, increment.friction)
+    finite = jnp.where(jnp.isinf(increment.friction), 0, tangent.friction)
+    through_total = jnp.einsum("bnij,bnj->bni", slopes.by_force, change)
+    right = slopes.by_friction * finite[:, None, None] - through_total
+    return force, solve_linearised(increment, slopes.by_force, right, most)
+
+
+class _PathState(NamedTuple):
+    skin: Skin
+    margin: Array  # (B,) mm
+    worst: Array  # (B,) residual, mm
+
+
+class _PassState(NamedTuple):
+    force: Array  # in the level frame, as the dual
+    dual: Array
+    displacement: Array
+    margin: Array
+    worst: Array
 
 
 def compute_pin_state(
-    system: System,
+    problem: ContactProblem,
     to_pins: Float[Array, "N3 P3"],
-    obstacles: Obstacles,
-    which: Int[Array, "B"],
-    friction: Float[Array, "B"],
     path: Float[Array, "T B 6"],
     skin: Skin,
     most: int,
 ) -> PinState:
-    """Where the pins are after B skins followed `path`, as `friction.follow_path`, each increment to rounding.
+    """Compute where the pins are after B skins followed `path`.
 
-    Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and the displacement of
-    `skin`, which is at path[0]. `system` must have three unknowns a node; float64 is advised. Runs under jit;
-    the batch is its own. `most`: see `solve_contact_force`.
+    Each increment is solved to rounding. Differentiable by `system.w`, `to_pins` (both scaled as in
+    `System`), `friction`, `path`, and the displacement of `skin`, which is at path[0]. The problem
+    must be `tilted` and have three unknowns a node; float64 is advised. Runs under jit; the batch
+    is its own. `most` as in `solve_contact_force`.
     """
 
-    def step(
-        state: tuple[Skin, Array, Array], pose: Array
-    ) -> tuple[tuple[Skin, Array, Array], None]:
-        skin, margin, worst = state
-        moves = jnp.any(pose != skin.pose, axis=-1)
-        length = jnp.where(
-            moves, compute_increment_length(skin.pose, pose, system.centre_mm / 4), 0
-        )
-        frame = compute_level_frame(pose)
-        back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
+    def step(state: _PathState, pose: Array) -> tuple[_PathState, None]:
+        return _advance_increment(problem, state, pose, most), None
 
-        @partial(
-            jax.checkpoint,
-            prevent_cse=False,
-            policy=jax.checkpoint_policies.save_only_these_names("force"),
-        )
-        def one_pass(state: _Pass, _: None) -> tuple[_Pass, None]:
-            force, dual, displacement, margin, worst = state
-            offset = compute_increment_offset(
-                system, obstacles, which, skin, pose, True, displacement
-            )
-            guess = jax.lax.stop_gradient(WarmStart(system.inverse, force, dual, length))
-            force = solve_contact_force(most, system.w, frame, offset, friction, guess)
-            total = _times(system.w, force, frame) + offset
-            displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(
-                force.shape
-            )
-            margin = jnp.minimum(
-                margin, jnp.where(moves, compute_switch_distance(force - total, friction), jnp.inf)
-            )
-            worst = jnp.maximum(
-                worst, jnp.where(moves, _size(force - project(force - total, friction)), 0)
-            )
-            return (force, -total / RHO, displacement, margin, worst), None
+    count = len(problem.friction)
+    none = jnp.zeros(count, path.dtype)
+    state, _ = jax.lax.scan(step, _PathState(skin, none + jnp.inf, none), path[1:])
+    motion = (state.skin.force.reshape(count, -1) @ to_pins).reshape(count, -1, 3)
+    return PinState(
+        motion, state.skin, jax.lax.stop_gradient(state.margin), jax.lax.stop_gradient(state.worst)
+    )
 
-        start = (
-            rotate(frame, skin.force),
-            rotate(frame, skin.dual),
-            skin.displacement,
-            margin,
-            worst,
-        )
-        (force, dual, displacement, margin, worst), _ = jax.lax.scan(one_pass, start, length=PASSES)
-        after = Skin(
-            jnp.where(keep, rotate(back, force), skin.force),
-            jnp.where(keep, rotate(back, dual), skin.dual),
-            jnp.where(keep, displacement, skin.displacement),
-            pose,
-        )
-        return (after, margin, worst), None
 
-    none = jnp.zeros(len(which), path.dtype)
-    (skin, margin, worst), _ = jax.lax.scan(step, (skin, none + jnp.inf, none), path[1:])
-    motion = (skin.force.reshape(len(which), -1) @ to_pins).reshape(len(which), -1, 3)
-    return PinState(motion, skin, jax.lax.stop_gradient(margin), jax.lax.stop_gradient(worst))
+def _advance_increment(
+    problem: ContactProblem, state: _PathState, pose: Array, most: int
+) -> _PathState:
+    """Move skins to a pose in PASSES passes, as `friction.advance_increment` does."""
+    skin = state.skin
+    frame = compute_level_frame(pose)
+    back, moves = jnp.swapaxes(frame, 1, 2), jnp.any(pose != skin.pose, axis=-1)
+    start = _PassState(
+        rotate(frame, skin.force),
+        rotate(frame, skin.dual),
+        skin.displacement,
+        state.margin,
+        state.worst,
+    )
+    solve_pass = _make_pass(problem, skin, pose, frame, most)
+    end, _ = jax.lax.scan(solve_pass, start, length=PASSES)
+    after = Skin(rotate(back, end.force), rotate(back, end.dual), end.displacement, pose)
+    return _PathState(move_skins(skin, moves, after), end.margin, end.worst)
+
+
+def _make_pass(
+    problem: ContactProblem, skin: Skin, pose: Array, frame: Array, most: int
+) -> Callable[[_PassState, None], tuple[_PassState, None]]:
+    """Make one pass over an increment, which keeps nothing but the force for going back."""
+    system, friction = problem.system, problem.friction
+    moves = jnp.any(pose != skin.pose, axis=-1)
+    length = jnp.where(moves, compute_increment_length(skin.pose, pose, system.centre_mm / 4), 0)
+    back = jnp.swapaxes(frame, 1, 2)
+
+    @partial(
+        jax.checkpoint,
+        prevent_cse=False,
+        policy=jax.checkpoint_policies.save_only_these_names("force"),
+    )
+    def solve_pass(state: _PassState, _: None) -> tuple[_PassState, None]:
+        offset = compute_increment_offset(problem, skin, pose, state.displacement)
+        increment = Increment(system.w, frame, offset, friction)
+        guess = jax.lax.stop_gradient(WarmStart(system.inverse, state.force, state.dual, length))
+        force = solve_contact_force(most, increment, guess)
+        total = increment.displace(force) + offset
+        displacement = rotate(back, force).reshape(len(friction), -1) @ system.w
+        trial = force - total
+        margin = jnp.where(moves, compute_switch_distance(trial, friction), jnp.inf)
+        residual = jnp.where(moves, _compute_size(force - project(trial, friction)), 0)
+        after = _PassState(
+            force,
+            -total / RHO,
+            displacement.reshape(force.shape),
+            jnp.minimum(state.margin, margin),
+            jnp.maximum(state.worst, residual),
+        )
+        return after, None
+
+    return solve_pass

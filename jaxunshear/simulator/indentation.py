@@ -1,4 +1,4 @@
-"""How far the skin has been pressed in above each pin: the truth that a reconstructed contact geometry is compared with."""
+"""How far the skin is pressed in above each pin: the ground truth of contact geometry."""
 
 import numpy as np
 from jaxtyping import Float
@@ -11,25 +11,26 @@ from jaxunshear.simulator.systems import load_shared_dome
 
 
 def compute_indentation(sensor: Sensor, skins: Skins) -> Float[np.ndarray, "B P"]:
-    """In mm, inward normal displacement of the dome's outer face above each pin, positive where it is pressed in.
+    """Compute the inward normal displacement in mm of the dome's outer face above each pin.
 
-    Of a pin beyond the contact nodes, where nothing ever touches, that of the nearest node.
+    It is positive where the face is pressed in. A pin beyond the contact nodes, where nothing ever
+    touches, has that of the nearest node.
     """
     return skins.force_n.reshape(len(skins.force_n), -1) @ compute_indentation_per_force(sensor).T
 
 
 def compute_indentation_per_force(sensor: Sensor) -> Float[np.ndarray, "P N3"]:
-    """In mm/N, the same per unit of force on each contact node."""
+    """Compute the indentation above each pin in mm/N of force on each contact node."""
     full = load_shared_dome(sensor)
     outward = full.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
     inward = -np.einsum("ni,nim->nm", outward, full.w.reshape(*outward.shape, -1))
-    corners, shares = _above_pins(sensor, outward)
-    return np.einsum("pk,pkm->pm", shares, inward[corners])
+    corners, weights = _locate_pins(sensor, outward)
+    return np.einsum("pk,pkm->pm", weights, inward[corners])
 
 
-def _above_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Contact nodes (P, 3) around each pin, and their shares (P, 3), on the dome rolled out flat."""
+def _locate_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the contact nodes (P, 3) around each pin and their weights, on the flattened dome."""
     across = np.linalg.norm(outward[:, :2], axis=-1)
     arc = sensor.dome_radius_mm * np.arctan2(across, -outward[:, 2])
     flat = outward[:, :2] * (arc / np.maximum(across, 1e-12))[:, None]
@@ -38,7 +39,7 @@ def _above_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.nda
     beyond = triangle < 0
     transform = mesh.transform[triangle]
     first = np.einsum("pij,pj->pi", transform[:, :2], pins - transform[:, 2])
-    corners, shares = mesh.simplices[triangle], np.column_stack([first, 1 - first.sum(axis=-1)])
+    corners, weights = mesh.simplices[triangle], np.column_stack([first, 1 - first.sum(axis=-1)])
     corners[beyond] = cKDTree(flat).query(pins[beyond])[1][:, None]
-    shares[beyond] = [1, 0, 0]
-    return corners, shares
+    weights[beyond] = [1, 0, 0]
+    return corners, weights

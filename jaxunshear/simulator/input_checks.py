@@ -1,4 +1,4 @@
-"""What cannot be simulated is refused here, by name of its field, before any work starts."""
+"""Checks that refuse what cannot be simulated, by field, before any work starts."""
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
 from jaxunshear.simulator.scene import Scenes
 from jaxunshear.simulator.scheduler import MIN_LEG_MM
+
+SAME_POINT = 1e-6  # mm or degrees by which a path may begin beside its skin
 
 
 def get_level(name_or_level: str | Level) -> Level:
@@ -26,15 +28,15 @@ def check_batch(batch: int) -> None:
 
 
 def check_scenes(scenes: Scenes) -> None:
-    """Before they become paths, so that a complaint names the scene's own field."""
-    for field, values in zip(("pose", "move"), (scenes.pose, scenes.move), strict=True):
+    """Check scenes before they become paths, so that a message names the scene's own field."""
+    for field, values in (("pose", scenes.pose), ("move", scenes.move)):
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=-1))
         if len(bad):
             raise UserError(f"scene {bad[0]}: {field} = {values[bad[0]].tolist()} is not finite")
 
 
 def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
-    """The sensor and its paths over so many stimuli."""
+    """Check a sensor and its paths over so many stimuli."""
     check_sensor(sensor)
     if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
         raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
@@ -52,6 +54,10 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
         raise UserError(
             f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named"
         )
+    _check_depths(sensor, paths)
+
+
+def _check_depths(sensor: Sensor, paths: Paths) -> None:
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
     deepest = np.vectorize(
         lambda degrees: compute_max_contact_depth_mm(sensor, degrees), otypes=[float]
@@ -60,32 +66,36 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
     if len(deep):
         row, point = deep[0]
         depth, most = paths.points[row, point, DEPTH], max(deepest[row, point], 0)
-        leaning = f" at a tilt of {tilt[row, point]:.3g} deg" if tilt[row, point] else ""
+        tilted = f" at a tilt of {tilt[row, point]:.3g} deg" if tilt[row, point] else ""
         raise UserError(
-            f"scene {row}: depth {depth:.3g} mm cannot be reached{leaning}; the contact model covers {most:.1f} mm there"
+            f"scene {row}: depth {depth:.3g} mm cannot be reached{tilted}; "
+            f"the contact model covers {most:.1f} mm there"
         )
 
 
-def check_started(paths: Paths) -> None:
-    """Refuses, where there is no skin to start from, paths that stand still in contact: nothing says how it came about."""
+def check_start_at_rest(paths: Paths) -> None:
+    """Refuse paths without a skin to start from that stay in contact: their slide is unknown."""
     still = np.all(np.abs(np.diff(paths.points, axis=1)) < MIN_LEG_MM, axis=(1, 2))
-    held = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
-    if len(held):
+    bad = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
+    if len(bad):
+        depth = paths.points[bad[0], 0, DEPTH]
         raise UserError(
-            f"scene {held[0]}: its path stays where it begins, at depth {paths.points[held[0], 0, DEPTH]:.3g} mm: begin at depth 0, "
-            "or give the skin to start from"
+            f"scene {bad[0]}: its path stays where it begins, at depth {depth:.3g} mm: "
+            "begin at depth 0, or give the skin to start from"
         )
 
 
 def check_start(paths: Paths, start: Skins, nodes: int) -> None:
-    """`nodes`: of the dome."""
+    """Check that paths start from these skins, of a dome with so many contact nodes."""
     if start.force_n.shape != (len(paths), nodes, 3) or not np.isfinite(start.force_n).all():
         raise UserError(
-            f"the skins to start from: give {len(paths)} of them, with finite forces on {nodes} nodes; "
-            f"these are {start.force_n.shape[0]} with {start.force_n.shape[1]}"
+            f"the skins to start from: give {len(paths)} of them, with finite forces on {nodes} "
+            f"nodes; these are {start.force_n.shape[0]} with {start.force_n.shape[1]}"
         )
-    apart = np.flatnonzero(np.abs(paths.points[:, 0] - start.point).max(axis=-1) > 1e-6)
-    if len(apart):
+    distance = np.abs(paths.points[:, 0] - start.point).max(axis=-1)
+    bad = np.flatnonzero(distance > SAME_POINT)
+    if len(bad):
         raise UserError(
-            f"scene {apart[0]}: its path starts elsewhere than its skin: begin at {start.point[apart[0]].tolist()}"
+            f"scene {bad[0]}: its path starts elsewhere than its skin: "
+            f"begin at {start.point[bad[0]].tolist()}"
         )

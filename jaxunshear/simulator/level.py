@@ -2,21 +2,25 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 # What `auto` leaves out, in the words of the command that shows a plan.
 OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
-STRONG_FRICTION = 1.0  # a friction above which over-relaxed ADMM runs in circles: P is steep where nodes part, and its steps must be short
+# Above this friction over-relaxed ADMM runs in circles: P is steep where nodes part, and the steps
+# of ADMM must be short.
+STRONG_FRICTION = 1.0
 
 
 @dataclass(frozen=True)
 class Level:
     """How exactly a path is followed, and what is left out of it.
 
-    A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
-    has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
-    its own length, within `limit` iterations. `strong` is the relaxation of ADMM where friction is STRONG, None the usual one;
-    `solver` stands in for ADMM, where one is to be compared with it.
-    `reference` leaves out only what provably changes nothing.
+    A leg between two way points is cut into increments of at most `press_mm` in depth and
+    `slide_mm` along the surface. A leg has at least `press` or `slide` of them, unless "steps" is
+    among the omissions. An increment is solved to `tolerance` times its own length, within `limit`
+    iterations. `strong_friction` is the relaxation of ADMM above STRONG_FRICTION, None the usual
+    one. `solver` replaces ADMM, to compare another one with it. `reference` leaves out only what
+    provably changes nothing.
     """
 
     press: int
@@ -29,7 +33,7 @@ class Level:
     omit: tuple[str, ...] = OMISSIONS
     wide_margin: bool = False  # leave out fewer nodes
     strong_friction: float | None = 0.7
-    solver: Callable[..., tuple] | None = None
+    solver: Callable[..., Any] | None = None  # as `admm.Solver`
 
 
 LEVELS = {
@@ -51,13 +55,10 @@ LEVELS = {
         strong_friction=None,
     ),
 }
-STRONGER_LEVELS = {
-    "fast": "auto",
-    "default": "reference",
-    "auto": "reference",
-}  # where to try again
+# the level at which a contact that did not converge is solved again
+STRONGER_LEVELS = {"fast": "auto", "default": "reference", "auto": "reference"}
 
 
 def without_omissions(level: Level) -> Level:
-    """The same level with nothing left out."""
+    """Return the level with nothing left out."""
     return replace(level, omit=())

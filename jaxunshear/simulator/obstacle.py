@@ -1,7 +1,8 @@
 """The rigid stimulus as the contact sees it: a flat top that rounds off over the edge.
 
-Signed distances are sampled once on a grid about the target, so that one compiled program serves every shape and a batch
-may mix shapes; between grid points they are interpolated bilinearly (below 0.01 mm of error away from corners).
+Signed distances are sampled once on a grid about the target, so that one compiled program serves
+every shape and a batch may mix shapes. Between grid points they are interpolated bilinearly, with
+an error below 0.01 mm away from corners.
 """
 
 from functools import partial
@@ -15,19 +16,23 @@ from jaxtyping import Float, Int
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 
-EDGE_RADIUS_MM = 1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
+# of the rounding: that of the node spacing, so that a node meets an edge gradually
+EDGE_RADIUS_MM = 1.0
 REACH_MM = 125.0  # beyond every shape, seen from its target
 SPACING_MM = 0.25
 
 
 class Obstacles(NamedTuple):
-    """Signed distances (S, H, H) in mm on a square grid of spacing SPACING_MM about each target point."""
+    """Signed distances of S stimuli on a square grid of SPACING_MM about each target point."""
 
-    distance: jax.Array
+    distance: jax.Array  # (S, H, H) mm
 
 
 def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    """The stimuli as obstacles, (S, H, H). Raises UserError where a distance or a target is not finite."""
+    """Sample the stimuli as obstacles.
+
+    Raises UserError where a distance or a target is not finite.
+    """
     for stimulus in stimuli:
         if not np.isfinite(stimulus.target).all():
             raise UserError(
@@ -35,15 +40,14 @@ def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
             )
     line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
 
-    def grid(stimulus: Stimulus) -> jax.Array:
-        row = lambda y: compute_signed_distance(
-            stimulus, jnp.stack([line, jnp.full_like(line, y)], -1)
-        )
-        return jax.jit(partial(jax.lax.map, row))(
-            line
-        )  # row by row: a shape of many segments needs memory
+    def sample_grid(stimulus: Stimulus) -> jax.Array:
+        def sample_row(y: jax.Array) -> jax.Array:
+            return compute_signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))
 
-    grids = [grid(stimulus) for stimulus in stimuli]
+        # row by row: a shape of many segments needs memory
+        return jax.jit(partial(jax.lax.map, sample_row))(line)
+
+    grids = [sample_grid(stimulus) for stimulus in stimuli]
     for stimulus, values in zip(stimuli, grids, strict=True):
         if not bool(jnp.isfinite(values).all()):
             raise UserError(
@@ -53,11 +57,11 @@ def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
 
 
 def interpolate_distance(
-    obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+    obstacles: Obstacles, index: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N"]:
-    """Signed distance in mm at points of the target frame of each obstacle.
+    """Interpolate the signed distances in mm of obstacles `index` in their target frames.
 
-    Beyond the grid the way to the grid is added: far outside, as every shape lies within.
+    Beyond the grid the distance to the grid is added: far outside, as every shape lies within.
     """
     size = obstacles.distance.shape[-1]
     half = SPACING_MM * (size - 1) / 2
@@ -66,7 +70,7 @@ def interpolate_distance(
     cell = place.astype(jnp.int32)
     share = place - cell.astype(place.dtype)
     flat = obstacles.distance.reshape(-1)
-    base = which[:, None] * size * size + cell[..., 1] * size + cell[..., 0]
+    base = index[:, None] * size * size + cell[..., 1] * size + cell[..., 0]
     corner = [flat[base + step].astype(xy.dtype) for step in (0, 1, size, size + 1)]
     lower = corner[0] * (1 - share[..., 0]) + corner[1] * share[..., 0]
     upper = corner[2] * (1 - share[..., 0]) + corner[3] * share[..., 0]
@@ -76,8 +80,11 @@ def interpolate_distance(
 
 
 def compute_surface_drop(
-    obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+    obstacles: Obstacles, index: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
 ) -> Float[jax.Array, "B N"]:
-    """How far (mm) the stimulus' surface lies below its flat top: a parabola that osculates the edge's rounding."""
-    outside = jnp.maximum(interpolate_distance(obstacles, which, xy), 0)
+    """Compute how far in mm the stimulus' surface lies below its flat top.
+
+    The drop is a parabola that osculates the edge's rounding.
+    """
+    outside = jnp.maximum(interpolate_distance(obstacles, index, xy), 0)
     return outside**2 / (2 * EDGE_RADIUS_MM)

@@ -1,8 +1,10 @@
-"""A motion in full: way points of the sensor over a stimulus, with slide, twist and tilt. Many are arrays side by side.
+"""Motions in full: way points of the sensor over a stimulus, with slide, twist and tilt.
 
-    press, slide and twist:  points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
+Many motions are arrays with a leading axis:
 
-`Scenes` are the paper's two kinds of motion; `make_paths` writes them out.
+    press, slide, twist: points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
+
+`Scenes` are the paper's two kinds of motion; `make_paths` converts them.
 """
 
 from dataclasses import dataclass
@@ -17,11 +19,12 @@ TURNS = (YAW, TILT_X, TILT_Y)
 
 @dataclass(frozen=True)
 class Paths:
-    """B motions over K way points (numpy), in the target frame of the stimulus; straight lines in between.
+    """B motions over K way points (numpy), in the target frame; straight lines in between.
 
-    A point is x, y (mm), yaw (deg), depth (mm), tilt_x, tilt_y (deg): `depth` is how far the lowest point of the undeformed
-    dome, above (x, y), would lie below the stimulus' top. The tilt is a rotation vector in the yawed frame, about the dome's
-    centre, so that it moves neither the lowest point nor its depth. At the first point the skin is at rest.
+    A point is x, y (mm), yaw (deg), depth (mm), tilt_x, tilt_y (deg). `depth` is how far the lowest
+    point of the undeformed dome, above (x, y), would lie below the stimulus' top. The tilt is a
+    rotation vector in the yawed frame, about the dome's centre, so that it moves neither the lowest
+    point nor its depth. At the first point the skin is at rest.
     """
 
     stimulus: np.ndarray  # (B,) index into a tuple of stimuli
@@ -43,7 +46,10 @@ class Paths:
 
 
 def make_paths(scenes: Scenes) -> Paths:
-    """Down at `pose - move`, then along `move` (nowhere for a tap): at one depth and one tilt, turning at an even pace."""
+    """Make the paths of scenes: down at `pose - move`, then along `move` (nowhere for a tap).
+
+    The slide keeps its depth and tilt and turns at an even pace.
+    """
     points = np.zeros((len(scenes), 3, 6))
     points[..., : scenes.pose.shape[1]] = scenes.pose[:, None]
     points[:, :2, : scenes.move.shape[1]] -= scenes.move[:, None]

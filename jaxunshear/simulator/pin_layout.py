@@ -7,7 +7,10 @@ from jaxunshear.config.sensor import Sensor, check_sensor
 
 
 def compute_pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
-    """Pins of the flattened dome, in mm of arc from the apex; ring by ring, each counter-clockwise from +x."""
+    """Compute the pins' places on the flattened dome, in mm of arc from the apex.
+
+    They are ordered ring by ring, each counter-clockwise from +x.
+    """
     points = [np.zeros((1, 2))]
     for ring in range(1, sensor.rings + 1):
         turn = np.arange(6 * ring) / (6 * ring)
@@ -15,39 +18,40 @@ def compute_pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
             angle = 2 * np.pi * turn
             points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         else:
-            corners = np.stack(
-                [np.cos(np.arange(7) * np.pi / 3), np.sin(np.arange(7) * np.pi / 3)], axis=-1
-            )
+            angle = np.arange(7) * np.pi / 3
+            corners = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
             side, along = np.divmod(6 * turn, 1.0)
-            side = side.astype(int)
-            points.append(
-                ring * (corners[side] * (1 - along)[:, None] + corners[side + 1] * along[:, None])
-            )
+            side, along = side.astype(int), along[:, None]
+            points.append(ring * (corners[side] * (1 - along) + corners[side + 1] * along))
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
 def compute_pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
-    """Undeformed pin tips, in mm in the sensor frame: they stand on the skin's inner face, along the normal.
+    """Compute the undeformed pin tips in mm of the sensor frame.
 
-    Raises `UserError` for a sensor that cannot be.
+    Pins stand on the skin's inner face, along the normal. Raises `UserError` for a sensor that
+    cannot be.
     """
     check_sensor(sensor)
     return compute_tips_at(sensor, compute_pin_lattice(sensor))
 
 
 def compute_tips_at(sensor: Sensor, flat: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
-    """Undeformed tips in mm of pins that stand anywhere, at `flat` mm of arc from the apex."""
+    """Compute the undeformed tips in mm of pins that stand anywhere, at `flat` mm of arc."""
     inner = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
-    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor, flat) * inner
+    return (
+        sensor.dome_radius_mm * np.array([0, 0, 1.0])
+        + _compute_outward_normals(sensor, flat) * inner
+    )
 
 
 def compute_pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
-    """In mm, from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
-    return -sensor.pin_length_mm * _outwards(sensor, compute_pin_lattice(sensor))
+    """Compute the vector in mm from each pin's foot on the skin's inner face to its tip."""
+    return -sensor.pin_length_mm * _compute_outward_normals(sensor, compute_pin_lattice(sensor))
 
 
-def _outwards(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
-    """Outward unit normals (P, 3) of the dome at `flat` (P, 2) mm of arc."""
+def _compute_outward_normals(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+    """Compute the outward unit normals (P, 3) of the dome at `flat` (P, 2) mm of arc."""
     arc = np.linalg.norm(flat, axis=-1)
     angle = arc / sensor.dome_radius_mm
     direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)

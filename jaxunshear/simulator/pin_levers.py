@@ -1,4 +1,4 @@
-"""Pins as rigid levers on a face of the mesh: from the mesh's displacements to those of the pins' tips."""
+"""Pins as rigid levers on a face of the mesh: the displacements of their tips."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,10 @@ _ON_AXIS_MM = 1e-9
 def compute_interpolation(
     mesh: Mesh, points: Float[np.ndarray, "P 2"]
 ) -> Float[np.ndarray, "3 P V"]:
-    """Values of the shape functions at points of the half-plane, and their slopes in r and in z.
+    """Compute the shape functions at points of the half-plane, and their slopes.
 
-    Newton's method in each near element; where elements meet, their mean (slopes along the line where they meet agree).
+    Slopes are in r and in z. Newton's method finds the point in each near element. Where elements
+    meet, the result is their mean; their slopes along the line where they meet agree.
     """
     centres = mesh.nodes[mesh.elements[:, :4]].mean(1)
     at = np.zeros((3, len(points), len(mesh.nodes)))
@@ -31,7 +32,8 @@ def compute_interpolation(
         inside = np.abs(local).max(axis=1) < 1 + 1e-6
         if not inside.any():
             raise UserError(
-                f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: check the sensor's pins"
+                f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: "
+                "check the sensor's pins"
             )
         slopes = np.einsum("enl,elx->xen", gradients, np.linalg.inv(jacobian))
         for entries, matrix in zip((values, *slopes), at, strict=True):
@@ -41,17 +43,18 @@ def compute_interpolation(
 
 @dataclass(frozen=True)
 class PinLevers:
-    """Rigid pins at Q places (r, z) of a face, along its normal by `levers` (Q, 2); `at` as `compute_interpolation` gives it."""
+    """Rigid pins at Q places of a face, along its normal."""
 
-    places: np.ndarray
-    levers: np.ndarray
-    at: np.ndarray
+    places: np.ndarray  # (Q, 2) r, z
+    levers: np.ndarray  # (Q, 2) from the place to the tip
+    at: np.ndarray  # (3, Q, V) as `compute_interpolation` returns it
 
     def motion(self, field: Float[np.ndarray, "V3 K"], m: int) -> Float[np.ndarray, "Q3 K"]:
-        """Harmonic m of the tips' displacement, of displacements `field`.
+        """Compute harmonic m of the tips' displacement from displacements `field`.
 
-        With length L, normal n and linearised rotation a tip moves by u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being
-        the tangent in the half-plane. On the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.
+        With length L, normal n and linearised rotation a tip moves by
+        u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being the tangent in the half-plane. On
+        the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.
         """
         value, in_r, in_z = np.einsum(
             "xqv,vuk->xuqk", self.at, field.reshape(-1, 3, field.shape[1]), optimize=True

@@ -1,8 +1,8 @@
-"""A scene: which stimulus is touched, at which pose, after which slide. Many scenes are arrays side by side.
+"""Scenes: which stimulus is touched, at which pose, after which slide.
 
-A tap presses down at the pose. A slide presses at `pose - move` and then moves by `move` to the pose; `move` is in the
-target frame, as the pose is, and may turn the sensor, too. What the sensor touches at the end is the same; what friction did to its skin
-is not.
+A tap presses down at the pose. A slide presses at `pose - move` and then moves by `move` to the
+pose; `move` is in the target frame, as the pose is, and may turn the sensor, too. Both end over the
+same place, but friction has deformed the skin of the slide.
 """
 
 from collections.abc import Callable
@@ -30,12 +30,15 @@ AMBIGUITY_SAMPLES = 16  # places that it is compared with
 
 @dataclass(frozen=True)
 class Scenes:
-    """B scenes (numpy): `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus; where sensors lean also their tilt
-    as in `paths.Paths` (deg)."""
+    """B scenes (numpy).
+
+    `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus, and the tilt as
+    in `paths.Paths` (deg) where sensors are tilted.
+    """
 
     stimulus: np.ndarray  # (B,) index into a tuple of stimuli
     pose: np.ndarray  # (B, 4), or (B, 6) with tilt
-    move: np.ndarray  # (B, 2) mm, target frame, or (B, 3) with the turn that goes along with it, deg; zero for a tap
+    move: np.ndarray  # (B, 2) mm, target frame, or (B, 3) with a turn in deg; zero for a tap
     friction: np.ndarray  # (B,) Coulomb coefficient
 
     def __len__(self) -> int:
@@ -43,7 +46,7 @@ class Scenes:
 
     def take(self, index: np.ndarray) -> "Scenes":
         return Scenes(
-            *(field[index] for field in (self.stimulus, self.pose, self.move, self.friction))
+            self.stimulus[index], self.pose[index], self.move[index], self.friction[index]
         )
 
 
@@ -54,7 +57,7 @@ def sample_poses(
     yaw_deg: float,
     depth_mm: tuple[float, float],
 ) -> Float[np.ndarray, "{count} 4"]:
-    """Uniform poses as in section 3.2 of the paper."""
+    """Sample uniform poses as in section 3.2 of the paper."""
     if count < 1:
         raise UserError(f"poses = {count}: draw at least one")
     low = [-lateral_mm, -lateral_mm, -yaw_deg, depth_mm[0]]
@@ -65,7 +68,7 @@ def sample_poses(
 def sample_slides(
     generator: np.random.Generator, count: int, move_mm: float
 ) -> Float[np.ndarray, "{count} 2"]:
-    """Slide offsets in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
+    """Sample slides in mm: uniform along x, y or both, with a chance of a third each."""
     offset = generator.uniform(-move_mm, move_mm, (count, 2))
     axis = generator.integers(3, size=count)
     return np.where(axis[:, None] == [1, 0], 0, offset)
@@ -74,12 +77,10 @@ def sample_slides(
 def sample_tilts(
     generator: np.random.Generator, count: int, tilt_deg: float
 ) -> Float[np.ndarray, "{count} 2"]:
-    """Tilts in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
-    size, way = (
-        tilt_deg * np.sqrt(generator.uniform(size=count)),
-        generator.uniform(0, 2 * np.pi, count),
-    )
-    return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
+    """Sample tilts in deg, as in `paths.Paths`: uniform over the disk of this radius."""
+    size = tilt_deg * np.sqrt(generator.uniform(size=count))
+    direction = generator.uniform(0, 2 * np.pi, count)
+    return size[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
 
 
 def make_scenes(
@@ -89,7 +90,7 @@ def make_scenes(
     move: np.ndarray,
     mu: float | None = None,
 ) -> Scenes:
-    """Scenes with friction `mu`, or None for that of each stimulus' material."""
+    """Make scenes with friction `mu`, or None for that of each stimulus' material."""
     friction = np.array([make_stimulus(one).friction if mu is None else mu for one in stimuli])
     return Scenes(
         np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus]
@@ -99,9 +100,12 @@ def make_scenes(
 def compute_edge_labels(
     stimuli: tuple[str | Outline, ...], scenes: Scenes
 ) -> Float[np.ndarray, "B 2"]:
-    """Signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
-    and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
-    smooth edge."""
+    """Compute the pose relative to the nearest edge, which is not ambiguous on a smooth edge.
+
+    It is the signed distance (mm, negative inside) of the sensor's lowest point, on its axis where
+    it is upright, from the nearest edge, and the direction of that edge's outward normal in the
+    sensor frame (deg, in (-180, 180]).
+    """
     labels = np.zeros((len(scenes), 2))
     for index in np.unique(scenes.stimulus):
         here = scenes.stimulus == index
@@ -114,7 +118,7 @@ def has_one_edge(
     stimulus: Num[np.ndarray, "B"],
     pose: Num[np.ndarray, "B P"],
 ) -> Bool[np.ndarray, "B"]:
-    """Say at which poses the direction of the nearest edge is unambiguous.
+    """Find the poses at which the direction of the nearest edge is unambiguous.
 
     Two edges are as near on the medial axis of a shape: there the direction jumps, and about the
     centre of a tight curve it turns fast. A pose counts as ambiguous if the outward normal turns by
@@ -128,24 +132,27 @@ def has_one_edge(
         here = stimulus == index
         normal = jax.jit(partial(compute_outward_normal, make_stimulus(stimuli[index])))
         xy = jnp.asarray(pose[here, :2], jnp.float32)
-        own, others = normal(xy), normal(xy[:, None] + jnp.asarray(around, jnp.float32)[None])
-        turn = jnp.sum(own[:, None] * others, axis=-1)
-        one[here] = np.asarray(turn).min(axis=1) >= np.cos(np.radians(TURN_DEG))
+        others = normal(xy[:, None] + jnp.asarray(around, jnp.float32)[None])
+        cosine = jnp.sum(normal(xy)[:, None] * others, axis=-1)
+        one[here] = np.asarray(cosine).min(axis=1) >= np.cos(np.radians(TURN_DEG))
     return one
 
 
 def make_edge_labeler(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that gives the same two labels of points, x y mm and yaw deg; NaN where they are."""
+    """Make a function from points to the labels of `compute_edge_labels`.
+
+    A point is x, y (mm) and yaw (deg). Labels of points that are NaN are NaN.
+    """
 
     @jax.jit
-    def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def measure(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
         return compute_signed_distance(stimulus, xy), compute_outward_normal(stimulus, xy)
 
-    def report(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
-        distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
+    def label(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
+        distance, normal = measure(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
         angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
         return np.stack(
             [np.where(np.isnan(point[:, 0]), np.nan, distance), wrap_degrees(angle)], -1
         )
 
-    return report
+    return label

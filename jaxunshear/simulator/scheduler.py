@@ -1,9 +1,11 @@
-"""What a scene needs, and what may be left out of its contact; scenes of like need share a batch.
+"""Which nodes and increments a scene needs; scenes of similar need share a batch.
 
-    batches = make_plan(obstacles, nodes, dome_radius_mm, paths, LEVELS["auto"], batch=64, wide=False)
+    level = LEVELS["auto"]
+    batches = make_plan(obstacles, nodes, dome_radius_mm, paths, level, batch=64, wide=False)
 
-Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and increments of motions too
-short to need them. A node that was left out and would have touched after all is found afterwards (see `batches`).
+Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and
+increments of motions too short to need them. `batches` detects a node that was left out and would
+have touched after all.
 """
 
 from functools import partial
@@ -27,8 +29,9 @@ from jaxunshear.simulator.obstacle import Obstacles, compute_surface_drop, inter
 from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
-WIDE_MARGINS = (1.1, 3.0)  # both, where that was not enough
-# A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
+WIDE_MARGINS = (1.1, 3.0)  # REACHED_SHARE and MARGIN_MM, where those were not enough
+# A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth
+# and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
 MIN_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
@@ -38,18 +41,17 @@ BATCHES = (1, 4, 16, 32, 64, 256)
 MIN_SPLIT = 24  # scenes in a batch that is worth splitting
 MIN_SPLIT_SAVING = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
-ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
-STRONG_PRESS_MM = (
-    1.0  # an increment at strong friction: a node that touches sticks where the increment began
-)
+MIN_ROWS = 12  # a matrix product with fewer rows than this takes as long as one with this many
+# an increment at strong friction: a node that touches sticks where the increment began
+STRONG_PRESS_MM = 1.0
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
 class ContactBatch(NamedTuple):
-    """Scenes that are solved together: `nodes` of the turned lattice, in which scene i stands turned by 60 `rotate_in_plane[i]` deg."""
+    """Scenes that are solved together, scene i on a lattice turned by 60 `turn[i]` deg."""
 
     rows: np.ndarray  # (b,) of the paths
-    nodes: np.ndarray  # (n,) contact nodes; none where nothing touches
+    nodes: np.ndarray  # (n,) contact nodes of the turned lattice; none where nothing touches
     turn: np.ndarray  # (b,) 0 to 5
     steps: int  # increments of the longest path
     friction: bool  # False: pressures only
@@ -59,31 +61,31 @@ class ContactBatch(NamedTuple):
 def cut_increments(
     paths: Paths, level: Level, radius_mm: float
 ) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
-    """Poses along the paths, angles in rad, each padded by staying at its end; numbers of increments.
+    """Cut the paths into poses, angles in rad, each padded by staying at its end.
 
-    Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
+    The numbers of increments come second. Twists count as motion at `radius_mm` / 4 of the axis,
+    tilts at the dome's radius.
     """
     points = paths.radians
     change = np.diff(points, axis=1)
     pressed = np.abs(change[..., DEPTH])
     along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
     along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
-    pressed, along = (np.where(length < MIN_LEG_MM, 0, length) for length in (pressed, along))
+    pressed = np.where(pressed < MIN_LEG_MM, 0, pressed)
+    along = np.where(along < MIN_LEG_MM, 0, along)
     strong = (paths.friction > STRONG_FRICTION)[:, None]
     press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
-    press, slide = np.ceil(pressed / press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
+    press = np.ceil(pressed / press_mm - 1e-9)
+    slide = np.ceil(along / level.slide_mm - 1e-9)
     if "steps" not in level.omit:
-        press, slide = (
-            np.maximum(press, level.press * (pressed > 0)),
-            np.maximum(slide, level.slide * (along > 0)),
-        )
+        press = np.maximum(press, level.press * (pressed > 0))
+        slide = np.maximum(slide, level.slide * (along > 0))
     count = np.maximum(press, slide).astype(int)  # (B, K - 1)
     ends = np.cumsum(count, axis=1)
     total = ends[:, -1]
     number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
-    leg = np.sum(
-        number[None, :, None] > ends[:, None, :], axis=-1
-    )  # of every increment; past the end: K - 1
+    # of every increment; past the end: K - 1
+    leg = np.sum(number[None, :, None] > ends[:, None, :], axis=-1)
     rows = np.arange(len(points))[:, None]
     inside = np.minimum(leg, count.shape[1] - 1)
     before = ends[rows, inside] - count[rows, inside]
@@ -93,18 +95,25 @@ def cut_increments(
     return np.concatenate([points[:, :1], poses], axis=1), total
 
 
-def _in_target_frame(
+class _PlacedNodes(NamedTuple):
+    """Nodes under B poses; heights are over the dome's lowest point."""
+
+    xy: jax.Array  # (B, N, 2) of the displaced nodes, in the target frame
+    rest_height: jax.Array  # (B, N)
+    height: jax.Array  # (B, N)
+
+
+def _place_nodes(
     nodes: jax.Array, displacement: jax.Array, centre: jax.Array, pose: jax.Array, tilted: bool
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Places (B, N, 2) of displaced nodes in the target frame; heights (B, N) over the dome's lowest point, of undeformed nodes and of
-    displaced ones."""
+) -> _PlacedNodes:
     frame = compute_level_frame(pose) if tilted else None
     place = transform_to_level(frame, nodes[None] + displacement, centre)
     height = jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
     if frame is not None:
         lift = jnp.array([0, 0, 1.0], nodes.dtype) * centre
         height = matmul(frame[:, 2], (nodes - lift[None]).T) + centre
-    return rotate_in_plane(pose[:, YAW], place[..., :2]) + pose[:, None, :2], height, place[..., 2]
+    xy = rotate_in_plane(pose[:, YAW], place[..., :2]) + pose[:, None, :2]
+    return _PlacedNodes(xy, height, place[..., 2])
 
 
 @partial(jax.jit, static_argnames=("tilted", "wide"))
@@ -112,36 +121,37 @@ def _can_touch(
     obstacles: Obstacles,
     nodes: jax.Array,
     centre: jax.Array,
-    which: jax.Array,
+    stimulus_index: jax.Array,
     poses: jax.Array,
     tilted: bool,
     wide: bool,
 ) -> jax.Array:
-    """(B, N): whether a node can touch at any of poses (S, B, 6)."""
+    """Find the nodes (B, N) that can touch at any of poses (S, B, 6)."""
     reached, margin = WIDE_MARGINS if wide else (REACHED_SHARE, MARGIN_MM)
 
-    def at(pose: jax.Array) -> jax.Array:
+    def can_touch_at(pose: jax.Array) -> jax.Array:
         still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
-        here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
-        return (height < reached * pose[:, DEPTH, None]) & (
-            interpolate_distance(obstacles, which, here) < margin
+        placed = _place_nodes(nodes, still, centre, pose, tilted)
+        return (placed.rest_height < reached * pose[:, DEPTH, None]) & (
+            interpolate_distance(obstacles, stimulus_index, placed.xy) < margin
         )
 
-    return jnp.any(jax.lax.map(at, poses), axis=0)
+    return jnp.any(jax.lax.map(can_touch_at, poses), axis=0)
 
 
 @partial(jax.jit, static_argnames="tilted")
-def _gaps(
+def _compute_gaps(
     obstacles: Obstacles,
     nodes: jax.Array,
     centre: jax.Array,
-    which: jax.Array,
+    stimulus_index: jax.Array,
     pose: jax.Array,
     displacement: jax.Array,
     tilted: bool,
 ) -> jax.Array:
-    here, _, height = _in_target_frame(nodes, displacement, centre, pose, tilted)
-    return height - pose[:, DEPTH, None] + compute_surface_drop(obstacles, which, here)
+    placed = _place_nodes(nodes, displacement, centre, pose, tilted)
+    drop = compute_surface_drop(obstacles, stimulus_index, placed.xy)
+    return placed.height - pose[:, DEPTH, None] + drop
 
 
 def compute_gaps(
@@ -152,11 +162,14 @@ def compute_gaps(
     pose: Float[np.ndarray, "B 6"],
     displacement: Float[np.ndarray, "B N 3"],
 ) -> Float[np.ndarray, "B N"]:
-    """In mm, between displaced nodes and the stimulus at poses with angles in rad; negative inside."""
+    """Compute the gaps in mm between displaced nodes and the stimulus, negative inside.
+
+    Poses have angles in rad.
+    """
     count, size = len(pose), pad_count(len(nodes), NODE_COUNTS)
     rows = np.minimum(np.arange(pad_count(count, BATCHES)), count - 1)
     columns = np.minimum(np.arange(size), len(nodes) - 1)
-    found = _gaps(
+    gaps = _compute_gaps(
         obstacles,
         jnp.asarray(nodes[columns], jnp.float32),
         jnp.float32(centre_mm),
@@ -165,7 +178,7 @@ def compute_gaps(
         jnp.asarray(displacement[rows][:, columns], jnp.float32),
         bool(np.any(pose[:, TILT_X:])),
     )
-    return np.asarray(found)[:count, : len(nodes)]
+    return np.asarray(gaps)[:count, : len(nodes)]
 
 
 def find_reachable_nodes(
@@ -175,7 +188,7 @@ def find_reachable_nodes(
     paths: Paths,
     wide: bool,
 ) -> Bool[np.ndarray, "B N"]:
-    """The contact nodes that each path can bring into contact; `wide` searches further."""
+    """Find the contact nodes that each path can bring into contact; `wide` searches further."""
     points = paths.radians
     change = np.diff(points, axis=1)
     swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
@@ -188,7 +201,7 @@ def find_reachable_nodes(
     # a press passes only through poses that touch less than its end
     poses = np.concatenate([points[:, :1], poses], axis=1).astype(np.float32)
     tilted = bool(np.any(points[..., TILT_X:]))
-    found = []
+    masks = []
     for start in range(0, len(paths), 64):
         rows = np.minimum(np.arange(start, start + 64), len(paths) - 1)
         mask = _can_touch(
@@ -200,8 +213,8 @@ def find_reachable_nodes(
             tilted,
             wide,
         )
-        found.append(np.asarray(mask)[: len(paths) - start])
-    return np.concatenate(found)
+        masks.append(np.asarray(mask)[: len(paths) - start])
+    return np.concatenate(masks)
 
 
 def make_plan(
@@ -215,87 +228,88 @@ def make_plan(
 ) -> list[ContactBatch]:
     """Put every path in one batch of at most `batch`; the nodes are those of complete rings.
 
-    A batch solves the nodes and increments that any of its scenes needs, so a scene's answer depends
-    on its companions, within the level's error.
+    A batch solves the nodes and increments that any of its scenes needs, so a scene's solution
+    depends on its companions, within the level's error.
 
-    The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
-    that touch with half of the dome then need the same half.
+    The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the
+    side of +x: scenes that touch with half of the dome then need the same half.
     """
-    everything = np.ones((len(paths), len(nodes)), bool)
-    mask = (
-        find_reachable_nodes(obstacles, nodes, centre_mm, paths, wide or level.wide_margin)
-        if "nodes" in level.omit
-        else everything
-    )
+    count = len(paths)
+    if "nodes" in level.omit:
+        wide = wide or level.wide_margin
+        mask = find_reachable_nodes(obstacles, nodes, centre_mm, paths, wide)
+    else:
+        mask = np.ones((count, len(nodes)), bool)
     if "untouched" not in level.omit:
         mask[~mask.any(axis=1)] = True
-    turn = (
-        _turns(mask, nodes)
-        if "grouping" in level.omit and len(paths) > 1
-        else np.zeros(len(paths), int)
-    )
+    grouping = "grouping" in level.omit
+    turn = _choose_turns(mask, nodes) if grouping and count > 1 else np.zeros(count, int)
     mask = np.take_along_axis(mask, make_sixfold_permutations(len(nodes))[turn], axis=1)
     tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
-    friction = (
-        _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
-    )
+    friction = np.ones(count, bool)
+    if "friction" in level.omit:
+        friction = _needs_friction(paths) | tilted
     _, steps = cut_increments(paths, level, centre_mm)
     kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
     for kind in np.unique(kinds, axis=0):
+        _, has_friction, is_tilted = map(bool, kind)
         rows = np.flatnonzero(np.all(kinds == kind, axis=-1))
-        group = _Group(mask, steps, _features(mask, steps, nodes), 3 if kind[1] else 1, batch)
-        in_turn = np.array_split(rows, range(batch, len(rows), batch))
-        for index in _split(group, rows) if "grouping" in level.omit else in_turn:
+        features = _compute_features(mask, steps, nodes)
+        group = _Group(mask, steps, features, 3 if has_friction else 1, batch)
+        parts = np.array_split(rows, range(batch, len(rows), batch))
+        for index in _split_rows(group, rows) if grouping else parts:
             used = np.flatnonzero(mask[index].any(axis=0))
-            batches.append(
-                ContactBatch(
-                    index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])
-                )
-            )
+            most_steps = int(steps[index].max())
+            part = ContactBatch(index, used, turn[index], most_steps, has_friction, is_tilted)
+            batches.append(part)
     return batches
 
 
 def _needs_friction(paths: Paths) -> np.ndarray:
-    """(B,) bool: not without friction, nor for a shallow press straight down."""
+    """Find the paths (B,) that need friction: not those without, nor shallow presses."""
     sideways = np.delete(paths.points, DEPTH, axis=-1)
     straight = np.all(sideways == sideways[:, :1], axis=(1, 2))
     shallow = np.max(paths.points[..., DEPTH], axis=1) <= FRICTIONLESS_TAP_MM
     return (paths.friction > 0) & ~(straight & shallow)
 
 
-def _turns(mask: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(B,) sixths of a turn that bring each contact's middle nearest to +x, when undone."""
+def _choose_turns(mask: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Choose the sixths of a turn (B,) that, undone, bring each contact's middle to +x."""
     middle = mask @ nodes[:, :2]
     return np.round(np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) / 60).astype(int) % 6
 
 
 class _Group(NamedTuple):
-    mask: np.ndarray
-    steps: np.ndarray
-    features: np.ndarray
-    unknowns: int
-    batch: int
+    """What B scenes need that may share batches."""
+
+    mask: np.ndarray  # (B, N) needed nodes
+    steps: np.ndarray  # (B,) increments
+    features: np.ndarray  # (B, 4)
+    unknowns: int  # of a node
+    batch: int  # scenes in a batch, at most
 
 
-def _features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(B, 4) by which scenes are sorted: nodes, increments, and where the contact's middle lies."""
+def _compute_features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Compute what scenes are sorted by: nodes, increments, and the contact's middle; (B, 4)."""
     count = mask.sum(axis=1)
     return np.column_stack([count, steps, mask @ nodes[:, :2] / np.maximum(count, 1)[:, None]])
 
 
-def _cost(group: _Group, rows: np.ndarray) -> float:
-    """Of one batch, in multiplications: its increments, and the inverse, which runs at half the rate of a product."""
+def _estimate_cost(group: _Group, rows: np.ndarray) -> float:
+    """Estimate the multiplications of solving rows together.
+
+    They are those of the increments and of the inverse, which runs at half the rate of a product.
+    """
     unknowns = group.unknowns * pad_count(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
     products = PRODUCTS * max(int(group.steps[rows].max()), 1)
     batches = -(-len(rows) // group.batch)
-    return batches * (
-        products * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + 2 * unknowns**3
-    )
+    size = max(min(len(rows), group.batch), MIN_ROWS)
+    return batches * (products * size * unknowns**2 + 2 * unknowns**3)
 
 
-def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
-    """Halved along the feature that saves most, and again, as long as the parts together cost less than the unsplit batch."""
+def _split_rows(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
+    """Halve rows along the feature that saves most, again and again while that saves cost."""
     fits = len(rows) <= group.batch
     if fits and len(rows) <= MIN_SPLIT:
         return [rows]
@@ -303,16 +317,17 @@ def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
     best, halves = np.inf, [rows]
     for values in group.features.T:
         order = rows[np.argsort(values[rows], kind="stable")]
-        tried = [order[:half], order[half:]]
-        cost = sum(_cost(group, part) for part in tried)
+        pair = [order[:half], order[half:]]
+        cost = sum(_estimate_cost(group, part) for part in pair)
         if cost < best:
-            best, halves = cost, tried
-    parts = [index for part in halves for index in _split(group, np.sort(part))]
-    if fits and sum(_cost(group, part) for part in parts) > MIN_SPLIT_SAVING * _cost(group, rows):
+            best, halves = cost, pair
+    parts = [index for part in halves for index in _split_rows(group, np.sort(part))]
+    cost = sum(_estimate_cost(group, part) for part in parts)
+    if fits and cost > MIN_SPLIT_SAVING * _estimate_cost(group, rows):
         return [rows]
     return parts
 
 
 def pad_count(count: int, sizes: tuple[int, ...]) -> int:
-    """The least of `sizes` that holds `count`; beyond them `count` itself."""
+    """Choose the smallest of `sizes` that holds `count`; beyond them `count` itself."""
     return next((size for size in sizes if size >= count), count)

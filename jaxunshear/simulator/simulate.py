@@ -1,16 +1,20 @@
-"""Scenes in, pin positions out: planned, solved in batches, each contact with its quality.
+"""Simulation of scenes: planned, solved in batches, each contact with its quality.
 
     contacts = simulate(TACTIP_331, ("disk",), scenes)
     contacts.pins  # (B, 331, 3) mm in the sensor frame
 
-`follow` takes any path (press, slide, twist, tilt) and goes on from where an earlier one ended.
+`follow` takes any path (press, slide, twist, tilt) and continues from where an earlier one ended.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.batches import (
+    BatchResult,
+    Simulation,
     Stimuli,
     make_undeformed_contacts,
     plan_paths,
@@ -23,7 +27,7 @@ from jaxunshear.simulator.input_checks import (
     check_paths,
     check_scenes,
     check_start,
-    check_started,
+    check_start_at_rest,
     get_level,
 )
 from jaxunshear.simulator.level import STRONGER_LEVELS, Level
@@ -45,14 +49,15 @@ def simulate(
 ) -> Contacts:
     """Solve the contacts of B scenes and return them in the order given.
 
-    `scenes.stimulus` indexes `stimuli`. At a level that groups scenes, as `auto` does, those of a batch
-    share nodes and increments. The pins of one scene then vary with its companions, by about 0.1 px
-    rms of a 256-px image; the same call gives the same pins. Raises `UserError` by name of the field.
+    `scenes.stimulus` indexes `stimuli`. At a level that groups scenes, as `auto` does, those of a
+    batch share nodes and increments. The pins of one scene then vary with its companions, by about
+    0.1 px rms of a 256-px image; the same call gives the same pins. Raises `UserError` by name of
+    the field.
     """
     check_scenes(scenes)
-    return follow(
-        sensor, stimuli, make_paths(scenes), level, batch=batch, retry=retry, progress=progress
-    )[0]
+    simulation = Simulation(sensor, stimuli, get_level(level), batch)
+    stronger = _find_stronger_level(level) if retry else None
+    return _follow(simulation, make_paths(scenes), None, stronger, progress)[0]
 
 
 def follow(
@@ -63,55 +68,77 @@ def follow(
     start: Skins | None = None,
     batch: int = BATCH,
     retry: bool = True,
+) -> tuple[Contacts, Skins]:
+    """Solve B paths and return the contacts and the skins at their ends.
+
+    With `start`, each path continues from its first point with that skin. A path that does not
+    converge is solved again at the next stronger level, unless `retry` is False. One that still
+    does not converge is returned as not converged: it is for the caller to drop and to count.
+    """
+    simulation = Simulation(sensor, stimuli, get_level(level), batch)
+    stronger = _find_stronger_level(level) if retry else None
+    return _follow(simulation, paths, start, stronger)
+
+
+def _find_stronger_level(level: str | Level) -> str | None:
+    stronger = STRONGER_LEVELS.get(level, "reference") if isinstance(level, str) else "reference"
+    return None if level == stronger else stronger
+
+
+def _follow(
+    simulation: Simulation,
+    paths: Paths,
+    start: Skins | None,
+    stronger: str | None,
     progress: Progress | None = None,
 ) -> tuple[Contacts, Skins]:
-    """Contacts at the ends of B paths, and the skins there; with `start`, each path goes on from its first point with that skin.
-
-    What does not converge is solved again at the next stronger level, unless `retry` is False. What then still has not is
-    returned as not converged: it is for the caller to drop and to count.
-    """
-    chosen = get_level(level)
-    check_batch(batch)
-    check_paths(sensor, len(stimuli), paths)
-    if start is not None:
-        check_start(paths, start, len(load_shared_dome(sensor).nodes))
-    else:
-        check_started(paths)
+    """Follow paths, and again at the level `stronger` where they do not converge."""
+    _check(simulation, paths, start)
     if not len(paths):
-        return make_undeformed_contacts(sensor, paths, chosen)
-    obstacles = sample_obstacles(stimuli)
-    contacts, skins, incomplete = solve_batches(
-        sensor, obstacles, paths, chosen, start, batch, progress, wide=False
-    )
-
-    def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
-        for field, value in zip((*contacts, *skins), (*new, *new_skins), strict=True):
-            field[rows] = value
-
-    if incomplete.any():
-        rows = np.flatnonzero(incomplete)
+        return make_undeformed_contacts(simulation.sensor, paths, simulation.level)
+    result = solve_batches(simulation, paths, start, progress, wide=False)
+    if result.incomplete.any():
+        rows = np.flatnonzero(result.incomplete)
         before = None if start is None else start.take(rows)
-        new, new_skins, still = solve_batches(
-            sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True
+        again = solve_batches(simulation, paths.take(rows), before, None, wide=True)
+        converged = again.contacts.converged & ~again.incomplete
+        _replace_rows(result, rows, again.contacts._replace(converged=converged), again.skins)
+    if stronger is not None and not result.contacts.converged.all():
+        rows = np.flatnonzero(~result.contacts.converged)
+        before = None if start is None else start.take(rows)
+        contacts, skins = _follow(
+            replace(simulation, level=get_level(stronger)),
+            paths.take(rows),
+            before,
+            _find_stronger_level(stronger),
         )
-        replace(rows, new._replace(converged=new.converged & ~still), new_skins)
-    stronger = STRONGER_LEVELS.get(level, "reference") if isinstance(level, str) else "reference"
-    if retry and not contacts.converged.all() and level != stronger:
-        rows = np.flatnonzero(~contacts.converged)
-        before = None if start is None else start.take(rows)
-        new, new_skins = follow(sensor, stimuli, paths.take(rows), stronger, before, batch)
-        replace(rows, new._replace(retried=np.ones(len(rows), bool)), new_skins)
-    return contacts, skins
+        retried = np.ones(len(rows), bool)
+        _replace_rows(result, rows, contacts._replace(retried=retried), skins)
+    return result.contacts, result.skins
+
+
+def _check(simulation: Simulation, paths: Paths, start: Skins | None) -> None:
+    check_batch(simulation.batch)
+    check_paths(simulation.sensor, len(simulation.stimuli), paths)
+    if start is not None:
+        check_start(paths, start, len(load_shared_dome(simulation.sensor).nodes))
+    else:
+        check_start_at_rest(paths)
+
+
+def _replace_rows(result: BatchResult, rows: np.ndarray, contacts: Contacts, skins: Skins) -> None:
+    """Overwrite rows of the result in place."""
+    old, new = (*result.contacts, *result.skins), (*contacts, *skins)
+    for array, values in zip(old, new, strict=True):
+        array[rows] = values
 
 
 def plan(
     sensor: Sensor, names: Stimuli, scenes: Scenes, level: str | Level = "auto", batch: int = BATCH
 ) -> list[np.ndarray]:
-    """The scenes' rows, batch by batch, as `simulate` groups them."""
+    """List the scenes' rows, batch by batch, as `simulate` groups them."""
     check_scenes(scenes)
     paths = make_paths(scenes)
     check_paths(sensor, len(names), paths)
-    return [
-        part.rows
-        for part in plan_paths(sensor, sample_obstacles(names), paths, get_level(level), batch)
-    ]
+    batches = plan_paths(sensor, sample_obstacles(names), paths, get_level(level), batch)
+    return [part.rows for part in batches]

@@ -1,14 +1,16 @@
-"""What is touched: planar shapes with a flat top, as exact signed distances (`shapes.py`).
+"""The objects that are touched: planar shapes with a flat top, as signed distances.
 
-Each shape is written in a frame of its own and then seen from its target contact point, the edge or corner that the
-paper's Table 1 names: origin at the target, x along the outward normal (at a corner, the bisector), y along the edge.
+Each shape is written in a frame of its own. The target frame has its origin at the target contact
+point, the edge or corner that the paper's Table 1 names, x along the outward normal (at a corner,
+the bisector) and y along the edge.
 
     xy = jnp.array([[0.0, 0.0], [1.0, 0.0]])
     compute_signed_distance(STIMULI["disk"], xy)  # [0, 1] mm: on the edge, and 1 mm outside
 
-Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a friction of their own,
-are the spirals; everything else is 3D-printed ABS. Beside its seven closed shapes stand what recordings are often of: a
-straight edge and a flat surface, which have no outline to go round. Outlines of one's own are made in `config/stimuli.py`.
+Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a
+friction of their own, are the spirals; everything else is 3D-printed ABS. Besides the paper's seven
+closed shapes there are two that are often recorded: a straight edge and a flat surface, which have
+no outline to go round. `config/stimuli.py` makes your own outlines.
 """
 
 import math
@@ -20,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxunshear.config.stimuli import ABS_FRICTION, Outline
+from jaxunshear.config.stimuli import ABS_FRICTION, Outline, Target
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.shapes import (
     Distance,
@@ -42,12 +44,13 @@ ACRYLIC_FRICTION = 0.45
 
 @dataclass(frozen=True)
 class Stimulus:
-    """`distance` maps points of the shape's own frame to mm; `target` is (x, y, degrees of the outward normal) there."""
+    """A shape, where its target contact point lies, and its friction."""
 
     name: str
-    distance: Distance
-    target: tuple[float, float, float]
-    extent_mm: float  # the shape lies within this radius of its own origin; what has no end is drawn so far
+    distance: Distance  # of points in the shape's own frame
+    target: Target  # x, y (mm), direction of the outward normal (deg), in that frame
+    # the shape lies within this radius of its own origin; an endless one is drawn so far
+    extent_mm: float
     friction: float = ABS_FRICTION
     material: str = "ABS"
 
@@ -55,18 +58,18 @@ class Stimulus:
 def compute_signed_distance(
     stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
 ) -> Float[jax.Array, "*B"]:
-    """Distance to the shape's edge in mm, negative inside; xy in mm in the target frame."""
+    """Compute the distance to the edge in mm, negative inside; xy in mm, target frame."""
     x, y, turn = stimulus.target
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
-    # no matrix product: on accelerators those are of fewer digits
-    own = [x + cos * xy[..., 0] - sin * xy[..., 1], y + sin * xy[..., 0] + cos * xy[..., 1]]
-    return stimulus.distance(jnp.stack(own, axis=-1))
+    # no matrix product, as those have fewer digits on accelerators
+    shape_xy = [x + cos * xy[..., 0] - sin * xy[..., 1], y + sin * xy[..., 0] + cos * xy[..., 1]]
+    return stimulus.distance(jnp.stack(shape_xy, axis=-1))
 
 
 def compute_distances(
     stimulus: Stimulus, xy: Float[np.ndarray, "N M 2"]
 ) -> Float[np.ndarray, "N M"]:
-    """`compute_signed_distance` of rows of points, row by row, since a shape of many segments needs memory."""
+    """Compute `compute_signed_distance` row by row: a shape of many segments needs memory."""
     by_row = jax.jit(partial(jax.lax.map, partial(compute_signed_distance, stimulus)))
     return np.asarray(by_row(jnp.asarray(xy, jnp.float32)))
 
@@ -74,7 +77,7 @@ def compute_distances(
 def compute_outward_normal(
     stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]
 ) -> Float[jax.Array, "*B 2"]:
-    """Unit gradient of the signed distance: the direction away from the nearest edge."""
+    """Compute the direction away from the nearest edge: the signed distance's unit gradient."""
     flat = xy.reshape(-1, 2)
     slope = jax.vmap(jax.grad(lambda p: compute_signed_distance(stimulus, p)))(flat)
     length = jnp.linalg.norm(slope, axis=-1, keepdims=True)
@@ -83,7 +86,7 @@ def compute_outward_normal(
 
 _CORNER = compute_clover_corner(28.0, 28.0, 4.0)
 
-STIMULI = {  # their names: `StimulusName` of config/stimuli.py
+STIMULI = {  # names as `StimulusName` of config/stimuli.py
     stimulus.name: stimulus
     for stimulus in (
         Stimulus("disk", make_disk(50.0), (50.0, 0.0, 0.0), 50.0),
@@ -113,7 +116,7 @@ STIMULI = {  # their names: `StimulusName` of config/stimuli.py
 }
 TRAINING = ("disk", "clover", "teardrop")
 UNSEEN = ("flower", "leaf", "spiral_1", "spiral_2")
-SHAPES = (*TRAINING, *UNSEEN)  # the paper's: each has an outline that closes
+SHAPES = (*TRAINING, *UNSEEN)  # of the paper: each has an outline that closes
 
 
 def get_stimulus(name: str) -> Stimulus:
@@ -131,14 +134,17 @@ def _make_from_outline(outline: Outline) -> Stimulus:
 
 
 def make_stimulus(shape: str | Outline | Stimulus) -> Stimulus:
-    """A shape by its name, or of an outline; the same one each time. Raises UserError for a name that there is not."""
+    """Return the stimulus of a name or an outline, the same object each time.
+
+    Raises UserError for an unknown name.
+    """
     if isinstance(shape, Stimulus):
         return shape
     return _make_from_outline(shape) if isinstance(shape, Outline) else get_stimulus(shape)
 
 
 def get_closed_stimulus(shape: str | Outline) -> Stimulus:
-    """One with an outline to follow. Raises UserError."""
+    """Return a stimulus with an outline to follow. Raises UserError for one without."""
     if isinstance(shape, str) and get_stimulus(shape).name not in SHAPES:
         raise UserError(
             f"stimulus '{shape}' has no outline that closes: use one of {', '.join(SHAPES)}"

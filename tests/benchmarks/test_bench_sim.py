@@ -13,7 +13,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.scene import Scenes
 from verification.clock import time_repeats
-from verification.contact_cases import HALF_SIZE
+from verification.contact_case import HALF_SIZE
 from verification.paper import NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error
 

@@ -1,4 +1,4 @@
-"""Outlines drawn point by point, counter-clockwise, by other means than the package's distances; and distances from them."""
+"""Outlines as points, counter-clockwise, by other means than the package's, and their distances."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The camera against hand-made answers: where a pin falls, how large its dot is, and what each disturbance does."""
+"""The camera against hand-made results: places and sizes of dots, and each disturbance."""
 
 from dataclasses import replace
 

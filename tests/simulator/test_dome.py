@@ -276,7 +276,11 @@ def test_other_settings_have_other_files(stored):
 
 
 def test_two_processes_at_once_do_each_other_no_harm(cache, small, tmp_path):
-    code = f"from jaxunshear.config.sensor import Sensor; from jaxunshear.simulator.dome import dome; print(dome({SMALL!r}).w.sum())"
+    code = (
+        "from jaxunshear.config.sensor import Sensor; "
+        "from jaxunshear.simulator.dome import load_dome; "
+        f"print(load_dome({SMALL!r}).w.sum())"
+    )
     environment = {**os.environ, "JAXUNSHEAR_CACHE": str(cache)}
     running = [
         subprocess.Popen(

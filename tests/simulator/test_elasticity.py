@@ -41,7 +41,7 @@ def test_the_half_space_is_a_half_ball():
 
 
 def fields(mesh):
-    """Displacements (V, 3) = (U, V, W) of harmonic m that a homogeneous body bears without a force inside it."""
+    """Displacements (V, 3) = (U, V, W) of harmonic m that need no force inside a body."""
     r, z = mesh.nodes.T
     one, zero = np.ones_like(r), np.zeros_like(r)
     return {
@@ -75,7 +75,8 @@ def test_patch(dome, name):
     force = ((k0 + m * k1 + m * m * k2) @ np.stack(field, -1).ravel()).reshape(-1, 3)
     r, z = dome.nodes.T
     inside = (np.hypot(r, 20 - z) < 20 - 1e-6) & (z < 20 - 1e-6)
-    # curved mid-sides and reduced integration leave a little; a wrong strain term leaves forces of order one
+    # curved mid-sides and reduced integration leave a little; a wrong strain term leaves forces of
+    # order one
     assert np.abs(force[inside]).max() < (
         1e-9 if name.startswith(("translation", "rotation")) else 2e-2
     ) * max(1, np.abs(force).max())
@@ -192,7 +193,7 @@ def test_finer_meshes_agree_ever_better():
 
 
 def test_flat_punch_stiffness(half_space):
-    """Displacing the resolved disk as one needs P = 2 a E* d (Sneddon): solve W f = d on the nodes within a."""
+    """Displacing a disk as one needs P = 2 a E* d (Sneddon): solve W f = d on its nodes."""
     nodes = half_space.compliance.nodes
     inside = np.flatnonzero(np.hypot(nodes[:, 0], nodes[:, 1]) < 0.92)
     unknowns = 3 * inside + 2

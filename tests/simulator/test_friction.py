@@ -1,20 +1,14 @@
-"""The solver in float32, as it is used; closed forms and the laws of every answer stand in tests/verification/test_verify.py."""
+"""The solver in float32; tests/verification/test_verify.py has closed forms and laws."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.simulator.admm import BETWEEN_CHECKS, RHO, SolverOptions, project
+from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
 from jaxunshear.simulator.frame import compute_level_frame
-from jaxunshear.simulator.friction import (
-    BETWEEN_CHECKS,
-    RHO,
-    Skin,
-    System,
-    follow_path,
-    make_undeformed_skins,
-    project,
-)
+from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
 from jaxunshear.simulator.node_state import count_node_states
 from jaxunshear.simulator.obstacle import Obstacles
 from verification.half_space import HalfSpace, make_press_poses, trace_forces
@@ -24,6 +18,7 @@ from verification.tangential_contact import FRICTION, compute_slip_distance
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 RADIUS_MM = 0.45
 SHARES = np.array([0.0, 0.6, 1.5])  # of the slip distance
+OPTIONS = SolverOptions(1e-3, 4000)
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +44,16 @@ def slides(half_space: HalfSpace) -> np.ndarray:
     return poses
 
 
+def pose_problem(system, count, friction=FRICTION, tilted=False) -> ContactProblem:
+    index, mu = jnp.zeros(count, jnp.int32), jnp.full(count, friction, jnp.float32)
+    return ContactProblem(system, FLAT, index, mu, tilted)
+
+
 def follow(system: System, poses: np.ndarray, friction: float) -> Skin:
     path = jnp.asarray(poses, jnp.float32)
-    count = path.shape[1]
-    mu = jnp.full(count, friction, jnp.float32)
     start = make_undeformed_skins(system, path[0])
-    skin, quality = follow_path(
-        system, FLAT, jnp.zeros(count, jnp.int32), mu, path[1:], start, 1e-3, 4000
-    )
+    problem = pose_problem(system, path.shape[1], friction)
+    skin, quality = follow_path(problem, path[1:], start, OPTIONS)
     assert np.all(quality.residual_mm <= quality.tolerance_mm)
     return skin
 
@@ -111,9 +108,8 @@ def test_no_contact_needs_no_iteration(system):
     path = (
         jnp.zeros((3, 2, 6)).at[:, :, 3].set(-0.01).at[:, :, 0].set(jnp.linspace(0, 5, 3)[:, None])
     )
-    which, mu = jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
     skin, quality = follow_path(
-        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, 4000
+        pose_problem(system, 2), path[1:], make_undeformed_skins(system, path[0]), OPTIONS
     )
     assert (
         not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
@@ -121,34 +117,24 @@ def test_no_contact_needs_no_iteration(system):
 
 
 def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, system):
-    """One of two cannot converge within the limit: it says so, and costs no more than the increment that failed."""
+    """One of two cannot converge: it says so, and costs no more than its failed increment."""
     poses = np.repeat(slides(half_space)[:, 1:2], 2, axis=1)
     poses[1:, 1, 3] = (
         0.0  # the second one never touches, then is pressed hard in the first of the other's slides
     )
     poses[2:, 1, 3] = 40 * poses[-1, 0, 3]
-    path, which, mu = (
-        jnp.asarray(poses, jnp.float32),
-        jnp.zeros(2, jnp.int32),
-        jnp.full(2, FRICTION),
-    )
+    path = jnp.asarray(poses, jnp.float32)
     limit = 40
+    few = SolverOptions(1e-3, limit)
     skin, quality = follow_path(
-        system, FLAT, which, mu, path[1:], make_undeformed_skins(system, path[0]), 1e-3, limit
+        pose_problem(system, 2), path[1:], make_undeformed_skins(system, path[0]), few
     )
     assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(
         np.isfinite(skin.force)
     )
     assert int(quality.iterations[1]) <= 2 * (limit + BETWEEN_CHECKS)
     alone = follow_path(
-        system,
-        FLAT,
-        which[:1],
-        mu[:1],
-        path[1:, :1],
-        make_undeformed_skins(system, path[0, :1]),
-        1e-3,
-        limit,
+        pose_problem(system, 1), path[1:, :1], make_undeformed_skins(system, path[0, :1]), few
     )
     assert bool(quality.residual_mm[0] <= quality.tolerance_mm[0])
     np.testing.assert_allclose(skin.force[0].sum(0), alone[0].force[0].sum(0), rtol=0.01, atol=1e-4)
@@ -170,18 +156,9 @@ def test_no_product_is_left_to_the_rounding_of_a_gpu(system, tilted):
     path = jnp.zeros((2, 1, 6), jnp.float32)
 
     def run(path, system):
-        mu = jnp.ones(1, jnp.float32)
-        return follow_path(
-            system,
-            FLAT,
-            jnp.zeros(1, jnp.int32),
-            mu,
-            path,
-            make_undeformed_skins(system, path[0]),
-            0.1,
-            9,
-            tilted,
-        )
+        problem = pose_problem(system, 1, 1.0, tilted)
+        start = make_undeformed_skins(system, path[0])
+        return follow_path(problem, path, start, SolverOptions(0.1, 9))
 
     text = jax.jit(run).lower(path, system).as_text()
     products = [line for line in text.splitlines() if "dot_general" in line]

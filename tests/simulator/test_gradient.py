@@ -1,4 +1,4 @@
-"""Derivatives of the pins against central differences, a closed form, and what must be exactly zero."""
+"""Derivatives of the pins against central differences, a closed form, and exact zeros."""
 
 from dataclasses import replace
 
@@ -9,7 +9,9 @@ import pytest
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.friction import RHO, System, make_undeformed_skins
+from jaxunshear.simulator.admm import RHO
+from jaxunshear.simulator.contact_problem import ContactProblem, System
+from jaxunshear.simulator.friction import make_undeformed_skins
 from jaxunshear.simulator.gradient import (
     SWITCH_MM,
     compute_path_shares,
@@ -305,7 +307,7 @@ def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
 
 
 def test_half_space_in_stick_and_in_slip(half_space):
-    """Stuck, a slide x is answered by dQ/dx = 8 a G*; slipping, only friction is: dQ/dmu = P. Each other is nothing."""
+    """A stuck disk has dQ/dx = 8 a G* by its slide x, a slipping one dQ/dmu = P by friction."""
     radius, slide = 0.45, 1.5 * compute_slip_distance(half_space, 0.45)
     near = np.flatnonzero(half_space.radius < 1.2 * radius)
     rows = (3 * near[:, None] + np.arange(3)).ravel()
@@ -325,10 +327,10 @@ def test_half_space_in_stick_and_in_slip(half_space):
                 .at[2:, :, 0]
                 .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             )
-            skin, which = make_undeformed_skins(system, path[0]), jnp.zeros(2, jnp.int32)
-            state = compute_pin_state(
-                system, jnp.zeros((len(w), 3)), FLAT, which, friction, path, skin, len(nodes)
-            )
+            skin = make_undeformed_skins(system, path[0])
+            problem = ContactProblem(system, FLAT, jnp.zeros(2, jnp.int32), friction, tilted=True)
+            to_pins = jnp.zeros((len(w), 3))
+            state = compute_pin_state(problem, to_pins, path, skin, len(nodes))
             return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
 
         values = jnp.full(2, slide), jnp.array([jnp.inf, MU])

@@ -18,7 +18,7 @@ FINE = 2 * np.pi * np.arange(4000) / 4000
 
 @pytest.fixture(scope="module")
 def made_up():
-    """Symmetric responses of rings and arbitrary ones of places, real, as any body's are; the apex bears m = 0 and 1 alone."""
+    """Real, symmetric responses of rings, arbitrary ones of places; the apex bears m = 0 and 1."""
     generator = np.random.default_rng(0)
     between = generator.normal(size=(HARMONICS + 1, 3 * RINGS, 3 * RINGS))
     fields = generator.normal(size=(HARMONICS + 1, 3 * PLACES, 3 * RINGS))
@@ -43,7 +43,7 @@ def cylindrical(direction: np.ndarray) -> np.ndarray:
 
 
 def displacement(response: np.ndarray, source: int, direction: np.ndarray) -> np.ndarray:
-    """(targets, 3, 4000) radial, tangential, up around the axis for a unit force at a node: one harmonic after the other."""
+    """Responses (targets, 3, 4000) around the axis to a unit force at a node, by harmonics."""
     ring = make_ring_lattice(RINGS)[0][source]
     total = np.zeros((response.shape[1] // 3, 3, len(FINE)), complex)
     for m in range(HARMONICS + 1):

@@ -67,7 +67,7 @@ def test_pins_without_length_move_with_the_face(dome, pins):
 
 @pytest.mark.parametrize("m", [0, 1, 2, 3])
 def test_pins_follow_the_normal_of_the_deformed_face(m):
-    """Against the cross product of two tangents of the moved face in space, by differences in place and in amplitude."""
+    """Compare with the cross product of two tangents of the moved face, by differences."""
     fine = make_dome_mesh(20.0, 1.0, 1.0)
 
     def field(r, z):

@@ -1,4 +1,4 @@
-"""Which scenes share a batch, which nodes and increments they get, and shapes as the contact sees them."""
+"""Batches of scenes, their nodes and increments, and shapes as obstacles."""
 
 from dataclasses import replace
 

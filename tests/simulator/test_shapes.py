@@ -1,4 +1,4 @@
-"""Every shape, and those that are made from points, against outlines that are drawn by other means."""
+"""Every shape, and those that are made from points, against outlines by other means."""
 
 import jax
 import jax.numpy as jnp

@@ -313,7 +313,7 @@ def test_the_deepest_pose_of_the_paper_is_covered():
     ],
 )
 def test_a_grazing_touch_is_felt(level, x, depth):
-    """No node that usually suffices is near the disk, and some that do not lie half a millimetre inside."""
+    """No node that usually suffices is near the disk, and others lie 0.5 mm inside."""
     grazed, entire = (
         simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each)
         for each in (level, "default")

@@ -65,7 +65,7 @@ def test_an_interrupt_promises_nothing(monkeypatch, verification):
     def stop(progress):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("verification.verify.verify", stop)
+    monkeypatch.setattr("verification.verify.run_verification", stop)
     answer = verification("verify")
     assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
 

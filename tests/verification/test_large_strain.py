@@ -1,4 +1,4 @@
-"""Neo-Hookean elements against closed forms at large strain, the pressed dome against the linear one at small strain."""
+"""Neo-Hookean elements against closed forms, and the pressed dome against the linear one."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ MESH_MM = 2.0
 
 
 def tube(inner, outer, height, columns, rows):
-    """Wall of a tube (a cylinder where `inner` is 0), its lower face the surface, nothing clamped."""
+    """Wall of a tube (a cylinder where `inner` is 0); its surface is the lower face."""
     r, z = np.linspace(inner, outer, 2 * columns + 1), np.linspace(0, height, 2 * rows + 1)
     grid = np.stack(np.meshgrid(r, z, indexing="ij"), -1).reshape(-1, 2)
     at = np.arange(len(grid)).reshape(len(r), len(z))
@@ -172,7 +172,7 @@ def test_a_cylinder_squeezed_without_friction(stretch):
 
 
 def inflation_error(columns, rows):
-    """Relative error of the pressure that widens the bore of a long thick tube from 1 to 1.6 mm, outer radius 2 mm."""
+    """Relative error of the pressure that widens a tube's bore from 1 to 1.6 of 2 mm."""
     mesh = tube(1.0, 2.0, 0.5, columns, rows)
     body = uniform(mesh, 1.0, 0.4999)
     bore = on(mesh, 0, 1.0)
@@ -198,7 +198,10 @@ def inflation_error(columns, rows):
 
 
 def test_a_thick_tube_blown_up():
-    """Plane strain, incompressible: sigma_theta - sigma_r = mu (l^2 - l^-2), integrated over dr / r (Ogden 1984, sec. 5.3)."""
+    """Plane strain, incompressible: sigma_theta - sigma_r = mu (l^2 - l^-2), over dr / r.
+
+    See Ogden 1984, sec. 5.3.
+    """
     assert (
         inflation_error(6, 1) < 2e-4
     )  # a Poisson ratio of 0.4999 instead of 0.5 is worth about 1e-4
@@ -288,7 +291,7 @@ def test_rows_follow_the_order_given_and_no_contact_moves_nothing():
 
 def test_what_does_not_converge_is_said_and_not_shown():
     def hesitant(gradient, shear, first):
-        """Forces are those of neo-Hookean matter, but their slopes are doubled: Newton's steps go half as far as they should."""
+        """Double the slopes of neo-Hookean forces: Newton's steps go half as far as they should."""
         energy, pull = jax.value_and_grad(neo_hookean)(gradient, shear, first)
         return 2 * energy - jnp.sum(jax.lax.stop_gradient(pull) * gradient)
 

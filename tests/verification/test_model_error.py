@@ -1,4 +1,4 @@
-"""What the table's figures mean; the full comparison takes a minute and runs with the long tests."""
+"""The table's figures; the full comparison takes a minute and is a long test."""
 
 import jax
 import numpy as np

@@ -8,9 +8,9 @@ from jaxunshear.errors import UserError
 from jaxunshear.simulator.level import OMISSIONS
 from jaxunshear.simulator.scene import Scenes
 from verification import plan_report as module
-from verification.contact_cases import HALF_SIZE
+from verification.contact_case import HALF_SIZE
 from verification.paper import sample_paper_scenes
-from verification.plan_report import show_grouping, show_plan
+from verification.plan_report import PlannedContact, show_grouping, show_plan
 
 SMALL = replace(HALF_SIZE, name="small")
 
@@ -20,7 +20,7 @@ def by_name(shown) -> dict:
 
 
 def test_a_slide():
-    shown = show_plan("disk", (-6, 0, 10, 1.0), move=(0.4, 0.0), sensor=SMALL)
+    shown = show_plan(PlannedContact("disk", (-6, 0, 10, 1.0), move=(0.4, 0.0)), sensor=SMALL)
     rows = by_name(shown)
     assert set(rows) == {"", module.TOGETHER, *OMISSIONS}
     needs = rows[""]
@@ -43,13 +43,17 @@ def test_a_slide():
 
 
 def test_nothing_is_touched():
-    rows = by_name(show_plan("disk", (40.0, 0, 0, 1.0), sensor=SMALL))
+    rows = by_name(show_plan(PlannedContact("disk", (40.0, 0, 0, 1.0)), sensor=SMALL))
     assert not rows[""]["touching"] and rows[""]["nodes"] == 0 and rows["untouched"]["matters"]
     assert rows["untouched"]["max_px"] == pytest.approx(0, abs=1e-4)
 
 
 def test_no_friction():
-    rows = by_name(show_plan("disk", (-6, 0, 0, 0.8), move=(0.4, 0), friction=0.0, sensor=SMALL))
+    rows = by_name(
+        show_plan(
+            PlannedContact("disk", (-6, 0, 0, 0.8), move=(0.4, 0), friction=0.0), sensor=SMALL
+        )
+    )
     assert (
         not rows[""]["friction"]
         and rows["friction"]["matters"]
@@ -58,7 +62,7 @@ def test_no_friction():
 
 
 def test_a_level_that_leaves_nothing_out():
-    shown = show_plan("disk", (-6, 0, 0, 0.8), level="default", sensor=SMALL)
+    shown = show_plan(PlannedContact("disk", (-6, 0, 0, 0.8)), level="default", sensor=SMALL)
     assert (
         not any(row.get("matters") for row in shown.rows)
         and "not left out at this level" in shown.text
@@ -84,7 +88,6 @@ def test_groups_hold_every_scene_once():
     ("arguments", "said"),
     [
         ({"stimulus": "pyramid"}, "pyramid"),
-        ({"level": "best"}, "best"),
         ({"pose": (0, 0, 0, float("nan"))}, "not finite"),
         ({"pose": (0, 0, 0, 50)}, "depth 50"),
         ({"friction": -1.0}, "friction -1"),
@@ -92,6 +95,8 @@ def test_groups_hold_every_scene_once():
 )
 def test_what_cannot_be_shown_is_refused(arguments, said):
     with pytest.raises(UserError, match=said):
-        show_plan(**{"stimulus": "disk", "pose": (0, 0, 0, 1), **arguments})
+        show_plan(PlannedContact(**{"stimulus": "disk", "pose": (0, 0, 0, 1), **arguments}))
+    with pytest.raises(UserError, match="best"):
+        show_plan(PlannedContact("disk", (0, 0, 0, 1)), level="best")
     with pytest.raises(UserError, match="--scenes 0"):
         show_grouping(0)

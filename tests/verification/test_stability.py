@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.contact_results import Contacts
-from verification import contact_cases, stability
+from verification import stability
+from verification.contact_case import HALF_SIZE, Case, format_sensor, make_motion, make_path_case
+from verification.contact_cases import list_cases
 
-SHALLOW = contact_cases.make_motion(0.5, slide=(0.3, 0.0))
+SHALLOW = make_motion(0.5, slide=(0.3, 0.0))
 
 
 def answer(pins: np.ndarray, converged: bool = True) -> Contacts:
@@ -25,19 +28,17 @@ def answer(pins: np.ndarray, converged: bool = True) -> Contacts:
     )
 
 
-def made_up(solve, refused=None, twin=None) -> contact_cases.Case:
-    return contact_cases.Case("made up", solve, "the line", contact_cases.HALF_SIZE, refused, twin)
+def made_up(solve, refused=None, twin=None) -> Case:
+    return Case("made up", solve, "the line", HALF_SIZE, refused, twin)
 
 
 def test_cases_are_many_and_their_names_differ():
-    names = [case.name for case in contact_cases.list_cases()]
+    names = [case.name for case in list_cases()]
     assert len(names) >= 60 and len(set(names)) == len(names)
 
 
 def test_a_contact_that_is_solved():
-    row = stability.examine_case(
-        contact_cases.make_path_case("small", SHALLOW, sensor=contact_cases.HALF_SIZE)
-    )
+    row = stability.examine_case(make_path_case("small", SHALLOW, sensor=HALF_SIZE))
     assert row.outcome == stability.SOLVED and row.holds and row.finite and row.converged
     assert (
         row.float_px <= stability.PRECISION_PX
@@ -51,7 +52,7 @@ def test_a_contact_that_is_solved():
 def test_nodes_that_stand_there_twice_change_nothing():
     (case,) = [
         case
-        for case in contact_cases.list_cases()
+        for case in list_cases()
         if case.name.startswith("contact nodes that stand there twice")
     ]
     row = stability.examine_case(case)
@@ -80,7 +81,7 @@ def test_senseless_sensors_are_refused_by_the_field():
     assert len(rows) >= 18 and [row.outcome for row in rows] == [stability.REFUSED] * len(rows)
 
 
-PINS = np.zeros((contact_cases.HALF_SIZE.pins, 3))
+PINS = np.zeros((HALF_SIZE.pins, 3))
 
 
 @pytest.mark.parametrize(
@@ -163,11 +164,9 @@ def test_an_unknown_case_is_refused():
 
 
 def test_a_line_says_what_sets_a_sensor_apart():
-    sensor = replace(contact_cases.TACTIP_331, skin_modulus_mpa=7.0)
-    assert contact_cases.format_sensor(sensor) == "Sensor(skin_modulus_mpa=7.0)"
-    assert (
-        "skin_modulus_mpa=7.0" in contact_cases.make_path_case("any", SHALLOW, sensor=sensor).line
-    )
+    sensor = replace(TACTIP_331, skin_modulus_mpa=7.0)
+    assert format_sensor(sensor) == "Sensor(skin_modulus_mpa=7.0)"
+    assert "skin_modulus_mpa=7.0" in make_path_case("any", SHALLOW, sensor=sensor).line
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The judge of networks at their extremes: what it passes, and that it does not pass what is wrong."""
+"""The judge of networks at their extremes: what passes, and what does not."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,13 +26,16 @@ from verification.network_images import (
 from verification.network_trainings import SHALLOW, make_steps_case
 
 FINE = judge.CaseOutput({"values": np.ones(3)})
-LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
+LINE = (
+    "training x stopped: supervised not finite at step 7, of batch 6; "
+    "the checkpoint of step 4 is kept"
+)
 NAN = make_steps_case(
     "NaN",
     SHALLOW,
-    change=network_trainings._nan,
+    change=network_trainings._put_nan,
     expects=(judge.STOPPED,),
-    words=network_trainings._words(),
+    words=network_trainings._list_words(),
 )
 
 
@@ -47,7 +50,7 @@ def network_cases() -> list[judge.NetworkCase]:
 @pytest.fixture
 def compiled_anew():
     """For what is changed beneath compiled programs."""
-    kept = (network_steps._programs.cache_clear, metrics._ms_ssim.clear_cache)
+    kept = (network_steps._compile.cache_clear, metrics._ms_ssim.clear_cache)
     for clear in kept:
         clear()
     yield

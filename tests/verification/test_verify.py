@@ -1,4 +1,4 @@
-"""Closed forms, orders and laws: the cheap checks here, all of them in the test that is marked long."""
+"""Closed forms, orders and laws: the cheap checks, and all of them in a long test."""
 
 import functools
 import math
