@@ -26,6 +26,13 @@ from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.scene import Scenes
 
 PNG_LEVEL = 4
+STORED_FIELDS = {  # of a chunk: the field of `Contacts` that it holds
+    "residual_mm": "residual_mm",
+    "iterations": "iterations",
+    "stuck": "stuck_nodes",
+    "slipping": "slipping_nodes",
+    "free": "free_nodes",
+}
 RENDER_BATCH = 16  # images rendered at once: one shape to compile, little memory
 
 
@@ -109,11 +116,10 @@ def _chunk(
 ) -> dict[str, np.ndarray]:
     """Of the contacts `number` (n,), which touch at `scenes` and `age`. A machine of a cluster needs no more than that."""
     contacts = engine.simulate(sensor, settings.stimuli, scenes)
-    kept = ("pins", "residual_mm", "iterations", "stuck", "slipping", "free")
-    fields = {name: np.array(getattr(contacts, name)) for name in kept}
+    fields = {name: np.array(getattr(contacts, field)) for name, field in STORED_FIELDS.items()}
     usable, retried = _usable(contacts), np.asarray(contacts.retried)
     size = settings.preprocess.size
-    tips = fields.pop("pins")
+    tips = np.array(contacts.pins)
     images = np.zeros((len(number), -(-size * size // 8)), np.uint8)
     pins = np.zeros((*tips.shape[:2], 2), np.float32)
     if usable.any():

@@ -56,7 +56,7 @@ class RecordedContacts(NamedTuple):
 
     def take(self, rows: np.ndarray) -> "RecordedContacts":
         arrays = {
-            name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")
+            name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "is_slide", "split")
         }
         files, names = tuple(self.files[i] for i in rows), tuple(self.names[i] for i in rows)
         return self._replace(files=files, names=names, **arrays)
