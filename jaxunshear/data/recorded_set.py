@@ -28,7 +28,7 @@ from jaxunshear.data.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice
-from jaxunshear.perception.preprocess import View
+from jaxunshear.perception.preprocess import Box, View
 
 TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
@@ -46,7 +46,7 @@ def open_recorded(
 
 def parse_frame(stored: Json) -> SensorFrame:
     """The inverse of what metadata keep of a sensor's frames."""
-    box = tuple(stored["box"]) if stored["box"] else None
+    box = Box(*stored["box"]) if stored["box"] else None
     view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
     place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
     return SensorFrame(
