@@ -1,4 +1,4 @@
-"""`tactip_paired`: sheared tactile images, each with a tap at the same pose."""
+"""Build `tactip_paired`: sheared tactile images, each with a tap at the same pose."""
 
 from collections.abc import Iterator
 from pathlib import Path

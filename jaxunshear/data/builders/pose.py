@@ -1,4 +1,4 @@
-"""`tactip_pose`: taps at poses of their own, recorded with drift."""
+"""Build `tactip_pose`: taps at poses of their own, with drift."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,6 +34,8 @@ class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg
         return self._set_info(features, ("image", "pose"))
 
     def _generate_examples(
-        self, shots: ContactSamples, paths: list[Path], split: str
+        self, samples: ContactSamples, paths: list[Path], split: str
     ) -> Iterator[tuple[str, dict]]:
-        yield from examples.iterate_pose_examples(self.builder_config.settings, shots, paths, split)
+        yield from examples.iterate_pose_examples(
+            self.builder_config.settings, samples, paths, split
+        )

@@ -1,4 +1,4 @@
-"""`tactip_recorded`: taps and slides as a laboratory recorded them, with the pins that are found in them."""
+"""Build `tactip_recorded`: taps and slides of a laboratory, with the pins detected in them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,11 +40,10 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        contacts, frame, paths = recorded_examples.prepare_recordings(
-            settings, sensor, self._get_unfinished_folder
-        )
-        counts, more = recorded_examples.summarise_recordings(contacts, frame, paths)
-        self._keep_metadata(counts, **more)
+        folder = self._unfinished_folder
+        contacts, frame, paths = recorded_examples.prepare_recordings(settings, sensor, folder)
+        counts, description = recorded_examples.summarise_recordings(contacts, frame, paths)
+        self._set_metadata(counts, **description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
 
     def _generate_examples(
