@@ -26,7 +26,7 @@ from pathlib import Path
 from jaxunshear.cluster import make_ray_runner
 from jaxunshear.data.generation import make_set
 fake = runpy.run_path(sys.argv[1])
-make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(spread=make_ray_runner(sys.argv[3], 1)))
+make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(run_calls=make_ray_runner(sys.argv[3], 1)))
 """
 
 
