@@ -83,7 +83,7 @@ def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
 
 
 def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
-    """Crop and untouched pins are those of training frames: other test frames leave them as they are."""
+    """Check that crop and rest positions are those of training frames, whatever the test frames."""
     other = tmp_path / "edge"
     shutil.copytree(recording, other)
     settings = settings_of(other)
