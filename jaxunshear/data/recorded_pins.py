@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
+from jaxunshear.data.recorded_contacts import LARGEST_PX
 from jaxunshear.data.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
@@ -24,7 +25,6 @@ from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinScore, PinScores
 from jaxunshear.selection import select_evenly
 
-LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
 SHOWN_IMAGES = 12
 MAX_NAMED = 8  # images, in the summary
 MAX_NOTES = 5

@@ -67,17 +67,19 @@ def _powers(x: np.ndarray, degree: int) -> np.ndarray:
 
 
 def compute_neighbour_weights(
-    offset: Float[np.ndarray, "M N 2"], spacing: float, known: Bool[np.ndarray, "M N"] | None = None
+    offset: Float[np.ndarray, "M N 2"],
+    spacing: float,
+    usable: Bool[np.ndarray, "M N"] | None = None,
 ) -> Float[np.ndarray, "M N"]:
     """Compute weights of neighbours at offsets px, by which their motions give a pin's motion.
 
     They fit a quadratic motion to the neighbours and read it at the pin. Neighbours that are not
-    `known` get no weight.
+    `usable` get no weight.
     """
     offset = offset / spacing
     share = 1 / (1 + (offset**2).sum(-1))
-    if known is not None:
-        share = share * known
+    if usable is not None:
+        share = share * usable
     design = _powers(offset, 2)
     ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, mostly on the rim
     weighted = np.swapaxes(design * share[..., None], -1, -2)

@@ -32,7 +32,7 @@ class MarkerLayout(NamedTuple):
 
     name: str
     flat: np.ndarray  # (P, 2) about the middle
-    shell: np.ndarray  # (P,) 0 in the middle
+    ring: np.ndarray  # (P,) 0 in the middle
     symmetry_deg: float  # turned by this it looks alike, and no image shows which turn it has
 
 
@@ -91,7 +91,7 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
     frames = _select_frames(frames, layout)
     rest = _guess_rest(frames, layout)
     for _ in range(2):
-        lattice = make_lattice(rest, layout.shell)
+        lattice = make_lattice(rest, layout.ring)
         mean_motion = _measure_mean_motion(lattice, frames)
         if mean_motion is None:
             raise UserError(
@@ -100,7 +100,7 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
                 "are found; name another sensor"
             )
         rest = rest + mean_motion
-    return make_lattice(rest, layout.shell)
+    return make_lattice(rest, layout.ring)
 
 
 def _select_frames(frames: list[np.ndarray], layout: MarkerLayout) -> list[np.ndarray]:
@@ -141,7 +141,7 @@ def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
     hulls = np.concatenate([_select_hull(pins) for pins in frames])
     centre = (np.percentile(hulls, 2, axis=0) + np.percentile(hulls, 98, axis=0)) / 2
     rim = float(np.median(np.linalg.norm(hulls - centre, axis=-1)))
-    outer = layout.shell >= layout.shell.max() - 2
+    outer = layout.ring >= layout.ring.max() - 2
     step = max(1, len(frames) // GUESS_IMAGES)
     trees = [cKDTree(pins) for pins in frames[::step][:GUESS_IMAGES]]
 

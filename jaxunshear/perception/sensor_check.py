@@ -61,12 +61,12 @@ class Verdict:
     inverted: bool  # light images with dark pins, whose inverse is the sensor's
 
 
-def measure_sensor_appearance(place_px: np.ndarray, size: int) -> SensorAppearance:
+def measure_sensor_appearance(pins_px: np.ndarray, size: int) -> SensorAppearance:
     """Measure MIN_PINS or more pins (P, 2) px as (column, row) in images of `size` px.
 
     Raises ValueError if there are fewer.
     """
-    pins = np.asarray(place_px, float)
+    pins = np.asarray(pins_px, float)
     if len(pins) < MIN_PINS:
         raise ValueError(
             f"{len(pins)} pins do not describe a sensor: at least {MIN_PINS} are needed"
