@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import tensorflow_datasets as tfds
 
 from jaxunshear.config import configs
@@ -54,6 +55,21 @@ def make_standard_configs(name: str) -> list[SetConfig]:
         )
         for config, settings in configs.CONFIGS[name].items()
     ]
+
+
+def make_image_feature(size: int) -> tfds.features.Image:
+    """Describe a binary image of `size` px."""
+    return tfds.features.Image(shape=(size, size, 1), encoding_format="png")
+
+
+def make_pins_feature(pins: int) -> tfds.features.Tensor:
+    """Describe the positions of pins."""
+    return tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes")
+
+
+def make_vector_feature(length: int) -> tfds.features.Tensor:
+    """Describe a vector of numbers, such as a pose."""
+    return tfds.features.Tensor(shape=(length,), dtype=np.float32)
 
 
 class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
