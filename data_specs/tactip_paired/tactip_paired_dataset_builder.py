@@ -1,4 +1,4 @@
-"""`tactip_paired`, as TFDS finds it: card, citation and tags lie beside; what builds it is the package's."""
+"""Make `tactip_paired` known to TFDS, with the card, citation and tags that lie beside."""
 
 import tensorflow_datasets as tfds
 
@@ -6,5 +6,5 @@ from jaxunshear.data.builders.paired import TactipPaired
 
 
 class Builder(TactipPaired):
-    # else TFDS takes that of the class above, once it has been asked for
+    # else TFDS takes the folder of the parent class, once it has been read
     pkg_dir_path = tfds.core.Path(__file__).parent

@@ -1,7 +1,8 @@
-"""Scenes -> contacts -> images, in files of one batch each, so that a killed run goes on where it stopped.
+"""Simulate contacts and render their images, in one file a batch, so that a killed run continues.
 
-Files are written by the process that asked for them, wherever the contacts were made. What disturbs an image depends on the seed
-and the contact's number alone, neither on the chunk nor on what was done before.
+Files are written by the process that asked for them, wherever the contacts were made. What disturbs
+an image depends on the seed and the contact's number alone, neither on the chunk nor on what was
+done before.
 """
 
 import functools
@@ -35,28 +36,24 @@ STORED_FIELDS = {  # of a chunk: the field of `Contacts` that it holds
 }
 RENDER_BATCH = 16  # images rendered at once: one shape to compile, little memory
 
+Chunk = dict[str, np.ndarray]
+
 
 class SimulationEngine(NamedTuple):
     """What makes contacts and images; the tests put fast stand-ins here."""
 
     plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
     simulate: Callable[..., Any]  # (sensor, names, scenes) -> Contacts
-    render: Callable[
-        ..., tuple[np.ndarray, np.ndarray]
-    ]  # (settings, sensor, tips, number, age) -> images, pins in px
+    # (settings, sensor, tips, number, age) -> images, pins in px
+    render: Callable[..., tuple[np.ndarray, np.ndarray]]
     run_calls: CallRunner = run_locally  # who makes the chunks
 
 
-def make_engine(spread: CallRunner = run_locally) -> SimulationEngine:
-    """The real one."""
+def make_engine(run_calls: CallRunner = run_locally) -> SimulationEngine:
+    """Make the engine that simulates and renders."""
     from jaxunshear.simulator import simulate
 
-    return SimulationEngine(simulate.plan, simulate.simulate, render_images, spread)
-
-
-def _usable(contacts: Contacts) -> np.ndarray:
-    finite = np.isfinite(contacts.pins).all((1, 2)) & np.isfinite(contacts.residual_mm)
-    return finite & np.asarray(contacts.converged, bool)
+    return SimulationEngine(simulate.plan, simulate.simulate, render_images, run_calls)
 
 
 def simulate_chunks(
@@ -66,78 +63,87 @@ def simulate_chunks(
     folder: Path,
     engine: SimulationEngine,
 ) -> list[Path]:
-    """Simulates all shots into one file per batch of `engine.plan`; files that are there already are kept.
+    """Simulate all contacts into one file per batch of `engine.plan`; files that exist are kept.
 
-    A contact that did not converge, not even where the simulator tried it again, or whose image is black, is stored as not
-    usable. A chunk holds `number`, `usable`, `retried` (n,), `images` (n, bytes) at
-    one bit a pixel, `pins` (n, P, 2) px, and what the solver says of each contact.
+    A contact that did not converge, even when the simulator tried it again, or whose image is
+    black, is stored as not usable. A chunk holds `number`, `usable`, `retried` (n,), `images`
+    (n, bytes) at one bit a pixel, `pins` (n, P, 2) px, and what the solver reports of each contact.
     """
-    batches = engine.plan(sensor, settings.stimuli, samples.scenes)
+    scenes = samples.scenes
+    batches = engine.plan(sensor, settings.stimuli, scenes)
     paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
-    left = {
+    missing = {
         path: batch for path, batch in zip(paths, batches, strict=True) if not _holds(path, batch)
     }
-    total, scenes = len(samples.scenes), samples.scenes
     calls = (
         Call(
             path,
-            _chunk,
+            _simulate_chunk,
             (settings, sensor, scenes.take(batch), np.asarray(batch), samples.age[batch], engine),
         )
-        for path, batch in left.items()
+        for path, batch in missing.items()
     )
     label = f"simulate {get_set_name(settings)}/{compute_config_name(settings, sensor)}"
-    with Progress(
-        label, total, unit="contacts", done=total - sum(map(len, left.values()))
-    ) as progress:
+    done = len(scenes) - sum(map(len, missing.values()))
+    with Progress(label, len(scenes), unit="contacts", done=done) as progress:
         for path, chunk in engine.run_calls(calls):
             if isinstance(chunk, WorkerDied):
-                hint = (
-                    "fewer at once (--ray-cores) have more memory each; then run the same command"
+                raise UserError(
+                    f"chunk {path.name}: {chunk.reason}; fewer at once (--ray-cores) "
+                    "have more memory each; then run the same command"
                 )
-                raise UserError(f"chunk {path.name}: {chunk.reason}; {hint}")
             write_npz(path, chunk)
-            progress.advance(len(left[path]))
+            progress.advance(len(missing[path]))
     return paths
 
 
 def _holds(path: Path, batch: np.ndarray) -> bool:
-    """Whether a killed run left this very batch; one planned by an older version is made again."""
+    """Return whether a killed run left this very batch; another version may have planned others."""
     return path.exists() and np.array_equal(load_chunk(path)["number"], batch)
 
 
-def _chunk(
+def _simulate_chunk(
     settings: PairedData | PoseData,
     sensor: Sensor,
     scenes: Scenes,
     number: np.ndarray,
     age: np.ndarray,
     engine: SimulationEngine,
-) -> dict[str, np.ndarray]:
-    """Of the contacts `number` (n,), which touch at `scenes` and `age`. A machine of a cluster needs no more than that."""
+) -> Chunk:
+    """Simulate the contacts `number` (n,), which touch at `scenes` and `age`.
+
+    A machine of a cluster needs no more than these arguments.
+    """
     contacts = engine.simulate(sensor, settings.stimuli, scenes)
     fields = {name: np.array(getattr(contacts, field)) for name, field in STORED_FIELDS.items()}
-    usable, retried = _usable(contacts), np.asarray(contacts.retried)
+    usable, tips = _is_usable(contacts), np.array(contacts.pins)
     size = settings.preprocess.size
-    tips = np.array(contacts.pins)
     images = np.zeros((len(number), -(-size * size // 8)), np.uint8)
     pins = np.zeros((*tips.shape[:2], 2), np.float32)
     if usable.any():
-        seen, places = engine.render(settings, sensor, tips[usable], number[usable], age[usable])
-        images[usable] = pack_bits(seen)
-        pins[usable] = places
+        rendered, rendered_pins = engine.render(
+            settings, sensor, tips[usable], number[usable], age[usable]
+        )
+        images[usable] = pack_bits(rendered)
+        pins[usable] = rendered_pins
         usable &= images.any(axis=-1)  # a frame that is not finite comes out black
     return {
         "number": number,
         "usable": usable,
-        "retried": retried,
+        "retried": np.asarray(contacts.retried),
         "images": images,
         "pins": pins,
         **fields,
     }
 
 
-def load_chunk(path: Path) -> dict[str, np.ndarray]:
+def _is_usable(contacts: Contacts) -> np.ndarray:
+    finite = np.isfinite(contacts.pins).all((1, 2)) & np.isfinite(contacts.residual_mm)
+    return finite & np.asarray(contacts.converged, bool)
+
+
+def load_chunk(path: Path) -> Chunk:
+    """Load a chunk's fields. Raises UserError for a damaged file."""
     try:
         return read_npz(path)
     except BROKEN_NPZ as error:
@@ -146,14 +152,31 @@ def load_chunk(path: Path) -> dict[str, np.ndarray]:
         ) from error
 
 
-def iterate_usable_rows(
-    paths: Iterable[Path], wanted: np.ndarray
-) -> Iterator[tuple[dict[str, np.ndarray], int, int]]:
-    """(chunk, place in it, row) of every usable contact that is `wanted` (N,), by row. Raises UserError for a damaged chunk."""
+class ChunkRow(NamedTuple):
+    """One contact in a chunk."""
+
+    chunk: Chunk
+    place: int  # in the chunk
+    row: int  # among all contacts
+
+    def encode_png(self, size: int) -> bytes:
+        """Encode its image as sets store it."""
+        return encode_png(unpack_bits(self.chunk["images"][self.place], size), PNG_LEVEL)
+
+    def get(self, name: str) -> Any:
+        """Return its value of a field."""
+        return self.chunk[name][self.place]
+
+
+def iterate_usable_rows(paths: Iterable[Path], selected: np.ndarray) -> Iterator[ChunkRow]:
+    """Iterate over the usable contacts that are `selected` (N,) bool, in the order of the chunks.
+
+    Raises UserError for a damaged chunk.
+    """
     for path in paths:
         chunk = load_chunk(path)
-        for place in np.flatnonzero(chunk["usable"] & wanted[chunk["number"]]):
-            yield chunk, int(place), int(chunk["number"][place])
+        for place in np.flatnonzero(chunk["usable"] & selected[chunk["number"]]):
+            yield ChunkRow(chunk, int(place), int(chunk["number"][place]))
 
 
 def render_images(
@@ -164,70 +187,56 @@ def render_images(
     age: np.ndarray,
     at_once: int = RENDER_BATCH,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px. Fewer `at_once`, to
-    which batches are filled up, take less time where there are never more."""
+    """Render pin tips (B, P, 3) mm of the contacts `number` (B,).
+
+    Batches are filled up to `at_once` images: set it lower where there are never more. Returns
+    images (B, S, S) uint8 in {0, 255}, and the pins (B, P, 2) px in them.
+    """
     images, pins = [], []
+    render = _make_renderer(settings.camera, settings.nuisance, settings.preprocess, sensor)
     for start in range(0, len(tips), at_once):
         rows = np.arange(start, min(start + at_once, len(tips)))
         padded = np.resize(rows, at_once)
-        image, place = _render()(
-            settings.camera,
-            settings.nuisance,
-            settings.preprocess,
-            sensor,
+        image, image_pins = render(
             np.asarray(tips[padded], np.float32),
             np.uint32(settings.seed),
             np.asarray(number[padded], np.uint32),
             np.asarray(age[padded], np.float32),
         )
         images.append(np.asarray(image)[: len(rows)])
-        pins.append(np.asarray(place)[: len(rows)])
+        pins.append(np.asarray(image_pins)[: len(rows)])
     return np.concatenate(images), np.concatenate(pins)
 
 
 @functools.cache
-def _render() -> Callable[..., tuple[Array, Array]]:
+def _make_renderer(
+    camera: Camera, nuisance: Nuisance, preprocess: Preprocess, sensor: Sensor
+) -> Callable[..., tuple[Array, Array]]:
     import jax
 
     from jaxunshear.perception.preprocess import binarise
     from jaxunshear.simulator import camera as cameras
 
-    @functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-    def run(
-        camera: Camera,
-        nuisance: Nuisance,
-        preprocess: Preprocess,
-        sensor: Sensor,
-        tips: Array,
-        seed: Array,
-        number: Array,
-        age: Array,
-    ) -> tuple[Array, Array]:
-        def one(tip: Array, index: Array, when: Array) -> Array:
-            key = jax.random.fold_in(jax.random.key(seed), index)
-            return cameras.render_frame(camera, sensor, nuisance, tip, key, when)
+    def render_one(tips: Array, seed: Array, number: Array, age: Array) -> Array:
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        return cameras.render_frame(camera, sensor, nuisance, tips, key, age)
 
-        frames = jax.vmap(one)(tips, number, age)
-        place = (
-            cameras.project(camera, tips, sensor) + cameras.compute_drift(nuisance, age)[:, None, :]
-        )
-        return binarise(preprocess, frames), cameras.to_image_px(camera, preprocess, place)
+    @jax.jit
+    def render(tips: Array, seed: Array, number: Array, age: Array) -> tuple[Array, Array]:
+        frames = jax.vmap(render_one, in_axes=(0, None, 0, 0))(tips, seed, number, age)
+        drift = cameras.compute_drift(nuisance, age)[:, None, :]
+        position = cameras.project(camera, tips, sensor) + drift
+        return binarise(preprocess, frames), cameras.to_image_px(camera, preprocess, position)
 
-    return run
+    return render
 
 
 def pack_bits(images: np.ndarray) -> np.ndarray:
-    """(B, S, S) binary -> (B, bytes), one bit a pixel."""
+    """Pack binary images (B, S, S) to (B, bytes), one bit a pixel."""
     return np.packbits(images.reshape(len(images), -1) > 0, axis=-1)
 
 
-def encode_stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
-    """One image of a chunk, as sets store it."""
-    return encode_png(unpack_bits(chunk["images"][place], size), PNG_LEVEL)
-
-
 def unpack_bits(bits: np.ndarray, size: int) -> np.ndarray:
-    """(..., bytes) -> (..., S, S) uint8 in {0, 255}."""
-    return np.unpackbits(bits, axis=-1, count=size * size).reshape(
-        *bits.shape[:-1], size, size
-    ) * np.uint8(255)
+    """Unpack (..., bytes) to images (..., S, S) uint8 in {0, 255}."""
+    pixels = np.unpackbits(bits, axis=-1, count=size * size)
+    return pixels.reshape(*bits.shape[:-1], size, size) * np.uint8(255)

@@ -1,26 +1,32 @@
-"""Chunks of contacts -> examples of the two data sets, and the counts that go with a set.
+"""Turn chunks of contacts into examples of the two simulated data sets, and count them.
 
-shots = draw(settings)                                                    # data/sampling.py
-paths = simulate_chunks(settings, sensor, shots, folder, simulator())     # data/chunks.py
-for key, example in paired_examples(settings, shots, paths, "train"): ...
+samples = sample_contacts(settings)
+paths = simulate_chunks(settings, sensor, samples, folder, make_engine())
+for key, example in iterate_paired_examples(settings, samples, paths, "train"): ...
 """
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import encode_stored_png, iterate_usable_rows, load_chunk
+from jaxunshear.data.chunks import iterate_usable_rows, load_chunk
 from jaxunshear.data.sampling import ContactSamples
 from jaxunshear.files import Json
+
+CONTACT_COUNTS = ("stuck", "slipping", "free", "iterations")
 
 
 def summarise_set(
     settings: PairedData | PoseData, samples: ContactSamples, paths: list[Path]
 ) -> dict:
-    """Counts of a set, and the scene of every contact that was dropped (plain JSON types)."""
+    """Count the contacts of a set, and list the scenes of those that were dropped.
+
+    All values are plain JSON types.
+    """
     usable = np.zeros(len(samples.scenes), bool)
     iterations = np.zeros(len(samples.scenes), int)
     retried = 0
@@ -29,13 +35,11 @@ def summarise_set(
         usable[chunk["number"]] = chunk["usable"]
         iterations[chunk["number"]] = chunk["iterations"]
         retried += int(chunk["retried"].sum())
-    written = usable & samples.is_slide if isinstance(settings, PairedData) else usable
-    unpaired = 0
+    written, unpaired = usable, 0
     if isinstance(settings, PairedData):
-        taps = _by_pose(samples, np.flatnonzero(usable & ~samples.is_slide))
-        alone = np.array([not taps.get(key) for key in _pose_keys(samples)])
-        unpaired = int((written & alone).sum())
-        written &= ~alone
+        slides = usable & samples.is_slide
+        written = slides & _has_tap(samples, usable)
+        unpaired = int(slides.sum() - written.sum())
     return {
         "contacts": len(samples.scenes),
         "retried": retried,
@@ -51,92 +55,104 @@ def summarise_set(
             for index, name in enumerate(SPLITS)
         },
         "dropped_scenes": [
-            {
-                "number": int(row),
-                "stimulus": settings.names[samples.scenes.stimulus[row]],
-                "pose_id": int(samples.pose_id[row]),
-                "pose": samples.scenes.pose[row].tolist(),
-                "move": samples.scenes.move[row].tolist(),
-            }
-            for row in np.flatnonzero(~usable)
+            _describe_scene(settings, samples, int(row)) for row in np.flatnonzero(~usable)
         ],
     }
 
 
-def _pose_keys(shots: ContactSamples) -> list[tuple[int, int]]:
-    return list(zip(shots.scenes.stimulus.tolist(), shots.pose_id.tolist(), strict=True))
+def _describe_scene(settings: PairedData | PoseData, samples: ContactSamples, row: int) -> Json:
+    return {
+        "number": row,
+        "stimulus": settings.names[samples.scenes.stimulus[row]],
+        "pose_id": int(samples.pose_id[row]),
+        "pose": samples.scenes.pose[row].tolist(),
+        "move": samples.scenes.move[row].tolist(),
+    }
 
 
-def _by_pose(shots: ContactSamples, rows: np.ndarray) -> dict[tuple[int, int], list[int]]:
-    keys = _pose_keys(shots)
-    groups: dict[tuple[int, int], list[int]] = {}
+class _PoseKey(NamedTuple):
+    stimulus: int
+    pose_id: int
+
+
+def _list_pose_keys(samples: ContactSamples) -> list[_PoseKey]:
+    pairs = zip(samples.scenes.stimulus.tolist(), samples.pose_id.tolist(), strict=True)
+    return [_PoseKey(*pair) for pair in pairs]
+
+
+def _group_by_pose(samples: ContactSamples, rows: np.ndarray) -> dict[_PoseKey, list[int]]:
+    keys = _list_pose_keys(samples)
+    groups: dict[_PoseKey, list[int]] = {}
     for row in rows.tolist():
         groups.setdefault(keys[row], []).append(row)
     return groups
 
 
-def _labels(settings: PairedData | PoseData, shots: ContactSamples, row: int) -> Json:
+def _has_tap(samples: ContactSamples, usable: np.ndarray) -> np.ndarray:
+    """Return for each contact (N,) whether there is a usable tap at its pose."""
+    taps = _group_by_pose(samples, np.flatnonzero(usable & ~samples.is_slide))
+    return np.array([key in taps for key in _list_pose_keys(samples)])
+
+
+def _make_labels(settings: PairedData | PoseData, samples: ContactSamples, row: int) -> Json:
     return {
-        "pose": shots.scenes.pose[row].astype(np.float32),
-        "edge": shots.edge[row].astype(np.float32),
-        "stimulus": settings.names[shots.scenes.stimulus[row]],
-        "pose_id": int(shots.pose_id[row]),
+        "pose": samples.scenes.pose[row].astype(np.float32),
+        "edge": samples.edge[row].astype(np.float32),
+        "stimulus": settings.names[samples.scenes.stimulus[row]],
+        "pose_id": int(samples.pose_id[row]),
     }
 
 
 def iterate_paired_examples(
-    settings: PairedData, shots: ContactSamples, paths: list[Path], split: str
+    settings: PairedData, samples: ContactSamples, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
-    """(key, example) of every usable slide of a split with a tap of its pose: slide j takes tap j modulo their number."""
-    inside = shots.split == SPLITS.index(split)
+    """Iterate over (key, example) of every usable slide of a split with a tap of its pose.
+
+    Slide j takes tap j modulo the number of taps.
+    """
+    size, in_split = settings.preprocess.size, samples.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
-    for chunk, place, row in iterate_usable_rows(paths, inside & ~shots.is_slide):
-        tap_images[row] = encode_stored_png(chunk, place, settings.preprocess.size)
-        tap_pins[row] = chunk["pins"][place]
-    taps = _by_pose(shots, np.array(sorted(tap_images), int))
-    keys = _pose_keys(shots)
-    for chunk, place, row in iterate_usable_rows(paths, inside & shots.is_slide):
+    for tap in iterate_usable_rows(paths, in_split & ~samples.is_slide):
+        tap_images[tap.row] = tap.encode_png(size)
+        tap_pins[tap.row] = tap.get("pins")
+    taps = _group_by_pose(samples, np.array(sorted(tap_images), int))
+    keys = _list_pose_keys(samples)
+    for slide in iterate_usable_rows(paths, in_split & samples.is_slide):
+        row = slide.row
         if keys[row] not in taps:
             continue
-        slide = int(shots.instance[row])
-        tap = taps[keys[row]][slide % len(taps[keys[row]])]
-        labels = _labels(settings, shots, row)
-        yield (
-            f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
-            {
-                "canonical": tap_images[tap],
-                "sheared": encode_stored_png(chunk, place, settings.preprocess.size),
-                "canonical_pins": tap_pins[tap],
-                "sheared_pins": chunk["pins"][place],
-                **labels,
-                "move": shots.scenes.move[row].astype(np.float32),
-                "friction": np.float32(shots.scenes.friction[row]),
-                "slide_id": slide,
-                "tap_id": int(shots.instance[tap]),
-                "tap_depth_mm": np.float32(shots.scenes.pose[tap, 3]),
-                "residual_mm": np.float32(chunk["residual_mm"][place]),
-                **{
-                    name: int(chunk[name][place])
-                    for name in ("stuck", "slipping", "free", "iterations")
-                },
-            },
-        )
+        slide_id, partners = int(samples.instance[row]), taps[keys[row]]
+        partner = partners[slide_id % len(partners)]
+        labels = _make_labels(settings, samples, row)
+        example = {
+            "canonical": tap_images[partner],
+            "sheared": slide.encode_png(size),
+            "canonical_pins": tap_pins[partner],
+            "sheared_pins": slide.get("pins"),
+            **labels,
+            "move": samples.scenes.move[row].astype(np.float32),
+            "friction": np.float32(samples.scenes.friction[row]),
+            "slide_id": slide_id,
+            "tap_id": int(samples.instance[partner]),
+            "tap_depth_mm": np.float32(samples.scenes.pose[partner, 3]),
+            "residual_mm": np.float32(slide.get("residual_mm")),
+            **{name: int(slide.get(name)) for name in CONTACT_COUNTS},
+        }
+        yield f"{labels['stimulus']}_{labels['pose_id']}_{slide_id}", example
 
 
 def iterate_pose_examples(
-    settings: PoseData, shots: ContactSamples, paths: list[Path], split: str
+    settings: PoseData, samples: ContactSamples, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
-    """(key, example) of every usable tap of a split."""
-    inside = shots.split == SPLITS.index(split)
-    for chunk, place, row in iterate_usable_rows(paths, inside):
-        labels = _labels(settings, shots, row)
-        yield (
-            f"{labels['stimulus']}_{labels['pose_id']}",
-            {
-                "image": encode_stored_png(chunk, place, settings.preprocess.size),
-                "pins": chunk["pins"][place],
-                **labels,
-                "residual_mm": np.float32(chunk["residual_mm"][place]),
-                "age": np.float32(shots.age[row]),
-            },
-        )
+    """Iterate over (key, example) of every usable tap of a split."""
+    in_split = samples.split == SPLITS.index(split)
+    for tap in iterate_usable_rows(paths, in_split):
+        labels = _make_labels(settings, samples, tap.row)
+        example = {
+            "image": tap.encode_png(settings.preprocess.size),
+            "pins": tap.get("pins"),
+            **labels,
+            "residual_mm": np.float32(tap.get("residual_mm")),
+            "age": np.float32(samples.age[tap.row]),
+        }
+        yield f"{labels['stimulus']}_{labels['pose_id']}", example

@@ -1,4 +1,4 @@
-"""A block of poses kept out of training, so that no test pose has a training pose close by.
+"""Keep a block of poses out of training, so that no test pose has a training pose close by.
 
 split, note = cut_block(pose, test=0.1, validation=0.1, seed=0)
 
@@ -37,8 +37,9 @@ def cut_block(
     start, first, last, end = np.quantile(value, ends)
     if start == first or last == end:
         raise UserError(
-            f"paired.split block: {target.name} takes only {_count_values(value)} values, too few "
-            f"to leave a gap between test and training: raise --paired.validation, or {RANDOM_REMEDY}"
+            f"paired.split block: {target.name} takes only {_count_values(value)} values, "
+            "too few to leave a gap between test and training: "
+            f"raise --paired.validation, or {RANDOM_REMEDY}"
         )
     split = np.full(len(value), TRAIN)
     split[(value >= start) & (value <= end)] = VALIDATION

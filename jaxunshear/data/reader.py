@@ -1,11 +1,14 @@
-"""Reads a data set through grain: shuffled, shifted, re-paired batches that depend on the seed and the step alone.
+"""Read a data set through grain, in batches that depend on the seed and the step alone.
+
+Training batches are shuffled, shifted and paired anew.
 
     paired = open_set(experiment.paired, data_dir, experiment.sensor)
     steps = paired.train_batches(batch=16, seed=0, shift=0.015)(start_step=0)
     next(steps)["sheared"]  # (16, 128, 128, 1) uint8 in {0, 255}
 
-A split is decoded once and held in memory at one bit a pixel: 9 MB of images for the demo's training pairs, 0.9 GB for the
-paper's. A split with more than `MAX_MEMORY_BYTES` of images has them in an unlinked file beside the set instead.
+A split is decoded once and held in memory at one bit a pixel: 9 MB of images for the demo's
+training pairs, 0.9 GB for the paper's. A split with more than `MAX_MEMORY_BYTES` of images has them
+in an unlinked file beside the set instead.
 """
 
 import functools
@@ -15,6 +18,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import grain
 import numpy as np
@@ -39,117 +43,147 @@ Batch = dict[str, np.ndarray]
 
 
 class Reader:
-    """Examples in memory. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
-    the other fields are those of the data card. `fields` names those wanted, all of them if None.
+    """Holds examples in memory.
 
-    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack_bits`), or (N, S, S) uint8 where they are grey.
+    Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and
+    deg; the other fields are those of the data card. `fields` selects some, all of them if None.
+
+    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack_bits`), or
+    (N, S, S) uint8 if they are grey.
     """
 
     def __init__(self, load: Callable[[str], Batch], size: int) -> None:
         self.rows, self._size = functools.cache(load), size  # rows: all of a split as it is stored
 
     def length(self, split: str) -> int:
-        """Number of examples of a split."""
-        if split not in SPLITS:
-            raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
+        """Return the number of examples of a split."""
+        _check_split(split)
         return len(next(iter(self.rows(split).values())))
 
     def split(self, name: str, batch: int, fields: Sequence[str] | None = None) -> Iterator[Batch]:
-        """A split once, in its stored order and pairing; the last batch may be smaller."""
-        wanted = fields or tuple(self.rows(name))
-        for start in range(0, self.length(name), batch):
-            yield self.take(name, np.arange(start, min(start + batch, self.length(name))), wanted)
+        """Iterate once over a split, in its stored order and pairing.
+
+        The last batch may be smaller.
+        """
+        selected, count = fields or tuple(self.rows(name)), self.length(name)
+        for start in range(0, count, batch):
+            yield self.take(name, np.arange(start, min(start + batch, count)), selected)
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
-        """The given rows (B,) of a split, in this order."""
+        """Return rows (B,) of a split, in this order."""
         stored = self.rows(name)
-        return self._images({field: stored[field][rows] for field in fields})
+        return self._unpack_images({field: stored[field][rows] for field in fields})
 
     def train_batches(
         self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
     ) -> Callable[[int], Iterator[Batch]]:
-        """Endless training batches from any step on; every epoch is shuffled anew.
+        """Return a function that iterates over training batches without end, from any step on.
 
-        `shift` is the largest random shift along each axis as a fraction of the image size, rounded to integer pixels; both
-        images of a pair shift alike and their pins with them. A sheared image is paired with a random tap of its pose.
+        Every epoch is shuffled anew. `shift` is the largest random shift along each axis as a
+        fraction of the image size, rounded to integer pixels; both images of a pair shift alike and
+        their pins with them. A sheared image is paired with a random tap of its pose.
         """
+        fields = fields or tuple(self.rows("train"))
+        if shift:
+            make_batch = self._make_shifted_batches(batch, seed, shift * self._size, fields)
+        else:
+            make_batch = self._make_plain_batches(batch, seed, fields)
+
+        def iterate_from(start_step: int = 0) -> Iterator[Batch]:
+            return map(make_batch, itertools.count(start_step))
+
+        return iterate_from
+
+    def _make_shifted_batches(
+        self, batch: int, seed: int, max_shift_px: float, fields: Sequence[str]
+    ) -> Callable[[int], Batch]:
+        """Return a function of the step that draws each example, its tap and its shift."""
         rows = self.rows("train")
-        most = shift * self._size
-        siblings = group_by_pose(rows["stimulus"], rows["pose_id"])
-        wanted = fields or tuple(rows)
+        groups = group_by_pose(rows["stimulus"], rows["pose_id"])
 
-        def draw(row: int, generator: np.random.Generator) -> np.ndarray:
-            offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
-            return np.array([row, generator.choice(siblings.get_group(row)), *offset])
+        def draw_example(row: int, generator: np.random.Generator) -> np.ndarray:
+            offset = np.rint(generator.uniform(-max_shift_px, max_shift_px, 2)).astype(int)
+            return np.array([row, generator.choice(groups.get_group(row)), *offset])
 
-        drawn = (
+        examples = (
             grain.MapDataset.range(self.length("train"))
             .seed(seed)
             .shuffle()
             .repeat()
-            .random_map(draw)
+            .random_map(draw_example)
             .batch(batch)
         )
-        order = _make_shuffle(self.length("train"), batch, seed)
 
-        def at_once(step: int) -> np.ndarray:
-            here = order(step)
-            taps = siblings.sample_any(
-                here, np.random.default_rng((seed, step, 1))
-            )  # others draw by (seed, step)
-            return np.stack([here, taps, *np.zeros((2, batch), int)], axis=-1)
+        def make_batch(step: int) -> Batch:
+            here, taps, *offsets = examples[step].T
+            unshifted = self._make_training_batch(here, taps, fields, (seed, step))
+            return shift_examples(unshifted, np.stack(offsets, axis=-1))
 
-        def at(step: int) -> Batch:
-            here, taps, *offsets = (drawn[step] if shift else at_once(step)).T
-            examples = self._make_training_batch(here, taps, wanted, (seed, step))
-            return shift_examples(examples, np.stack(offsets, axis=-1)) if shift else examples
+        return make_batch
 
-        def from_step(start_step: int = 0) -> Iterator[Batch]:
-            return map(at, itertools.count(start_step))
+    def _make_plain_batches(
+        self, batch: int, seed: int, fields: Sequence[str]
+    ) -> Callable[[int], Batch]:
+        """Return a function of the step that draws all examples and their taps at once."""
+        rows = self.rows("train")
+        groups = group_by_pose(rows["stimulus"], rows["pose_id"])
+        select_rows = _make_shuffle(self.length("train"), batch, seed)
 
-        return from_step
+        def make_batch(step: int) -> Batch:
+            here = select_rows(step)
+            # other draws of a step are seeded by (seed, step)
+            taps = groups.sample_any(here, np.random.default_rng((seed, step, 1)))
+            return self._make_training_batch(here, taps, fields, (seed, step))
+
+        return make_batch
 
     def _make_training_batch(
         self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]
     ) -> Batch:
-        """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""
+        """Make training examples of the rows `here`, with the taps of other rows.
+
+        `seed`, of this step, is for what a subclass draws.
+        """
         rows = self.rows("train")
-        return self._images(
+        return self._unpack_images(
             {name: rows[name][taps if name in TAP_FIELDS else here] for name in fields}
         )
 
-    def _images(self, rows: Batch) -> Batch:
+    def _unpack_images(self, rows: Batch) -> Batch:
         return {
-            name: self._image(value) if name in IMAGES else value for name, value in rows.items()
+            name: self._unpack_image(value) if name in IMAGES else value
+            for name, value in rows.items()
         }
 
-    def _image(self, stored: np.ndarray) -> np.ndarray:
-        """One bit a pixel, or grey as it is."""
-        grey = stored.shape[-2:] == (self._size, self._size)
-        return (stored if grey else unpack_bits(stored, self._size))[..., None]
+    def _unpack_image(self, stored: np.ndarray) -> np.ndarray:
+        """Unpack images at one bit a pixel; grey ones stay as they are."""
+        is_grey = stored.shape[-2:] == (self._size, self._size)
+        return (stored if is_grey else unpack_bits(stored, self._size))[..., None]
+
+
+def _check_split(split: str) -> None:
+    if split not in SPLITS:
+        raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
 
 
 class SetReader(Reader):
-    """One set on disk."""
+    """Reads one set on disk."""
 
     def __init__(self, settings: DataSettings, folder: Path, metadata: dict) -> None:
         super().__init__(self._load, settings.preprocess.size)
         self.settings, self.folder, self.metadata = settings, folder, metadata
 
     def length(self, split: str) -> int:
-        if split not in SPLITS:
-            raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
+        _check_split(split)
         return self.metadata["counts"]["written"][split]
 
     def _load(self, split: str) -> Batch:
         count = self.length(split)
         try:
             rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
-            return (
-                rows | {"felt": to_sensor_frame(rows["move"], rows["pose"])}
-                if isinstance(self.settings, PairedData)
-                else rows
-            )
+            if isinstance(self.settings, PairedData):
+                return rows | {"felt": to_sensor_frame(rows["move"], rows["pose"])}
+            return rows
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
@@ -163,63 +197,79 @@ def open_set(
     sensor: Sensor = TACTIP_331,
     kind: type[SetReader] = SetReader,
 ) -> SetReader:
-    """The set made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
-    return kind(
-        settings,
-        get_set_folder(settings, sensor, data_dir),
-        read_metadata(settings, sensor, data_dir),
-    )
+    """Open the set made with `settings`.
+
+    Raises `UserError` if it is missing or was made with other settings.
+    """
+    folder = get_set_folder(settings, sensor, data_dir)
+    return kind(settings, folder, read_metadata(settings, sensor, data_dir))
 
 
 def to_sensor_frame(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Slides (N, 2) mm, or (N, 3) with their turn, deg, as the sensor at `pose` (N, 4) or (N, 6) feels them: in its own frame."""
-    return np.concatenate(
-        [rotate_2d(move[:, :2], np.radians(-pose[:, 2])), move[:, 2:]], axis=1
-    ).astype(np.float32)
+    """Convert slides to the sensor frame at `pose` (N, 4) or (N, 6).
+
+    Slides are (N, 2) mm, or (N, 3) with their twist, deg.
+    """
+    rotated = rotate_2d(move[:, :2], np.radians(-pose[:, 2]))
+    return np.concatenate([rotated, move[:, 2:]], axis=1).astype(np.float32)
 
 
 def shift_examples(examples: Batch, offsets: np.ndarray) -> Batch:
-    """Moves images (B, S, S, 1) by `offsets` (B, 2), integer pixels (col, row), black flowing in, and pins with them."""
-    moved = dict(examples)
+    """Shift images (B, S, S, 1), and pins with them, by `offsets` (B, 2), integer px (col, row).
+
+    Black flows in.
+    """
+    shifted = dict(examples)
     for name in examples.keys() & set(IMAGES):
         size = examples[name].shape[1]
-        moved[name] = np.zeros_like(examples[name])
-        for to, image, (columns, rows) in zip(
-            moved[name], examples[name], offsets.tolist(), strict=True
-        ):
-            down, right = _overlap(rows, size), _overlap(columns, size)
-            to[down[0], right[0]] = image[down[1], right[1]]
+        shifted[name] = np.zeros_like(examples[name])
+        pairs = zip(shifted[name], examples[name], offsets.tolist(), strict=True)
+        for target, image, (right, down) in pairs:
+            rows, columns = _find_overlap(down, size), _find_overlap(right, size)
+            target[rows.target, columns.target] = image[rows.source, columns.source]
     for name in examples.keys() & set(PINS):
-        moved[name] = examples[name] + offsets[:, None].astype(np.float32)
-    return moved
+        shifted[name] = examples[name] + offsets[:, None].astype(np.float32)
+    return shifted
 
 
-def _overlap(offset: int, size: int) -> tuple[slice, slice]:
-    """Where a shifted axis lands, and what of it stays in view."""
-    return slice(max(offset, 0), size + min(offset, 0)), slice(
-        max(-offset, 0), size - max(offset, 0)
-    )
+class _Overlap(NamedTuple):
+    """Where a shifted axis lands, and which part of it stays in view."""
+
+    target: slice
+    source: slice
+
+
+def _find_overlap(offset: int, size: int) -> _Overlap:
+    target = slice(max(offset, 0), size + min(offset, 0))
+    return _Overlap(target, slice(max(-offset, 0), size - max(offset, 0)))
 
 
 def _make_shuffle(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
-    """Step -> the rows (batch,) of its examples: all `count` of them in every epoch, in another order. Drawing these one by one takes
-    longer than a step of a small network over pins."""
+    """Return a function from a step to the rows (batch,) of its examples.
+
+    Every epoch has all `count` of them, in another order. Drawing these one by one would take
+    longer than a step of a small network over pins.
+    """
 
     @functools.lru_cache(maxsize=2)
-    def epoch(number: int) -> np.ndarray:
-        return np.random.default_rng((seed, number)).permutation(count)
+    def permute(epoch: int) -> np.ndarray:
+        return np.random.default_rng((seed, epoch)).permutation(count)
 
-    def rows(step: int) -> np.ndarray:
-        numbers, places = np.divmod(np.arange(step * batch, (step + 1) * batch), count)
-        return np.concatenate(
-            [epoch(at)[places[numbers == at]] for at in range(numbers[0], numbers[-1] + 1)]
-        )
+    def select_rows(step: int) -> np.ndarray:
+        epochs, places = np.divmod(np.arange(step * batch, (step + 1) * batch), count)
+        parts = [
+            permute(epoch)[places[epochs == epoch]] for epoch in range(epochs[0], epochs[-1] + 1)
+        ]
+        return np.concatenate(parts)
 
-    return rows
+    return select_rows
 
 
 def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
-    """Compares every shard of a split with its checksum from when it was written; returns the checksums."""
+    """Compare every shard of a split with its checksum; returns the checksums.
+
+    Raises UserError for a shard that is missing or damaged.
+    """
     from jaxunshear.data.builders.stored import compute_sha256
 
     try:
@@ -240,45 +290,49 @@ def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
 # The stages of a run, one process, open the same sets one after the other.
 @functools.lru_cache(maxsize=2 * len(SPLITS))
 def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> Batch:
-    """All fields of a split, (count, ...) each, read-only; images at one bit a pixel. `sums` are those of its shards: a set made anew
-    is read anew."""
+    """Read all fields of a split, (count, ...) each, read-only; images at one bit a pixel.
+
+    `sums` are the checksums of its shards: a set made anew is read anew.
+    """
     import tensorflow_datasets as tfds
 
     builder = tfds.builder_from_directory(folder)
     features = builder.info.features
     images = [name for name in IMAGES if name in features]
-    source = builder.as_data_source(
-        split, decoders={name: tfds.decode.SkipDecoding() for name in images}
-    )
+    decoders = {name: tfds.decode.SkipDecoding() for name in images}
+    source = builder.as_data_source(split, decoders=decoders)
     if len(source) != count:
         raise UserError(
-            f"{folder} holds {len(source)} examples of split '{split}', its metadata says {count}: delete it"
+            f"{folder} holds {len(source)} examples of split '{split}', "
+            f"its metadata says {count}: delete it"
         )
     rows: Batch = {}
     for name, feature in features.items():
         if name in images:
             bits = -(-feature.shape[0] * feature.shape[1] // 8)
-            rows[name] = _room(folder, (count, bits), len(images))
+            rows[name] = _allocate(folder, (count, bits), len(images))
         else:
             dtype = np.int32 if np.issubdtype(feature.np_dtype, np.integer) else feature.np_dtype
             rows[name] = np.zeros((count, *feature.shape), dtype)
     for index in range(count):
         for name, value in source[index].items():
-            rows[name][index] = (
-                pack_bits(np.asarray(Image.open(io.BytesIO(value)))[None])[0]
-                if name in images
-                else value
-            )
+            rows[name][index] = _pack_png(value) if name in images else value
     for value in rows.values():
         value.flags.writeable = False
     return rows
 
 
-def _room(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
-    """Bytes in memory, or in an unlinked file if all of a split's `images` fields together are too large."""
+def _pack_png(data: bytes) -> np.ndarray:
+    return pack_bits(np.asarray(Image.open(io.BytesIO(data)))[None])[0]
+
+
+def _allocate(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
+    """Allocate bytes for one of a split's `images` fields.
+
+    They are in memory, or in an unlinked file if all image fields together are too large.
+    """
     if images * shape[0] * shape[1] <= MAX_MEMORY_BYTES:
         return np.zeros(shape, np.uint8)
-    beside = (
-        folder.parent if os.access(folder.parent, os.W_OK) else None
-    )  # data that are shared may be read-only
+    # data that are shared may be read-only
+    beside = folder.parent if os.access(folder.parent, os.W_OK) else None
     return np.memmap(tempfile.TemporaryFile(dir=beside), np.uint8, "w+", shape=shape)

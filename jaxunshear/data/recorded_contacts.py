@@ -1,10 +1,10 @@
-"""Recorded contacts: which are taps and which slides, in which split, and where their pins stand. Imports no JAX until images are read.
+"""Read recorded contacts: which are taps, which slides, and which split each is in.
 
-contacts = read_contacts(settings)                                     # labels alone: no image is read
-sensor = identify_sensor(contacts, settings.preprocess)               # by the number of pins
-paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
+contacts = read_contacts(settings)  # labels alone: no image is read
+sensor = identify_sensor(contacts, settings.preprocess)  # by the number of pins
 
 Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
+Imports no JAX until images are read.
 """
 
 import re
@@ -35,58 +35,69 @@ SPLIT_NAMES = {
     "validation": "validation",
     "test": "test",
 }
-LARGEST_PX = 256  # pins are found at the frames' own size, at most this
+KINDS = {False: "tap", True: "slide"}  # by `is_slide`
+LARGEST_PX = 256  # pins are detected at the frames' own size, at most this
 PROBES = 20  # training frames that crop, sensor and lattice are found from
 COUNTED_FRAMES = 5  # of them, whose pins are counted
 MAX_PIN_COUNT_ERROR = 0.15  # of a sensor's pins, by which a count may miss
 
 
 class RecordedContacts(NamedTuple):
-    """N recorded contacts. Poses and moves (N, 6) are x y z mm, Rx Ry Rz deg in the labels' own frame, NaN where unknown."""
+    """N recorded contacts.
+
+    Poses and moves (N, 6) are x y z mm, Rx Ry Rz deg in the labels' frame, NaN where unknown.
+    """
 
     files: tuple[Path, ...]
-    names: tuple[str, ...]  # places below the folder that was named
+    names: tuple[str, ...]  # paths below the folder that the settings name
     pose: np.ndarray
     move: np.ndarray
     pose_id: np.ndarray  # (N,) -1 where unknown
     is_slide: np.ndarray  # (N,) bool
     split: np.ndarray  # (N,) index into SPLITS
     notes: tuple[str, ...]
-    paired_by_table: bool = False  # by a table: `pose_id` then numbers its taps
+    paired_by_table: bool = False  # `pose_id` then numbers the taps of the table
 
     def take(self, rows: np.ndarray) -> "RecordedContacts":
-        arrays = {
-            name: getattr(self, name)[rows]
-            for name in ("pose", "move", "pose_id", "is_slide", "split")
-        }
-        files, names = tuple(self.files[i] for i in rows), tuple(self.names[i] for i in rows)
-        return self._replace(files=files, names=names, **arrays)
+        """Return the contacts of some rows."""
+        return self._replace(
+            files=tuple(self.files[row] for row in rows),
+            names=tuple(self.names[row] for row in rows),
+            pose=self.pose[rows],
+            move=self.move[rows],
+            pose_id=self.pose_id[rows],
+            is_slide=self.is_slide[rows],
+            split=self.split[rows],
+        )
 
 
 def read_contacts(settings: Recorded) -> RecordedContacts:
-    """Taps and slides of the recordings, split. Raises UserError where there is nothing, or labels do not part taps from slides."""
+    """Read the taps and slides of the recordings, and split them.
+
+    Raises UserError if there are none, labels do not distinguish taps from slides, or a split is
+    empty.
+    """
     contacts = _split(read_test_contacts(settings), settings)
-    for slid, kind in ((False, "taps"), (True, "slides")):
-        mine = contacts.split[contacts.is_slide == slid]
-        lacking = [
-            name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()
-        ]
-        if lacking:
-            raise UserError(
-                f"of {len(mine)} {kind} none is in the split '{lacking[0]}': record more, or raise its share"
-            )
+    for is_slide, kind in KINDS.items():
+        split = contacts.split[contacts.is_slide == is_slide]
+        for index, name in enumerate(SPLITS):
+            if len(split) and not (split == index).any():
+                raise UserError(
+                    f"of {len(split)} {kind}s none is in the split '{name}': "
+                    "record more, or raise its share"
+                )
     return contacts
 
 
 def read_test_contacts(settings: Recorded) -> RecordedContacts:
-    """The same in one split, the test's: recordings that a finished run is scored on."""
+    """Read taps and slides, all in the test split: a finished run is scored on them."""
     if settings.tap_folder == settings.slide_folder:
-        parts = [_split_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
+        parts = [_classify_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
     else:
         folders = ((settings.tap_folder, False), (settings.slide_folder, True))
         parts = [
-            _select_kind(read_folder(folder, settings.preprocess), slid)
-            for folder, slid in folders
+            _select_kind(read_folder(folder, settings.preprocess), is_slide)
+            for folder, is_slide in folders
             if folder
         ]
     contacts = _join_contacts(parts)
@@ -94,242 +105,289 @@ def read_test_contacts(settings: Recorded) -> RecordedContacts:
 
 
 def identify_sensor(contacts: RecordedContacts, preprocess: Preprocess) -> Sensor:
-    """The sensor with as many pins as some training frames show. Raises UserError where there is none."""
+    """Return the sensor with as many pins as some training frames show.
+
+    Raises UserError if there is none.
+    """
     from jaxunshear.perception.pin_detection import find_pins
 
-    counts = [
-        len(find_pins(image)) for image in _probe_images(contacts, preprocess)[:COUNTED_FRAMES]
-    ]
-    pins = float(np.median(counts))
+    images = _prepare_probes(contacts, preprocess)[:COUNTED_FRAMES]
+    pins = float(np.median([len(find_pins(image)) for image in images]))
     nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
     if abs(nearest.pins - pins) > MAX_PIN_COUNT_ERROR * nearest.pins:
-        known = ", ".join(dict.fromkeys(str(sensor.pins) for sensor in SENSORS.values()))
+        numbers = ", ".join(dict.fromkeys(str(sensor.pins) for sensor in SENSORS.values()))
         raise UserError(
-            f"{contacts.files[0].parent}: about {pins:.0f} pins are found in an image; known are sensors of {known} pins"
+            f"{contacts.files[0].parent}: about {pins:.0f} pins are found in an image; "
+            f"known are sensors of {numbers} pins"
         )
     return nearest
 
 
 def select_probes(contacts: RecordedContacts) -> np.ndarray:
-    """Rows of up to PROBES training contacts, evenly spaced: what a camera's frames have in common is found from these alone."""
+    """Select the rows of up to PROBES training contacts, evenly spaced.
+
+    What a camera's frames have in common is found from these alone.
+    """
     rows = np.flatnonzero(contacts.split == SPLITS.index("train"))
     return rows[select_evenly(len(rows), PROBES)]
 
 
 def find_common_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":
-    """The crop and whites of the training frames; no crop where these differ in size."""
-    from jaxunshear.perception import preprocess as frames
+    """Find the crop and whites of the training frames; no crop if these differ in size."""
+    from jaxunshear.perception.preprocess import View, combine_views, find_view
 
     views, sizes = [], set()
     for row in select_probes(contacts):
         try:
             raw = read_image(contacts.files[row])
-            views.append(frames.find_view(preprocess, raw))
+            views.append(find_view(preprocess, raw))
             sizes.add(raw.shape[:2])
         except UserError:
-            continue  # `prepare` says which
-    common = frames.combine_views(views)
-    return common if len(sizes) == 1 else frames.View(None, common.whites)
+            continue  # `prepare_chunks` notes which
+    common = combine_views(views)
+    return common if len(sizes) == 1 else View(None, common.whites)
 
 
-def _probe_images(contacts: RecordedContacts, preprocess: Preprocess) -> list[np.ndarray]:
+def _prepare_probes(contacts: RecordedContacts, preprocess: Preprocess) -> list[np.ndarray]:
     from jaxunshear.perception.preprocess import prepare_frame
 
     view, images, problem = find_common_view(contacts, preprocess), [], ""
     for row in select_probes(contacts):
         try:
             raw = read_image(contacts.files[row])
-            own = replace(preprocess, size=min(LARGEST_PX, *raw.shape[:2]))
-            images.append(prepare_frame(own, raw, view))
+            size = min(LARGEST_PX, *raw.shape[:2])
+            images.append(prepare_frame(replace(preprocess, size=size), raw, view))
         except UserError as error:
             problem = f"{contacts.names[row]}: {error}"
     if not images:
         raise UserError(
-            f"none of {len(select_probes(contacts))} images of {contacts.files[0].parent} can be read; the last: {problem}"
+            f"none of {len(select_probes(contacts))} images of {contacts.files[0].parent} "
+            f"can be read; the last: {problem}"
         )
     return images
 
 
 def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
+    """Read a folder of recordings. Raises UserError if it is no folder."""
     path = Path(folder)
     if not path.is_dir():
         raise UserError(f"{folder} is no folder of recordings: name one with images and labels")
     return read_recordings(path, preprocess)
 
 
-def _classify_moves(move: np.ndarray) -> np.ndarray:
-    """(N,) 1 slid, 0 tapped, -1 unknown."""
-    known = np.isfinite(move).all(axis=1)
-    return np.where(known, (np.abs(np.nan_to_num(move)) > MIN_MOVE).any(axis=1).astype(int), -1)
+class _MoveLabels(NamedTuple):
+    is_labelled: np.ndarray  # (N,) bool
+    is_slide: np.ndarray  # (N,) bool, False where it is not labelled
 
 
-def _split_one_folder(recordings: Recordings) -> RecordedContacts:
-    """Taps and slides that lie in one folder: by their labels."""
-    contacts = _contacts(recordings, np.zeros(len(recordings), bool))
-    moved = _classify_moves(contacts.move)
-    if (moved < 0).all():
+def _classify_moves(move: np.ndarray) -> _MoveLabels:
+    is_labelled = np.isfinite(move).all(axis=1)
+    has_moved = (np.abs(np.nan_to_num(move)) > MIN_MOVE).any(axis=1)
+    return _MoveLabels(is_labelled, is_labelled & has_moved)
+
+
+def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
+    """Return the taps and slides of one folder, by their labels."""
+    is_labelled, is_slide = _classify_moves(_get_labels(recordings.moves, len(recordings)))
+    if not is_labelled.any():
         raise UserError(
-            f"{recordings.path} has no labels that say which contacts are taps: name the two folders, "
-            "`jaxunshear fit --taps DIR --slides DIR`"
+            f"{recordings.path} has no labels that say which contacts are taps: name the two "
+            "folders, `jaxunshear fit --taps DIR --slides DIR`"
         )
-    notes = contacts.notes
-    if (moved < 0).any():
-        notes = (
-            *notes,
-            f"{int((moved < 0).sum())} contacts without a label of their move are left out",
-        )
-    return contacts._replace(is_slide=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
+    contacts = _make_contacts(recordings, is_slide)
+    if is_labelled.all():
+        return contacts
+    note = f"{int((~is_labelled).sum())} contacts without a label of their move are left out"
+    return _drop(contacts, ~is_labelled, note)
 
 
-def _select_kind(recordings: Recordings, slid: bool) -> RecordedContacts:
-    contacts = _contacts(recordings, np.full(len(recordings), slid))
-    wrong = np.zeros(len(contacts.is_slide), bool) if slid else _classify_moves(contacts.move) == 1
-    if wrong.all():
+def _select_kind(recordings: Recordings, is_slide: bool) -> RecordedContacts:
+    """Return the slides of a folder, or its taps: the contacts without a move in the labels."""
+    contacts = _make_contacts(recordings, np.full(len(recordings), is_slide))
+    if is_slide:
+        return contacts
+    has_moved = _classify_moves(contacts.move).is_slide
+    if has_moved.all():
         raise UserError(
             f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
         )
-    if wrong.any():
-        note = f"{recordings.path}: {int(wrong.sum())} contacts have a move in their labels: no taps, left out"
-        contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~wrong))
-    return contacts
+    if not has_moved.any():
+        return contacts
+    note = (
+        f"{recordings.path}: {int(has_moved.sum())} contacts have a move in their labels: "
+        "no taps, left out"
+    )
+    return _drop(contacts, has_moved, note)
 
 
-def _contacts(recordings: Recordings, slid: np.ndarray) -> RecordedContacts:
-    unknown = np.full((len(recordings), 6), np.nan)
+def _drop(contacts: RecordedContacts, dropped: np.ndarray, note: str) -> RecordedContacts:
+    """Drop contacts (N,) bool, and note it."""
+    return contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~dropped))
+
+
+def _get_labels(labels: np.ndarray | None, count: int) -> np.ndarray:
+    return np.full((count, 6), np.nan) if labels is None else labels
+
+
+def _make_contacts(recordings: Recordings, is_slide: np.ndarray) -> RecordedContacts:
+    count, pose_ids = len(recordings), recordings.pose_ids
     return RecordedContacts(
-        recordings.files,
-        recordings.names,
-        unknown if recordings.poses is None else recordings.poses,
-        unknown if recordings.moves is None else recordings.moves,
-        np.full(len(recordings), -1) if recordings.pose_ids is None else recordings.pose_ids,
-        slid,
-        np.full(len(recordings), SPLITS.index("test")),
-        tuple(recordings.notes),
+        files=recordings.files,
+        names=recordings.names,
+        pose=_get_labels(recordings.poses, count),
+        move=_get_labels(recordings.moves, count),
+        pose_id=np.full(count, -1) if pose_ids is None else pose_ids,
+        is_slide=is_slide,
+        split=np.full(count, SPLITS.index("test")),
+        notes=tuple(recordings.notes),
     )
 
 
 def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
-    Taps and slides are split alike. Names count only where some contacts are left to learn from: a
-    folder that happens to be called `test` is no split.
+    Taps and slides are split alike.
     """
-    named = np.array(
-        [
-            _named_split(file, name)
-            for file, name in zip(contacts.files, contacts.names, strict=True)
-        ]
-    )
+    names = [
+        _parse_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)
+    ]
+    folder_split = np.array(names)
     if settings.split == "block":
-        return _split_by_block(contacts, named, settings)
-    split = np.zeros(len(named), int)
-    drawn = _draw_split_keys(contacts, settings.seed)
-    for slid, kind in ((False, "taps"), (True, "slides")):
-        here = contacts.is_slide == slid
-        opened = here & ((named == "") | (named == "train"))
-        if not opened.any():
-            named, opened = np.where(here, "", named), here
-        for index, name in enumerate(SPLITS):
-            split[here & (named == name)] = index
-        start = 0.0
-        for name, share in (("test", settings.test), ("validation", settings.validation)):
-            if name in named[here]:
-                continue
-            if settings.split == "folder" and here.any():
-                raise UserError(
-                    f"paired.split folder: no folder of {kind} has the name of the split '{name}', "
-                    f"such as csv_{name}: move contacts into one, or use --paired.split random"
-                )
-            chosen = opened & (drawn >= start) & (drawn < start + share)
-            left = opened & (split == 0)
-            if not chosen.any() and left.sum() > len(
-                SPLITS
-            ):  # of few contacts chance may take none
-                chosen = left & (drawn == drawn[left].min())
-            split[chosen] = SPLITS.index(name)
-            start += share
+        return _split_by_block(contacts, folder_split, settings)
+    split = np.zeros(len(folder_split), int)
+    keys = _draw_split_keys(contacts, settings.seed)
+    for is_slide in KINDS:
+        rows = np.flatnonzero(contacts.is_slide == is_slide)
+        if len(rows):
+            split[rows] = _split_kind(KINDS[is_slide], folder_split[rows], keys[rows], settings)
     return contacts._replace(split=split)
 
 
+def _split_kind(
+    kind: str, folder_split: np.ndarray, keys: np.ndarray, settings: Recorded
+) -> np.ndarray:
+    """Split the taps, or the slides: (n,) indices into SPLITS.
+
+    Names of folders count only if some contacts are left to learn from: a folder that happens to be
+    called `test` is no split. `keys` (n,) decide where names leave the split open.
+    """
+    is_open = (folder_split == "") | (folder_split == "train")
+    if not is_open.any():
+        folder_split, is_open = np.full_like(folder_split, ""), np.full(len(keys), True)
+    split = np.zeros(len(keys), int)
+    for index, name in enumerate(SPLITS):
+        split[folder_split == name] = index
+    start = 0.0
+    for name, share in (("test", settings.test), ("validation", settings.validation)):
+        if name in folder_split:
+            continue
+        if settings.split == "folder":
+            raise UserError(
+                f"paired.split folder: no folder of {kind}s has the name of the split '{name}', "
+                f"such as csv_{name}: move contacts into one, or use --paired.split random"
+            )
+        chosen = is_open & (keys >= start) & (keys < start + share)
+        rest = is_open & (split == 0)
+        if not chosen.any() and rest.sum() > len(SPLITS):  # of few contacts chance may take none
+            chosen = rest & (keys == keys[rest].min())
+        split[chosen] = SPLITS.index(name)
+        start += share
+    return split
+
+
 def _split_by_block(
-    contacts: RecordedContacts, named: np.ndarray, settings: Recorded
+    contacts: RecordedContacts, folder_split: np.ndarray, settings: Recorded
 ) -> RecordedContacts:
     """Keep a block of poses out, and drop contacts without a pose, since they may lie in it.
 
     Raises UserError if a folder is a split by its name.
     """
-    kept_out = np.flatnonzero((named == "validation") | (named == "test"))
-    if len(kept_out):
+    held_out = np.flatnonzero((folder_split == "validation") | (folder_split == "test"))
+    if len(held_out):
         raise UserError(
-            f"paired.split block: the folder of {contacts.names[kept_out[0]]} is a split by its name: use "
-            "--paired.split folder, or name training folders alone, `jaxunshear fit --taps DIR --slides DIR`"
+            f"paired.split block: the folder of {contacts.names[held_out[0]]} is a split by its "
+            "name: use --paired.split folder, or name training folders alone, "
+            "`jaxunshear fit --taps DIR --slides DIR`"
         )
-    known = np.isfinite(contacts.pose).all(axis=1)
-    if not known.all():
-        note = f"split block: {int((~known).sum())} contacts without a pose are left out"
-        contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(known))
+    has_pose = np.isfinite(contacts.pose).all(axis=1)
+    if not has_pose.all():
+        note = f"split block: {int((~has_pose).sum())} contacts without a pose are left out"
+        contacts = _drop(contacts, ~has_pose, note)
     split, note = cut_block(contacts.pose, settings.test, settings.validation, settings.seed)
     return contacts._replace(split=split, notes=(*contacts.notes, note))
 
 
-def _named_split(file: Path, name: str) -> str:
-    """Of the folders below the one that was named, and of that one: `csv_train`, `val`, `test_2`."""
+def _parse_split(file: Path, name: str) -> str:
+    """Return the split that a contact's folders name (`csv_train`, `val`, `test_2`), or "".
+
+    These are the folders below the one that the settings name, and that one.
+    """
     folders = file.parent.resolve().parts[-1 - name.count("/") :]
-    words = [word for folder in reversed(folders) for word in re.split(r"[^a-z]+", folder.lower())]
-    return next((SPLIT_NAMES[word] for word in words if word in SPLIT_NAMES), "")
+    for folder in reversed(folders):
+        for word in re.split(r"[^a-z]+", folder.lower()):
+            if word in SPLIT_NAMES:
+                return SPLIT_NAMES[word]
+    return ""
 
 
 def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
-    """(N,) numbers in [0, 1) that depend on the seed and the pose alone; on the file's name where there is no pose."""
-    keys = [
-        f"pair {number}"
-        if contacts.paired_by_table and number >= 0
-        else ",".join(f"{value:.4f}" for value in pose + 0.0)
-        if np.isfinite(pose).all()
-        else name
-        for pose, name, number in zip(
-            np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True
-        )
-    ]
-    return np.array([hash_text(f"{seed} {key}") / 2**64 for key in keys])
+    """Draw (N,) numbers in [0, 1) that depend on the seed and the pose alone.
+
+    Without a pose they depend on the file's name.
+    """
+    keys = np.empty(len(contacts.names))
+    poses = np.round(contacts.pose, 4)
+    for row, name in enumerate(contacts.names):
+        number, pose = contacts.pose_id[row], poses[row]
+        if contacts.paired_by_table and number >= 0:
+            text = f"pair {number}"
+        elif np.isfinite(pose).all():
+            text = ",".join(f"{value:.4f}" for value in pose + 0.0)  # -0 becomes 0
+        else:
+            text = name
+        keys[row] = hash_text(f"{seed} {text}") / 2**64
+    return keys
 
 
 def _join_contacts(parts: list[RecordedContacts]) -> RecordedContacts:
-    known = np.unique(np.concatenate([part.pose_id for part in parts]))
-    parts = [
-        part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id)))
-        for part in parts
+    """Join contacts, their pose numbers as ranks among all; equal notes become one."""
+    numbers = np.unique(np.concatenate([part.pose_id for part in parts]))
+    pose_ids = [
+        np.where(part.pose_id < 0, -1, np.searchsorted(numbers, part.pose_id)) for part in parts
     ]
     return RecordedContacts(
-        tuple(file for part in parts for file in part.files),
-        tuple(name for part in parts for name in part.names),
-        np.concatenate([part.pose for part in parts]),
-        np.concatenate([part.move for part in parts]),
-        np.concatenate([part.pose_id for part in parts]),
-        np.concatenate([part.is_slide for part in parts]),
-        np.concatenate([part.split for part in parts]),
-        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+        files=tuple(file for part in parts for file in part.files),
+        names=tuple(name for part in parts for name in part.names),
+        pose=np.concatenate([part.pose for part in parts]),
+        move=np.concatenate([part.move for part in parts]),
+        pose_id=np.concatenate(pose_ids),
+        is_slide=np.concatenate([part.is_slide for part in parts]),
+        split=np.concatenate([part.split for part in parts]),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
 
 def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
-    """With `pose_id` by a table of pairs, and the tap's pose for a slide that has none. Raises UserError by file and row."""
-    rows: dict[bool, dict[str, int]] = {False: {}, True: {}}
+    """Set `pose_id` by a table of pairs, and the pose of a slide that has none to its tap's.
+
+    Raises UserError by file and row.
+    """
+    rows: dict[bool, dict[str, int]] = {is_slide: {} for is_slide in KINDS}
     for row, name in enumerate(contacts.names):
-        mine = rows[bool(contacts.is_slide[row])]
-        mine[name] = mine[name.rpartition("/")[2]] = row
+        rows_of_kind = rows[bool(contacts.is_slide[row])]
+        rows_of_kind[name] = rows_of_kind[name.rpartition("/")[2]] = row
     pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
-    for number, (slide, tap) in enumerate(read_pair_table(table), 2):
-        for slid, name in ((True, slide), (False, tap)):
-            if name not in rows[slid]:
-                kind = "slide" if slid else "tap"
+    for number, pair in enumerate(read_pair_table(table), 2):
+        for is_slide, name in ((True, pair.slide), (False, pair.tap)):
+            if name not in rows[is_slide]:
                 raise UserError(
-                    f"{table}, row {number}: there is no {kind} {name} in these recordings"
+                    f"{table}, row {number}: there is no {KINDS[is_slide]} {name} "
+                    "in these recordings"
                 )
-        here, there = rows[True][slide], rows[False][tap]
-        pose_id[here] = pose_id[there] = there
-        if not np.isfinite(pose[here]).all():
-            pose[here] = pose[there]
+        slide, tap = rows[True][pair.slide], rows[False][pair.tap]
+        pose_id[slide] = pose_id[tap] = tap
+        if not np.isfinite(pose[slide]).all():
+            pose[slide] = pose[tap]
     if not (pose_id >= 0).any():
         raise UserError(f"{table} pairs nothing")
     return contacts._replace(pose_id=pose_id, pose=pose, paired_by_table=True)

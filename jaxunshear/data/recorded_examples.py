@@ -1,54 +1,63 @@
-"""Chunks of recorded frames -> examples of `tactip_recorded`, and the counts that go with a set.
+"""Turn chunks of recorded frames into examples of `tactip_recorded`, and count them.
 
 contacts, frame, paths = prepare_recordings(settings, sensor, folder)
-for key, example in examples(settings, contacts, paths, "train"): ...
+for key, example in iterate_examples(settings, contacts, paths, "train"): ...
 """
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import encode_stored_png, iterate_usable_rows, load_chunk
+from jaxunshear.data.chunks import iterate_usable_rows, load_chunk
 from jaxunshear.data.preprocessing import SensorFrame, find_sensor_frame, prepare_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
-MAX_NAMED = 20  # frames left out that metadata name, at most
+MAX_NAMED = 20  # dropped frames that metadata name, at most
 
 
-def prepare_recordings(
-    settings: Recorded, sensor: Sensor, folder: Path
-) -> tuple[RecordedContacts, SensorFrame, list[Path]]:
-    """Contacts, what their frames have in common, and chunk files in `folder`. Raises UserError."""
+class PreparedRecordings(NamedTuple):
+    """Contacts, what their frames have in common, and the files of their chunks."""
+
+    contacts: RecordedContacts
+    frame: SensorFrame
+    paths: list[Path]
+
+
+def prepare_recordings(settings: Recorded, sensor: Sensor, folder: Path) -> PreparedRecordings:
+    """Read recordings and prepare their chunks in `folder`. Raises UserError."""
     contacts = read_contacts(settings)
     frame = find_sensor_frame(contacts, settings, sensor)
-    return contacts, frame, prepare_chunks(contacts, settings, frame, folder)
+    paths = prepare_chunks(contacts, settings, frame, folder)
+    return PreparedRecordings(contacts, frame, paths)
 
 
 def summarise_recordings(
     contacts: RecordedContacts, frame: SensorFrame, paths: list[Path]
 ) -> tuple[Json, Json]:
-    """Counts, and what else a reader must know of the set, both plain JSON. Raises UserError where a split holds nothing readable."""
+    """Return counts, and what else a reader must know of the set, both plain JSON.
+
+    Raises UserError if no frame of a split can be read.
+    """
     chunks = [load_chunk(path) for path in paths]
-    usable, sure, problem = (
-        np.concatenate([chunk[name] for chunk in chunks]) for name in ("usable", "sure", "problem")
-    )
-    white = np.concatenate(
-        [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
-    )
-    counts = count_contacts(contacts, usable, sure, problem)
+    usable = np.concatenate([chunk["usable"] for chunk in chunks])
+    identified = np.concatenate([chunk["sure"] for chunk in chunks])
+    problem = np.concatenate([chunk["problem"] for chunk in chunks])
+    white_shares = [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
+    white = np.concatenate(white_shares)
+    counts = count_contacts(contacts, usable, identified, problem)
     for split, count in counts["written"].items():
         if not count:
-            raise UserError(
-                f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}"
-            )
-    full = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
-    more = {
+            first = _list_dropped(contacts, problem)[:1]
+            raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
+    is_full = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
+    description = {
         "frame": {
             "box": frame.view.box,
             "whites": frame.view.whites,
@@ -60,59 +69,55 @@ def summarise_recordings(
             "pins_px": frame.pins_px,
         },
         "pins": {
-            "sure": round(float(sure[usable].mean()), 6),
-            "all_seen": round(float(full[usable].mean()), 6),
+            "sure": round(float(identified[usable].mean()), 6),
+            "all_seen": round(float(is_full[usable].mean()), 6),
             "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
         },
         "notes": list(contacts.notes),
     }
-    return counts, more
+    return counts, description
 
 
 def count_contacts(
-    contacts: RecordedContacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray
+    contacts: RecordedContacts, usable: np.ndarray, identified: np.ndarray, problem: np.ndarray
 ) -> Json:
-    """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
-    kinds = {
-        "written": np.ones(len(usable), bool),
-        "taps": ~contacts.is_slide,
-        "slides": contacts.is_slide,
-    }
+    """Count contacts (N,) by split, all of them and by kind, and list those with a `problem`."""
     return {
         "contacts": len(usable),
         "dropped": int((~usable).sum()),
-        "unsure": int((usable & ~sure).sum()),
-        **{
-            kind: {
-                name: int((usable & here & (contacts.split == i)).sum())
-                for i, name in enumerate(SPLITS)
-            }
-            for kind, here in kinds.items()
-        },
-        "dropped_frames": _left_out(contacts, problem)[:MAX_NAMED],
+        "unsure": int((usable & ~identified).sum()),
+        "written": _count_by_split(contacts, usable),
+        "taps": _count_by_split(contacts, usable & ~contacts.is_slide),
+        "slides": _count_by_split(contacts, usable & contacts.is_slide),
+        "dropped_frames": _list_dropped(contacts, problem)[:MAX_NAMED],
     }
 
 
-def _left_out(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
+def _count_by_split(contacts: RecordedContacts, selected: np.ndarray) -> dict[str, int]:
+    return {
+        name: int((selected & (contacts.split == index)).sum()) for index, name in enumerate(SPLITS)
+    }
+
+
+def _list_dropped(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
     return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
 
 
 def iterate_examples(
     settings: Recorded, contacts: RecordedContacts, paths: list[Path], split: str
 ) -> Iterator[tuple[str, dict]]:
-    """(key, example) of every readable frame of a split."""
-    inside = contacts.split == SPLITS.index(split)
-    for chunk, place, row in iterate_usable_rows(paths, inside):
-        yield (
-            f"{row:08d}",
-            {
-                "image": encode_stored_png(chunk, place, settings.preprocess.size),
-                "pins": chunk["pins"][place].astype(np.float32),
-                "sure": int(chunk["sure"][place]),
-                "slid": int(contacts.is_slide[row]),
-                "pose": contacts.pose[row].astype(np.float32),
-                "move": contacts.move[row].astype(np.float32),
-                "pose_id": int(contacts.pose_id[row]),
-                "number": row,
-            },
-        )
+    """Iterate over (key, example) of every readable frame of a split."""
+    in_split = contacts.split == SPLITS.index(split)
+    for contact in iterate_usable_rows(paths, in_split):
+        row = contact.row
+        example = {
+            "image": contact.encode_png(settings.preprocess.size),
+            "pins": contact.get("pins").astype(np.float32),
+            "sure": int(contact.get("sure")),
+            "slid": int(contacts.is_slide[row]),
+            "pose": contacts.pose[row].astype(np.float32),
+            "move": contacts.move[row].astype(np.float32),
+            "pose_id": int(contacts.pose_id[row]),
+            "number": row,
+        }
+        yield f"{row:08d}", example

@@ -1,16 +1,18 @@
-"""`jaxunshear pins`: where each pin of recorded images stands, and how far it has moved.
+"""Measure where each pin of recorded images stands, and its motion (`jaxunshear pins`).
 
->>> found = find_pins(Path("recordings"), layout_of(TACTIP_331))
->>> found.motion_px[found.sure]                           # (images, pins, 2)
+>>> pins = find_pins(Path("recordings"), make_layout(TACTIP_331))
+>>> pins.motion_px[pins.sure]  # (images, pins, 2)
 """
 
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
+from jaxunshear.data.recorded_contacts import LARGEST_PX
 from jaxunshear.data.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
@@ -23,34 +25,41 @@ from jaxunshear.progress import Progress
 from jaxunshear.results.applications import PinScore, PinScores
 from jaxunshear.selection import select_evenly
 
-LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
-DRAWN = 12
+SHOWN_IMAGES = 12
+MAX_NAMED = 8  # images, in the summary
+MAX_NOTES = 5
 
-Shown = list[tuple[str, np.ndarray, PinTrack]]
+
+class ShownImage(NamedTuple):
+    """An image to be drawn with its pins."""
+
+    name: str
+    image: np.ndarray
+    track: PinTrack
 
 
 @dataclass(frozen=True)
 class Pins:
-    """P pins of N images by identity; NaN for those that were not found, and where an image's identities are not sure."""
+    """P pins of N images by identity, NaN for missing pins and for images without identities."""
 
     name: np.ndarray  # (N,) of the images
     sure: np.ndarray  # (N,) bool
     place_px: np.ndarray  # (N, P, 2)
-    motion_px: np.ndarray  # (N, P, 2) from where the pins stand untouched
-    lattice: Lattice  # where that is
+    motion_px: np.ndarray  # (N, P, 2) from the rest positions
+    lattice: Lattice  # the rest positions
     table: PinScores  # how well it went, image by image
-    shown: Shown  # some images, to be drawn
+    shown: list[ShownImage]
 
 
-def prepared_size(path: Path) -> int:
-    """Pixels of the images that recordings at `path` are best made to: their own, up to LARGEST_PX."""
+def _choose_size(path: Path) -> int:
+    """Choose the px of prepared images: those of the recordings at `path`, up to LARGEST_PX."""
     recordings = read_recordings(path, Preprocess())
     for file in recordings.files:
         try:
             return min(LARGEST_PX, *read_image(file).shape[:2])
         except UserError:
             continue
-    return LARGEST_PX  # none can be read, which `frames` will report
+    return LARGEST_PX  # none can be read, which `iterate_frames` reports
 
 
 def find_pins(
@@ -59,63 +68,79 @@ def find_pins(
     preprocess: Preprocess | None = None,
     rest: Path | None = None,
 ) -> Pins:
-    """Of an image or a folder of recordings, prepared as `preprocess` says, or else in their own size.
+    """Find the pins of an image or a folder of recordings.
 
-    A `lattice` is where the untouched pins stand; a layout is fitted, to untouched images at `rest` or else to the images themselves:
-    motions are then from their mean place. Raises `UserError` where nothing can be read or pins are not this layout's.
+    Images are prepared as `preprocess` says, or else in their own size. A `lattice` holds the rest
+    positions; a layout is fitted, to untouched images at `rest` or else to the images themselves:
+    motions are then from their mean position. Raises `UserError` if nothing can be read or pins are
+    not this layout's.
     """
-    preprocess = preprocess or Preprocess(size=prepared_size(path))
+    preprocess = preprocess or Preprocess(size=_choose_size(path))
     recordings = read_recordings(path, preprocess)
     view = recordings.find_common_view()
-    found, names, drawn, spent = _found(recordings, view)
-    began = time.perf_counter()
+    detection = _detect_all(recordings, view)
+    names = detection.names
+    start = time.perf_counter()
     origin = "the untouched pins"
     if isinstance(lattice, MarkerLayout):
-        origin = origin if rest is not None else "the pins' mean place in these images"
-        some = found if rest is None else _found(read_recordings(rest, preprocess), view)[0]
-        lattice = fit_lattice([each.pins for each in some], lattice)
+        untouched = detection.pins
+        if rest is None:
+            origin = "the pins' mean place in these images"
+        else:
+            untouched = _detect_all(read_recordings(rest, preprocess), view).pins
+        lattice = fit_lattice([each.pins for each in untouched], lattice)
     fitted = time.perf_counter()
-    tracks = track_all(lattice, found)
-    spent += time.perf_counter() - fitted
-    place = lattice.rest + np.array([np.where(t.identified, t.motion, np.nan) for t in tracks])
+    tracks = track_all(lattice, detection.pins)
+    seconds = detection.seconds + time.perf_counter() - fitted
+    motions = [np.where(track.identified, track.motion, np.nan) for track in tracks]
+    place = lattice.rest + np.array(motions)
     table = PinScores(
-        rows=[_row(name, track) for name, track in zip(names, tracks, strict=True)],
+        rows=[_score_track(name, track) for name, track in zip(names, tracks, strict=True)],
         pins=len(lattice.rest),
         image_px=preprocess.size,
         motion_from=origin,
-        fit_s=fitted - began,
-        ms_per_image=1e3 * spent / len(names),
+        fit_s=fitted - start,
+        ms_per_image=1e3 * seconds / len(names),
         left_out=list(recordings.notes),
     )
-    shown = [(names[i], image, tracks[i]) for i, image in drawn.items()]
-    sure = np.array([track.identified for track in tracks])
-    return Pins(np.array(names), sure, place, place - lattice.rest, lattice, table, shown)
+    shown = [ShownImage(names[i], image, tracks[i]) for i, image in detection.images.items()]
+    identified = np.array([track.identified for track in tracks])
+    return Pins(np.array(names), identified, place, place - lattice.rest, lattice, table, shown)
 
 
-def _found(
-    recordings: Recordings, view: View
-) -> tuple[list[DetectedPins], list[str], dict[int, np.ndarray], float]:
-    """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
-    found: list[DetectedPins] = []
+class _Detection(NamedTuple):
+    """The pins of all images that can be read."""
+
+    pins: list[DetectedPins]
+    names: list[str]
+    images: dict[int, np.ndarray]  # some of them, by their index
+    seconds: float  # that detection took
+
+
+def _detect_all(recordings: Recordings, view: View) -> _Detection:
+    pins: list[DetectedPins] = []
     names: list[str] = []
-    wanted = set(select_evenly(len(recordings), DRAWN).tolist())
-    drawn: dict[int, np.ndarray] = {}
-    spent, seen = 0.0, 0
+    shown_rows = set(select_evenly(len(recordings), SHOWN_IMAGES).tolist())
+    images: dict[int, np.ndarray] = {}
+    seconds, done = 0.0, 0
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
         for row, name, image in recordings.iterate_frames(view):
-            began = time.perf_counter()
-            found.append(detect_pins(image))
-            spent += time.perf_counter() - began
-            if row in wanted:
-                drawn[len(names)] = image
+            start = time.perf_counter()
+            pins.append(detect_pins(image))
+            seconds += time.perf_counter() - start
+            if row in shown_rows:
+                images[len(names)] = image
             names.append(name)
-            progress.advance(row + 1 - seen)
-            seen = row + 1
-        progress.advance(len(recordings) - seen)
-    return found, names, drawn, spent
+            progress.advance(row + 1 - done)
+            done = row + 1
+        progress.advance(len(recordings) - done)
+    return _Detection(pins, names, images, seconds)
 
 
-def _row(name: str, track: PinTrack) -> PinScore:
+def _score_track(name: str, track: PinTrack) -> PinScore:
+    largest_motion = None
+    if track.identified:
+        largest_motion = round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3)
     return PinScore(
         name=name,
         matched=int(track.visible.sum()) if track.identified else 0,
@@ -123,25 +148,24 @@ def _row(name: str, track: PinTrack) -> PinScore:
         doubt=round(track.max_offset, 4) if np.isfinite(track.max_offset) else None,
         missed=track.missed,
         extra=track.extra,
-        largest_motion_px=round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3)
-        if track.identified
-        else None,
+        largest_motion_px=largest_motion,
     )
 
 
 def summary(table: PinScores) -> str:
-    """What a person wants to know at once."""
+    """Summarise the scores in a few lines for a person."""
     rows, pins = table.rows, table.pins
-    sure = [row for row in rows if row.sure]
+    identified = [row for row in rows if row.sure]
+    percent = 100 * len(identified) / len(rows)
+    full = sum(row.matched == pins for row in identified)
     lines = [
-        f"{len(rows)} images: {len(sure)} with every pin's identity sure ({100 * len(sure) / len(rows):.1f} %), "
-        f"{sum(row.matched == pins for row in sure)} of them with all {pins} pins",
+        f"{len(rows)} images: {len(identified)} with every pin's identity sure "
+        f"({percent:.1f} %), {full} of them with all {pins} pins",
         f"motions are from {table.motion_from}; {table.ms_per_image:.1f} ms an image",
     ]
-    unsure = [row.name for row in rows if not row.sure]
-    if unsure:
-        lines.append(
-            f"not matched: {', '.join(unsure[:8])}{f', and {len(unsure) - 8} more' if len(unsure) > 8 else ''}"
-        )
-    lines += [f"note: {note}" for note in table.left_out[:5]]
+    others = [row.name for row in rows if not row.sure]
+    if others:
+        more = f", and {len(others) - MAX_NAMED} more" if len(others) > MAX_NAMED else ""
+        lines.append(f"not matched: {', '.join(others[:MAX_NAMED])}{more}")
+    lines += [f"note: {note}" for note in table.left_out[:MAX_NOTES]]
     return "\n".join(lines)

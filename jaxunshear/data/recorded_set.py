@@ -1,8 +1,8 @@
-"""A recorded set as networks learn from it: its taps, and its slides each with a partner.
+"""Read a recorded set as networks learn from it: its taps, and its slides each with a partner.
 
 stored = open_recorded(settings, sensor, data_dir)
-taps = stored.taps()                                       # Reader of image, pins, pose, ...
-pairs = stored.pairs(targets, render)                      # Reader of canonical, sheared, their pins, pose, move, weight, gap
+taps = stored.read_taps()  # Reader of image, pins, pose, ...
+pairs = stored.read_pairs(targets, render)  # Reader of canonical, sheared, their pins, pose, ...
 """
 
 from collections.abc import Callable
@@ -28,71 +28,77 @@ from jaxunshear.data.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice
-from jaxunshear.perception.preprocess import View
+from jaxunshear.perception.preprocess import Box, View
 
 TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
-# images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
+# images (N, S, S) uint8, or None if the estimator takes pins; pins (N, P, 2) px -> poses (N, 6)
 PoseEstimator = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
 # split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
 SlideSimulator = Callable[[str], Batch]
+
+CONTACT_FIELDS = ("pose", "move", "sure", "number", "pose_id", "stimulus")
 
 
 def open_recorded(
     settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0
 ) -> "RecordedSet":
-    """`seed` draws which slides are labelled, where not all are. Raises UserError where the set is missing or damaged."""
+    """Open the set made with `settings`. Raises UserError if it is missing or damaged.
+
+    `seed` draws which slides are labelled, if not all are.
+    """
     return RecordedSet(settings, open_set(settings, data_dir, sensor), seed)
 
 
 def parse_frame(stored: Json) -> SensorFrame:
-    """The inverse of what metadata keep of a sensor's frames."""
-    box = tuple(stored["box"]) if stored["box"] else None
-    view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
-    place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
+    """Parse what metadata keep of a sensor's frames."""
+    whites = tuple((kind, white) for kind, white in stored["whites"])
     return SensorFrame(
-        view,
-        place,
-        shell,
-        *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")),
+        view=View(Box(*stored["box"]) if stored["box"] else None, whites),
+        rest=np.array(stored["place_px"]),
+        ring=np.array(stored["shell"]),
+        spacing_px=stored["spacing_px"],
+        radius_px=stored["radius_px"],
+        size=stored["size"],
+        pins_px=stored["pins_px"],
     )
 
 
 class UnstoredSet:
-    """Chunks of prepared frames in the place of a stored set: all of them are its test split."""
+    """Holds chunks of prepared frames in the place of a stored set, all in its test split."""
 
     def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
         chunks = [load_chunk(path) for path in paths]
-        parts = {
-            name: np.concatenate([chunk[name] for chunk in chunks])
-            for name in ("images", "pins", "sure", "usable", "problem")
-        }
-        kept = parts["usable"]
+
+        def join(name: str) -> np.ndarray:
+            return np.concatenate([chunk[name] for chunk in chunks])
+
+        usable, identified = join("usable"), join("sure")
         self._test: Batch = {
-            "image": parts["images"][kept],
-            "pins": parts["pins"][kept].astype(np.float32),
-            "sure": parts["sure"][kept].astype(np.int32),
-            "slid": contacts.is_slide[kept].astype(np.int32),
-            "pose": contacts.pose[kept].astype(np.float32),
-            "move": contacts.move[kept].astype(np.float32),
-            "pose_id": contacts.pose_id[kept].astype(np.int32),
-            "number": np.flatnonzero(kept).astype(np.int32),
+            "image": join("images")[usable],
+            "pins": join("pins")[usable].astype(np.float32),
+            "sure": identified[usable].astype(np.int32),
+            "slid": contacts.is_slide[usable].astype(np.int32),
+            "pose": contacts.pose[usable].astype(np.float32),
+            "move": contacts.move[usable].astype(np.float32),
+            "pose_id": contacts.pose_id[usable].astype(np.int32),
+            "number": np.flatnonzero(usable).astype(np.int32),
         }
+        share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
         self.metadata: Json = {
-            "counts": count_contacts(contacts, kept, parts["sure"], parts["problem"]),
+            "counts": count_contacts(contacts, usable, identified, join("problem")),
             "frame": frame,
-            "pins": {"sure": round(float(parts["sure"][kept].mean()), 6) if kept.any() else 0.0},
+            "pins": {"sure": share},
             "notes": list(contacts.notes),
         }
 
     def rows(self, split: str) -> Batch:
-        return (
-            self._test
-            if split == "test"
-            else {name: value[:0] for name, value in self._test.items()}
-        )
+        """Return the rows of a split by field: none except for the test."""
+        return self._test if split == "test" else _take_rows(self._test, np.s_[:0])
 
 
 class RecordedSet:
+    """Reads taps, slides and pairs from a recorded set."""
+
     def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet, seed: int = 0) -> None:
         self.seed = seed
         self.settings, self.stored, self.metadata = settings, stored, stored.metadata
@@ -104,49 +110,60 @@ class RecordedSet:
         return self.metadata["frame"]
 
     def make_lattice(self) -> Lattice:
-        """The untouched pins, px of the prepared image."""
+        """Make the lattice, px of the prepared image."""
         return make_lattice(np.array(self.frame["place_px"]), np.array(self.frame["shell"]))
 
-    def make_targets(self, wanted: tuple[str, ...]) -> Targets:
-        """Targets by the labels of training contacts alone. Raises UserError."""
+    def make_targets(self, names: tuple[str, ...]) -> Targets:
+        """Make the targets of these names by the labels of training contacts.
+
+        Raises UserError if a slide lacks the label of a target.
+        """
+        slide_names = list_slide_names(names)
+        for split in SPLITS if slide_names else ():
+            move = self._select_slides(split)["move"]
+            unlabelled = np.count_nonzero(~np.isfinite(move).all(axis=1))
+            if unlabelled:
+                raise UserError(
+                    f"target '{slide_names[0]}': {unlabelled} {split} slides have a pose "
+                    "but no label of their slide"
+                )
         labels = self.stored.rows("train")
-        if asked := list_slide_names(wanted):
-            for split in SPLITS:
-                slides = self._slides(split)
-                if unknown := np.count_nonzero(~np.isfinite(slides["move"]).all(axis=1)):
-                    raise UserError(
-                        f"target '{asked[0]}': {unknown} {split} slides have a pose but no label of their slide"
-                    )
-        return make_label_targets(wanted, labels["pose"], labels["move"])
+        return make_label_targets(names, labels["pose"], labels["move"])
 
     def make_slide_targets(self) -> Targets:
-        """What training slides vary of their move."""
+        """Make the targets of what varies in the moves of training slides."""
         rows = self.stored.rows("train")
-        labelled = _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
-        return make_move_targets(rows["move"][labelled & (rows["slid"] == 1)])
+        return make_move_targets(rows["move"][self._is_labelled(rows) & (rows["slid"] == 1)])
 
     def count_contacts(self, kind: str, split: str) -> int:
-        """Of "taps" or "slides"."""
+        """Return the number of "taps" or "slides" of a split."""
         return int(self.metadata["counts"][kind][split])
 
     def read_taps(self) -> Reader:
-        """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
+        """Read labelled taps: image, pins, sure, pose, pose_id, stimulus, number.
+
+        Each has a pose number of its own.
+        """
         return Reader(lambda split: _number_poses(self.read_labelled_taps(split)), self.size)
 
     def read_labelled_taps(self, split: str) -> Batch:
-        """All of a split, images at one bit a pixel."""
-        rows = self._select(split, False)
+        """Read all labelled taps of a split, images at one bit a pixel."""
+        rows = self._select(split, is_slide=False)
         return _take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
 
     def read_slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
-        """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
-        the settings' share; with `simulate` simulated ones in their place, without `images` as pins alone. Where the settings say so,
-        the training split has the taps behind its slides."""
+        """Read labelled slides without partners.
+
+        The fields are sheared, sheared_pins, sure, pose, move, pose_id, stimulus and number. Of
+        training and validation slides there is the settings' share; with `simulate` simulated ones
+        take their place, without `images` as pins alone. If the settings say so, the training split
+        has the taps behind its slides.
+        """
 
         def load(split: str) -> Batch:
             if simulate and split != "test":
                 return self._simulate_slides(split, simulate, images)
-            slides = self._slides(split)
+            slides = self._select_slides(split)
             if split == "train" and self.settings.direct_taps == "recorded":
                 slides = _concatenate([slides, _make_zero_slides(self.read_labelled_taps(split))])
             return _number_poses(slides)
@@ -161,142 +178,166 @@ class RecordedSet:
         estimate: PoseEstimator | None = None,
         simulate: SlideSimulator | None = None,
     ) -> Reader:
-        """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered". Without `images`
-        partners are pins alone. `estimate` gives training slides without a label a pose; without it these are left out. `simulate` for
-        "simulated": all slides but the test's are simulated, each paired with the tap it was made from.
+        """Read labelled slides, each with a partner by the settings' pairing.
 
-        `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
-        has a partner.
+        The further fields are canonical and canonical_pins of the partner, `weight` (B,), what a
+        pair counts in training, and `gap` (B, 6), the difference of the partner's pose. Raises
+        UserError if no slide has a partner.
+
+        Args:
+            targets: What "nearest" compares.
+            render: Renders the partners of "rendered".
+            images: Without them partners are pins alone.
+            estimate: Gives training slides without a label a pose; without it they are left out.
+            simulate: For "simulated", all slides but the test's are simulated, each paired with the
+                tap it was made from.
         """
 
         def load(split: str) -> Batch:
             if simulate and split != "test":
                 return self._simulate_slides(split, simulate, images)
-            return self._pair_slides(
-                split, self._slides(split, estimate, images), targets, render, images
-            )
+            slides = self._select_slides(split, estimate, images)
+            if self.settings.pairing in RENDERED_PAIRINGS:
+                return self._pair_with_rendered(slides, targets, render, images)
+            return self._pair_with_taps(split, slides, targets)
 
         return Reader(load, self.size)
 
-    def _slides(self, split: str, read: PoseEstimator | None = None, images: bool = True) -> Batch:
-        rows = self._select(split, True)
-        known = np.isfinite(rows["pose"]).all(axis=1)
+    def _select_slides(
+        self, split: str, estimate: PoseEstimator | None = None, images: bool = True
+    ) -> Batch:
+        """Select the slides of a split that have a label, or get one by `estimate`."""
+        rows = self._select(split, is_slide=True)
+        has_label = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
-            known &= _draw_label_shares(rows["number"], self.seed) < self.settings.labelled
-        if read and split == "train":
-            unpacked = unpack_bits(rows["image"][~known], self.size) if images else None
+            has_label &= self._is_labelled(rows)
+        if estimate and split == "train":
+            unpacked = unpack_bits(rows["image"][~has_label], self.size) if images else None
             pose = rows["pose"].copy()
-            pose[~known] = read(unpacked, rows["pins"][~known])
+            pose[~has_label] = estimate(unpacked, rows["pins"][~has_label])
             rows = rows | {"pose": pose}
         else:
-            rows = _take_rows(rows, known)
-        batch = {
-            name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")
-        }
+            rows = _take_rows(rows, has_label)
+        batch = {name: rows[name] for name in CONTACT_FIELDS}
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 
-    def _pair_slides(
-        self, split: str, batch: Batch, targets: Targets, render: TapRenderer | None, images: bool
+    def _is_labelled(self, rows: Batch) -> np.ndarray:
+        """Return which contacts (N,) are in the share whose labels are used.
+
+        It depends on seed and contact, not on the order of the files.
+        """
+        draws = [hash_text(f"label {self.seed} {n}") / 2**64 for n in rows["number"].tolist()]
+        return np.array(draws) < self.settings.labelled
+
+    def _pair_with_rendered(
+        self, slides: Batch, targets: Targets, render: TapRenderer | None, images: bool
     ) -> Batch:
-        way, count = self.settings.pairing, len(batch["pose"])
-        if way in RENDERED_PAIRINGS:
-            if render is None:
-                raise ValueError(f"pairing '{way}' takes a renderer")
-            pins = render(batch["pose"]).astype(np.float32)
-            partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
-            if images:
-                partner["canonical"] = self._render_targets(batch["pose"], pins, targets, render)
-            return _number_poses(batch | partner | {"weight": np.ones(count, np.float32)})
+        count = len(slides["pose"])
+        if render is None:
+            raise ValueError(f"pairing '{self.settings.pairing}' takes a renderer")
+        pins = render(slides["pose"]).astype(np.float32)
+        partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
+        if images:
+            partner["canonical"] = self._render_targets(slides["pose"], pins, targets, render)
+        return _number_poses(slides | partner | {"weight": np.ones(count, np.float32)})
+
+    def _pair_with_taps(self, split: str, slides: Batch, targets: Targets) -> Batch:
+        pairing_name = self.settings.pairing
         # a tap of another held-out split would let that split choose the checkpoint
-        taps = _concatenate(
-            [self.read_labelled_taps(each) for each in dict.fromkeys(("train", split))]
-        )
-        if way == "nearest":
-            row, distance = pairing.find_nearest(targets, batch["pose"], taps["pose"])
+        splits = dict.fromkeys(("train", split))
+        taps = _concatenate([self.read_labelled_taps(each) for each in splits])
+        if pairing_name == "nearest":
+            row, distance = pairing.find_nearest(targets, slides["pose"], taps["pose"])
             weight = pairing.compute_pair_weights(distance)
         else:
-            poses = (batch["pose"], batch["pose_id"], taps["pose"], taps["pose_id"])
-            row = pairing.match_same_pose(*poses, checked=way == "pose_id")
-            batch, row = _take_rows(batch, row >= 0), row[row >= 0]
+            row = pairing.match_same_pose(
+                slides["pose"],
+                slides["pose_id"],
+                taps["pose"],
+                taps["pose_id"],
+                checked=pairing_name == "pose_id",
+            )
+            slides, row = _take_rows(slides, row >= 0), row[row >= 0]
             if not len(row):
                 raise UserError(
-                    f"no {split} slide has a tap of its pose_id at its pose: record taps and slides of the same poses, or use "
-                    "--paired.pairing rendered"
+                    f"no {split} slide has a tap of its pose_id at its pose: record taps and "
+                    "slides of the same poses, or use --paired.pairing rendered"
                 )
             weight = np.ones(len(row), np.float32)
-        partner = {
+        gap = pairing.compute_pose_gaps(slides["pose"], taps["pose"][row]).astype(np.float32)
+        pairs = slides | {
             "canonical": taps["image"][row],
             "canonical_pins": taps["pins"][row],
-            "gap": pairing.compute_pose_gaps(batch["pose"], taps["pose"][row]).astype(np.float32),
+            "gap": gap,
             "weight": weight,
         }
-        batch = batch | partner
-        return batch if way in ("pose_id", "file") else _number_poses(batch)
+        return pairs if pairing_name in ("pose_id", "file") else _number_poses(pairs)
 
-    def _simulate_slides(self, split: str, drag: SlideSimulator, images: bool) -> Batch:
-        """Simulated slides to taps, each with the tap."""
-        slides, taps = drag(split), self.read_labelled_taps(split)
-        row, sheared = slides["row"], slides["sheared_pins"]
+    def _simulate_slides(self, split: str, simulate: SlideSimulator, images: bool) -> Batch:
+        """Simulate slides to the taps of a split, each paired with its tap."""
+        slides, taps = simulate(split), self.read_labelled_taps(split)
+        row, sheared_pins = slides["row"], slides["sheared_pins"]
+        count = len(row)
         batch = {name: taps[name][row] for name in ("pose", "sure", "stimulus")}
         batch |= {
-            "sheared_pins": sheared,
+            "sheared_pins": sheared_pins,
             "canonical_pins": taps["pins"][row],
             "move": slides["move"],
-        }
-        batch |= {
-            "weight": np.ones(len(row), np.float32),
-            "gap": np.zeros((len(row), 6), np.float32),
+            "weight": np.ones(count, np.float32),
+            "gap": np.zeros((count, 6), np.float32),
         }
         if images:
-            motion, taken = np.nan_to_num(sheared - batch["canonical_pins"]), taps["image"][row]
-            batch |= {"canonical": taken, "sheared": self._warp_images(taken, motion)}
-        return _number_poses(batch | {"number": np.arange(len(row), dtype=np.int32)})
+            motion = np.nan_to_num(sheared_pins - batch["canonical_pins"])
+            batch["canonical"] = taps["image"][row]
+            batch["sheared"] = self._warp_images(batch["canonical"], motion)
+        return _number_poses(batch | {"number": np.arange(count, dtype=np.int32)})
 
     def _render_targets(
         self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: TapRenderer
     ) -> np.ndarray:
-        """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
+        """Render images (N, S, S) uint8 of taps at poses (N, 6), with pins (N, P, 2) px.
 
-        Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
+        Each is the nearest training tap, its pins moved to where the renderer puts them. So it has
+        real dots and the real housing, as the taps that a PoseNet learnt from; to such a network
+        dots drawn anew appear foreign.
         """
         taps = self.read_labelled_taps("train")
         row, _ = pairing.find_nearest(targets, poses, taps["pose"])
         return self._warp_images(taps["image"][row], pins - render(taps["pose"][row]))
 
     def _warp_images(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
-        """(N, S, S) uint8: images at one bit a pixel whose pins have moved by `motion` (N, P, 2) px."""
-        spread = pairing.interpolate_over_pixels(
-            np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size
-        )
-        return pairing.warp_images(unpack_bits(images, self.size), motion, spread)
+        """Warp images at one bit a pixel so that their pins move by `motion` (N, P, 2) px.
 
-    def _select(self, split: str, slid: bool) -> Batch:
+        Returns (N, S, S) uint8.
+        """
+        rest, spacing_px = np.array(self.frame["place_px"]), self.frame["spacing_px"]
+        pixel_motion = pairing.interpolate_over_pixels(rest, spacing_px, self.size)
+        return pairing.warp_images(unpack_bits(images, self.size), motion, pixel_motion)
+
+    def _select(self, split: str, is_slide: bool) -> Batch:
         rows = self.stored.rows(split)
-        return _take_rows(
-            rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid)
-        )
+        stimulus = np.zeros(len(rows["slid"]), np.int32)
+        return _take_rows(rows | {"stimulus": stimulus}, rows["slid"] == int(is_slide))
 
 
-def _take_rows(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
-    return {name: value[kept] for name, value in rows.items()}
+def _take_rows(rows: Batch, selected: np.ndarray | np.bool | slice) -> Batch:
+    return {name: value[selected] for name, value in rows.items()}
 
 
 def _concatenate(parts: list[Batch]) -> Batch:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    joined: Batch = {}
+    for name in parts[0]:
+        joined[name] = np.concatenate([part[name] for part in parts])
+    return joined
 
 
 def _make_zero_slides(taps: Batch) -> Batch:
     """Return taps in the form of slides."""
-    batch = {name: taps[name] for name in ("pose", "sure", "number", "pose_id", "stimulus")}
-    batch |= {"move": np.zeros_like(taps["pose"])}
+    slides = taps | {"move": np.zeros_like(taps["pose"])}
+    batch = {name: slides[name] for name in CONTACT_FIELDS}
     return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}
 
 
 def _number_poses(rows: Batch) -> Batch:
-    """Each contact a pose of its own: none is paired anew with another's partner."""
+    """Give each contact a pose number of its own: none is paired with another's partner."""
     return rows | {"pose_id": rows["number"]}
-
-
-def _draw_label_shares(number: np.ndarray, seed: int) -> np.ndarray:
-    """(N,) in [0, 1) by seed and contact: which labels are used does not depend on the order of the files."""
-    return np.array([hash_text(f"label {seed} {n}") / 2**64 for n in number.tolist()])

@@ -1,7 +1,7 @@
-"""What a set holds before anything is simulated: poses, taps, slides and splits.
+"""Sample what a set holds before anything is simulated: poses, taps, slides and splits.
 
-All of it depends on the settings' seed and the stimulus' name alone: adding a stimulus leaves the others as they are. Splits
-are of the pose itself (`splits.py`).
+All of it depends on the settings' seed and the stimulus' name alone, so that a further stimulus
+leaves the others as they are. Splits are of the pose itself (`splits.py`).
 """
 
 import zlib
@@ -35,132 +35,144 @@ class ContactSamples(NamedTuple):
     is_slide: np.ndarray  # (B,) bool: a slide, not a tap
     age: np.ndarray  # (B,) in [0, 1]: when in the session it was recorded
     split: np.ndarray  # (B,) index into `splits.SPLITS`
-    edge: (
-        np.ndarray
-    )  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.compute_edge_labels`
+    edge: np.ndarray  # (B, 2) mm to the edge and its direction, deg (`scene.compute_edge_labels`)
 
 
 def check_settings(settings: PairedData | PoseData) -> None:
-    """Refuses settings from which no set can be drawn, by name."""
+    """Raise UserError, by field, for settings from which no set can be drawn."""
     compute_config_name(settings)
     check_rules(settings, get_set_name(settings))
 
 
-def _generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
+def _make_generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
     return np.random.default_rng(
         [seed, zlib.crc32(stimulus.encode()), zlib.crc32(purpose.encode())]
     )
 
 
-def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
+def _sample_poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
+    """Sample (poses, 4), or 6 with their tilts."""
     ranges = settings.ranges
     depth = (ranges.depth_min_mm, ranges.depth_max_mm)
-    generator = _generator(settings.seed, stimulus, "pose")
+    generator = _make_generator(settings.seed, stimulus, "pose")
     poses = sample_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
     if not ranges.tilt_deg:
         return poses
-    tilts = sample_tilts(
-        _generator(settings.seed, stimulus, "tilt"), settings.poses, ranges.tilt_deg
-    )
+    generator = _make_generator(settings.seed, stimulus, "tilt")
+    tilts = sample_tilts(generator, settings.poses, ranges.tilt_deg)
     return np.concatenate([poses, tilts], axis=1)
 
 
-def _slides(settings: PairedData, stimulus: str) -> np.ndarray:
-    """(poses, slides, 2), or 3 with their twists."""
+def _sample_moves(settings: PairedData, stimulus: str) -> np.ndarray:
+    """Sample (poses, slides, 2), or 3 with their twists."""
     ranges, shape = settings.ranges, (settings.poses, settings.slides)
-    moves = sample_slides(
-        _generator(settings.seed, stimulus, "move"),
-        settings.poses * settings.slides,
-        ranges.move_mm,
-    )
+    generator = _make_generator(settings.seed, stimulus, "move")
+    moves = sample_slides(generator, settings.poses * settings.slides, ranges.move_mm)
     moves = moves.reshape(*shape, 2)
     if not ranges.twist_deg:
         return moves
-    twists = _generator(settings.seed, stimulus, "twist").uniform(
-        -ranges.twist_deg, ranges.twist_deg, shape
-    )
+    generator = _make_generator(settings.seed, stimulus, "twist")
+    twists = generator.uniform(-ranges.twist_deg, ranges.twist_deg, shape)
     return np.concatenate([moves, twists[..., None]], axis=-1)
 
 
-def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
-    """(poses,) in [0, 1]: the stimuli take turns, so that wear reveals nothing about the shape."""
+def _compute_ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
+    """Return (poses,) in [0, 1]: stimuli take turns, so that wear does not reveal the shape."""
     order = np.arange(settings.poses) * len(settings.stimuli) + stimulus
     return order / (settings.poses * len(settings.stimuli) - 1)
 
 
 def sample_paired(settings: PairedData) -> ContactSamples:
-    """For every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
+    """Sample for every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
     check_settings(settings)
-    shots = settings.taps + settings.slides
-    slid = np.arange(shots) >= settings.taps
+    contacts = settings.taps + settings.slides  # of a pose
+    is_slide = np.arange(contacts) >= settings.taps
     pose, move = [], []
     for name in settings.names:
-        poses = np.repeat(_poses(settings, name)[:, None], shots, axis=1)
-        jitter = settings.tap_depth_jitter_mm
-        depth = poses[:, ~slid, 3]
-        deeper = _generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
-        poses[:, ~slid, 3] = np.maximum(
-            depth + deeper, min(MIN_DEPTH_MM, settings.ranges.depth_min_mm)
-        )
-        leader = find_slide_leaders(settings, name)
-        drawn = _slides(settings, name)[leader]
-        moves = np.zeros((settings.poses, shots, drawn.shape[-1]))
-        yaw = poses[:, 0, 2]
-        moves[:, slid] = drawn
-        moves[:, slid, :2] = rotate_2d(drawn[..., :2], np.radians(yaw - yaw[leader])[:, None])
+        poses = np.repeat(_sample_poses(settings, name)[:, None], contacts, axis=1)
+        poses[:, ~is_slide, 3] = _jitter_depth(settings, name, poses[:, ~is_slide, 3])
+        moves = _sample_slide_moves(settings, name, yaw=poses[:, 0, 2])
+        still = np.zeros((settings.poses, settings.taps, moves.shape[-1]))
         pose.append(poses.reshape(-1, poses.shape[-1]))
-        move.append(moves.reshape(-1, moves.shape[-1]))
-    each = settings.poses * len(settings.stimuli)
-    instance = np.where(slid, np.arange(shots) - settings.taps, np.arange(shots))
-    return _shots(
+        move.append(np.concatenate([still, moves], axis=1).reshape(-1, moves.shape[-1]))
+    repeats = settings.poses * len(settings.stimuli)
+    instance = np.where(is_slide, np.arange(contacts) - settings.taps, np.arange(contacts))
+    return _make_samples(
         settings,
         np.concatenate(pose),
         np.concatenate(move),
-        np.tile(instance, each),
-        np.tile(slid, each),
+        np.tile(instance, repeats),
+        np.tile(is_slide, repeats),
     )
 
 
+def _jitter_depth(settings: PairedData, stimulus: str, depth: np.ndarray) -> np.ndarray:
+    """Change the depths mm (poses, taps) of taps at random."""
+    jitter = settings.tap_depth_jitter_mm
+    generator = _make_generator(settings.seed, stimulus, "depth")
+    change = generator.uniform(-jitter, jitter, depth.shape)
+    return np.maximum(depth + change, min(MIN_DEPTH_MM, settings.ranges.depth_min_mm))
+
+
+def _sample_slide_moves(settings: PairedData, stimulus: str, yaw: np.ndarray) -> np.ndarray:
+    """Sample the moves (poses, slides, 2 or 3) of slides that end at poses of this yaw deg.
+
+    Poses with the same leader share their moves in the sensor frame.
+    """
+    leader = find_slide_leaders(settings, stimulus)
+    moves = _sample_moves(settings, stimulus)[leader]
+    turn = np.radians(yaw - yaw[leader])[:, None]
+    return np.concatenate([rotate_2d(moves[..., :2], turn), moves[..., 2:]], axis=-1)
+
+
 def find_slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
-    """(poses,) number of the pose whose slides each pose has: its own, or that of the first of `poses_a_slide` of its split."""
+    """Find for each pose (poses,) the number of the pose whose slides it has.
+
+    It is the first of `poses_a_slide` poses of its split.
+    """
     split = assign_splits(settings.seed, stimulus, settings.poses)
     leader = np.arange(settings.poses)
     for index in range(len(SPLITS)):
-        inside = np.flatnonzero(split == index)
-        leader[inside] = inside[
-            np.arange(len(inside)) // settings.poses_a_slide * settings.poses_a_slide
-        ]
+        members = np.flatnonzero(split == index)
+        rank = np.arange(len(members))
+        leader[members] = members[rank // settings.poses_a_slide * settings.poses_a_slide]
     return leader
 
 
 def sample_taps(settings: PoseData) -> ContactSamples:
-    """One tap for every stimulus and pose."""
+    """Sample one tap for every stimulus and pose."""
     check_settings(settings)
-    pose = np.concatenate([_poses(settings, name) for name in settings.names])
+    pose = np.concatenate([_sample_poses(settings, name) for name in settings.names])
     zero = np.zeros(len(pose), int)
-    return _shots(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
+    return _make_samples(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
 
 
-def _shots(
+def _make_samples(
     settings: PairedData | PoseData,
     pose: np.ndarray,
     move: np.ndarray,
     instance: np.ndarray,
-    slid: np.ndarray,
+    is_slide: np.ndarray,
 ) -> ContactSamples:
+    """Complete contacts (B,) that are ordered by stimulus, then by pose."""
     names = settings.names
-    each = len(pose) // (len(names) * settings.poses)
-    stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
-    pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
-    age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
-    split = np.concatenate(
-        [np.repeat(assign_splits(settings.seed, name, settings.poses), each) for name in names]
-    )
+    repeats = len(pose) // (len(names) * settings.poses)  # contacts of a pose
+    stimulus = np.repeat(np.arange(len(names)), settings.poses * repeats)
+    pose_id = np.tile(np.repeat(np.arange(settings.poses), repeats), len(names))
+    ages = [_compute_ages(settings, index) for index in range(len(names))]
+    splits = [assign_splits(settings.seed, name, settings.poses) for name in names]
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
     return ContactSamples(
-        scenes, pose_id, instance, slid, age, split, compute_edge_labels(settings.stimuli, scenes)
+        scenes=scenes,
+        pose_id=pose_id,
+        instance=instance,
+        is_slide=is_slide,
+        age=np.repeat(np.concatenate(ages), repeats),
+        split=np.repeat(np.concatenate(splits), repeats),
+        edge=compute_edge_labels(settings.stimuli, scenes),
     )
 
 
 def sample_contacts(settings: PairedData | PoseData) -> ContactSamples:
+    """Sample the contacts of a paired set, or the taps of a pose set."""
     return sample_paired(settings) if isinstance(settings, PairedData) else sample_taps(settings)

@@ -1,6 +1,6 @@
-"""Contacts that no network has seen: new poses of the experiment's own shapes, simulated when they are needed.
+"""Simulate new contacts of an experiment's stimuli, which no network was trained on.
 
-So whoever has only the weights can score them too, without the data sets they were trained on.
+So anybody who has only the weights can score them, too, without the data sets of the training.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ SEED = 1_000_003  # added to the data's
 
 
 class SimulatedContacts(NamedTuple):
-    """N slides, each with the tap at its pose; contacts that did not converge are left out and counted."""
+    """N slides, each with the tap at its pose, less the contacts that did not converge."""
 
     stimulus: np.ndarray  # (N,) index into the experiment's
     pose: np.ndarray  # (N, 4) x, y mm, yaw deg, depth mm
@@ -48,36 +48,38 @@ def simulate_contacts(
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
     if depth_mm is not None:
-        settings = replace(
-            settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
-        )
-    shots = sample_paired(settings)
-    contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(shots.scenes))
-    slid = np.flatnonzero(shots.is_slide)
-    tapped = np.flatnonzero(~shots.is_slide)  # in the same order: one tap and one slide a pose
-    good = contacts.converged[slid] & contacts.converged[tapped]
-    slid, tapped = slid[good], tapped[good]
-    rows = np.concatenate([tapped, slid])
+        ranges = replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
+        settings = replace(settings, ranges=ranges)
+    samples = sample_paired(settings)
+    contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(samples.scenes))
+    # Both are in the same order, as there are one tap and one slide at a pose.
+    slides, taps = np.flatnonzero(samples.is_slide), np.flatnonzero(~samples.is_slide)
+    converged = contacts.converged[slides] & contacts.converged[taps]
+    slides, taps = slides[converged], taps[converged]
+    rows = np.concatenate([taps, slides])
     images, pins = render_images(
-        settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows]
+        settings, experiment.sensor, contacts.pins[rows], rows, samples.age[rows]
     )
-    half = len(slid)
+    half = len(slides)
     return SimulatedContacts(
-        shots.scenes.stimulus[slid],
-        shots.scenes.pose[slid],
-        images[:half],
-        images[half:],
-        pins[:half],
-        pins[half:],
-        compute_indentation(experiment.sensor, skins.take(tapped)),
-        int(np.sum(~good)),
+        stimulus=samples.scenes.stimulus[slides],
+        pose=samples.scenes.pose[slides],
+        tap=images[:half],
+        sheared=images[half:],
+        tap_pins=pins[:half],
+        sheared_pins=pins[half:],
+        indentation_mm=compute_indentation(experiment.sensor, skins.take(taps)),
+        dropped=int(np.sum(~converged)),
     )
 
 
 def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
-    """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
+    """Render images (N, S, S) uint8 of {0, 255} of the sensor that touches nothing.
+
+    Their light, noise and wear are those of other images.
+    """
     paired, _ = require_simulated(experiment, "this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
-    return render_images(
-        paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count)
-    )[0]
+    numbers, ages = SEED + np.arange(count), np.linspace(0, 1, count)
+    images, _ = render_images(paired, experiment.sensor, tips, numbers, ages)
+    return images

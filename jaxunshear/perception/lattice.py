@@ -1,4 +1,4 @@
-"""Where a sensor's pins stand in an image before they move, with what following them needs."""
+"""The lattice of a sensor's pins in an image at rest, with what pin tracking needs of it."""
 
 from typing import NamedTuple
 
@@ -8,82 +8,79 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.config.sensor import Sensor
 
-NEIGHBOURS = 18  # pins that give the place of another one
-POLYNOMIAL_DEGREES = (
-    2,
-    3,
-    4,
-)  # of the polynomials that a motion is refined by, one after the other
+NEIGHBOURS = 18  # pins that predict the position of another one
+POLYNOMIAL_DEGREES = (2, 3, 4)  # of the polynomials that refine a motion, in turn
 
 
 class Lattice(NamedTuple):
+    """The rest positions of P pins, and their neighbours."""
+
     rest: np.ndarray  # (P, 2) px as (column, row), in the order of the sensor's lattice
     ring: np.ndarray  # (P,) 0 in the middle, the largest on the rim
     spacing: float  # px, usual distance between neighbours
     neighbours: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
     neighbour_weights: np.ndarray  # (P, P): their weights
-    powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the place
+    powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the rest position
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """In px, of the outermost shell, which a touch moves least."""
+        """The centre px of the outermost ring, which a contact moves least."""
         return self.rest[self.ring == self.ring.max()].mean(axis=0)
 
 
 def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
-    """Index of the shell of each pin, 0 for the one in the middle."""
+    """Return the ring of each pin of a sensor, 0 for the one in the middle."""
     return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
 
 
-def estimate_rings(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
-    """The same for pins in any order and layout: by their distance from the middle, in spacings."""
-    off = np.linalg.norm(place - place.mean(axis=0), axis=-1)
-    return np.round(off / measure_spacing(place)).astype(int)
+def estimate_rings(rest: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
+    """Estimate the rings of pins in any layout from their distance to the middle, in spacings."""
+    distance = np.linalg.norm(rest - rest.mean(axis=0), axis=-1)
+    return np.round(distance / measure_spacing(rest)).astype(int)
 
 
 def make_lattice(
-    place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | None = None
+    rest: Float[np.ndarray, "P 2"], ring: Int[np.ndarray, "P"] | None = None
 ) -> Lattice:
-    """A lattice from the places px of its pins."""
-    offset = place - place.mean(axis=0)
-    powers = {
-        degree: _powers(offset / np.abs(offset).max(), degree) for degree in POLYNOMIAL_DEGREES
-    }
-    shell = estimate_rings(place) if shell is None else shell
-    near = cKDTree(place).query(place, k=min(NEIGHBOURS + 1, len(place)))[1][:, 1:]
-    around = np.zeros((len(place), len(place)))
-    np.put_along_axis(
-        around,
-        near,
-        compute_neighbour_weights(place[near] - place[:, None], measure_spacing(place)),
-        axis=1,
-    )
-    return Lattice(place, shell, measure_spacing(place), near, around, powers)
+    """Make a lattice from the rest positions px of its pins; their rings are estimated if None."""
+    offset = rest - rest.mean(axis=0)
+    unit = offset / np.abs(offset).max()
+    powers = {degree: _powers(unit, degree) for degree in POLYNOMIAL_DEGREES}
+    ring = estimate_rings(rest) if ring is None else ring
+    spacing = measure_spacing(rest)
+    near = cKDTree(rest).query(rest, k=min(NEIGHBOURS + 1, len(rest)))[1][:, 1:]
+    near_weights = compute_neighbour_weights(rest[near] - rest[:, None], spacing)
+    weights = np.zeros((len(rest), len(rest)))
+    np.put_along_axis(weights, near, near_weights, axis=1)
+    return Lattice(rest, ring, spacing, near, weights, powers)
 
 
-def measure_spacing(place: Float[np.ndarray, "P 2"]) -> float:
-    """The usual distance between neighbours: the median from a pin to the nearest other one, in the unit of their places."""
-    return float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
+def measure_spacing(rest: Float[np.ndarray, "P 2"]) -> float:
+    """Return the median distance from a pin to the nearest other one, in the unit of `rest`."""
+    return float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))
 
 
 def _powers(x: np.ndarray, degree: int) -> np.ndarray:
-    """Monomials (..., terms) of x (..., 2) up to a degree."""
+    """Return the monomials (..., terms) of x (..., 2) up to a degree."""
     pairs = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
     return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
 
 
 def compute_neighbour_weights(
-    offset: Float[np.ndarray, "M N 2"], spacing: float, known: Bool[np.ndarray, "M N"] | None = None
+    offset: Float[np.ndarray, "M N 2"],
+    spacing: float,
+    usable: Bool[np.ndarray, "M N"] | None = None,
 ) -> Float[np.ndarray, "M N"]:
-    """Weights of other pins at offsets px: of a quadratic motion fitted to theirs, read at the pin itself.
+    """Compute weights of neighbours at offsets px, by which their motions give a pin's motion.
 
-    Those not `known` have none.
+    They fit a quadratic motion to the neighbours and read it at the pin. Neighbours that are not
+    `usable` get no weight.
     """
     offset = offset / spacing
     share = 1 / (1 + (offset**2).sum(-1))
-    if known is not None:
-        share = share * known
+    if usable is not None:
+        share = share * usable
     design = _powers(offset, 2)
-    ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, on the rim above all
+    ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, mostly on the rim
     weighted = np.swapaxes(design * share[..., None], -1, -2)
     return np.linalg.solve(weighted @ design + ridge, weighted)[..., 0, :]

@@ -1,4 +1,4 @@
-"""The lattice of a set of images, read off them: whatever the camera's framing and turn."""
+"""Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,36 +15,38 @@ from jaxunshear.perception.pin_detection import DetectedPins, find_hull
 from jaxunshear.perception.pin_tracking import track_all
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
-RADIAL_BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
+RADIAL_BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: by how much the middle is drawn in
 TURN_DEG = 1.5
-MAX_MATCH_RATIO = (
-    1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
-)
-MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer say nothing of it
+# How much worse a turn may match and still be the lattice turned by its own symmetry.
+MAX_MATCH_RATIO = 1.1
+MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer are not used
 MAX_IMAGES = 60  # images, evenly spaced: more do not change the mean
+GUESS_IMAGES = 10
+MIN_LAYOUT_PINS = 20
+MIN_TRACKED_SHARE = 0.9  # of the pins, in any image
+MAX_EXTRA_SHARE = 0.1  # detected pins without an identity, over the pins
 
 
 class MarkerLayout(NamedTuple):
-    """Pins on the skin rolled out flat, in any unit."""
+    """The pins on the skin rolled out flat, in any unit."""
 
     name: str
     flat: np.ndarray  # (P, 2) about the middle
-    shell: np.ndarray  # (P,) 0 in the middle
-    symmetry_deg: float  # turned by this it is the same again, and no image shows which
+    ring: np.ndarray  # (P,) 0 in the middle
+    symmetry_deg: float  # turned by this it looks alike, and no image shows which turn it has
 
 
 def make_layout(sensor: Sensor) -> MarkerLayout:
-    """The pins of a sensor, in its order."""
-    return MarkerLayout(
-        f"sensor '{sensor.name}' ({sensor.layout})",
-        compute_pin_lattice(sensor),
-        compute_rings(sensor),
-        60.0,
-    )
+    """Return the pins of a sensor, in its order."""
+    name = f"sensor '{sensor.name}' ({sensor.layout})"
+    return MarkerLayout(name, compute_pin_lattice(sensor), compute_rings(sensor), 60.0)
 
 
 def read_layout(file: Path) -> MarkerLayout:
-    """A user's layout: two numbers a line, x and y of a pin in any unit, a heading allowed. Raises `UserError` by file and line."""
+    """Read a user's layout: two numbers a line, x and y of a pin in any unit.
+
+    The first line may be a heading. Raises `UserError` by file and line.
+    """
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -52,8 +54,8 @@ def read_layout(file: Path) -> MarkerLayout:
     rows = []
     for number, line in enumerate(lines, 1):
         words = line.replace(",", " ").split()
-        heading = number == 1 and not any(map(_is_number, words))
-        if heading or not line.strip():
+        is_heading = number == 1 and not any(map(_is_number, words))
+        if is_heading or not line.strip():
             continue
         if len(words) != 2 or not all(map(_is_number, words)):
             raise UserError(
@@ -61,9 +63,10 @@ def read_layout(file: Path) -> MarkerLayout:
             )
         rows.append([float(word) for word in words])
     flat = np.array(rows).reshape(-1, 2)
-    if len(flat) < 20 or not np.isfinite(flat).all():
+    if len(flat) < MIN_LAYOUT_PINS or not np.isfinite(flat).all():
         raise UserError(
-            f"--layout {file}: {len(flat)} pins with finite places; at least 20 are needed to distinguish them"
+            f"--layout {file}: {len(flat)} pins with finite places; "
+            f"at least {MIN_LAYOUT_PINS} are needed to distinguish them"
         )
     if len(np.unique(flat, axis=0)) < len(flat):
         raise UserError(f"--layout {file}: two pins stand at the same place")
@@ -80,71 +83,86 @@ def _is_number(word: str) -> bool:
 
 
 def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) -> Lattice:
-    """The lattice that the found pins px of images of one camera share: the mean place of each pin.
+    """Fit the lattice that images of one camera share: the mean position of each pin.
 
-    Raises UserError where they do not appear to be pins of this layout.
+    `frames` holds the detected pins px of each image. Raises UserError if these do not appear to be
+    pins of this layout.
     """
-    full = [found for found in frames if len(found) >= MIN_PIN_SHARE * len(layout.flat)]
+    frames = _select_frames(frames, layout)
+    rest = _guess_rest(frames, layout)
+    for _ in range(2):
+        lattice = make_lattice(rest, layout.ring)
+        mean_motion = _measure_mean_motion(lattice, frames)
+        if mean_motion is None:
+            raise UserError(
+                f"the pins of these images do not form the lattice of {layout.name} with "
+                f"{len(rest)} pins: about {np.median([len(pins) for pins in frames]):.0f} pins "
+                "are found; name another sensor"
+            )
+        rest = rest + mean_motion
+    return make_lattice(rest, layout.ring)
+
+
+def _select_frames(frames: list[np.ndarray], layout: MarkerLayout) -> list[np.ndarray]:
+    """Select up to MAX_IMAGES that show most pins. Raises UserError if there are none."""
+    full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
     if not full:
-        most = max((len(found) for found in frames), default=0)
+        most = max((len(pins) for pins in frames), default=0)
         raise UserError(
             f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
         )
-    frames = full[:: -(-len(full) // MAX_IMAGES)]
-    place = _first_guess(frames, layout)
-    for _ in range(2):
-        lattice = make_lattice(place, layout.shell)
-        tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
-        motion = np.array(
-            [track.motion for track in tracks if track.identified]
-            or [track.motion for track in tracks]
-        )
-        count = np.isfinite(motion[..., 0]).sum(axis=0)
-        if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(
-            place
-        ):
-            break
-        mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
-        place = place + np.where(count[:, None] > 0, mean, lattice.neighbour_weights @ mean)
-    else:
-        return make_lattice(place, layout.shell)
-    raise UserError(
-        f"the pins of these images do not form the lattice of {layout.name} with {len(place)} pins: "
-        f"about {np.median([len(found) for found in frames]):.0f} pins are found; name another sensor"
-    )
+    return full[:: -(-len(full) // MAX_IMAGES)]
 
 
-def _first_guess(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
-    """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells.
+def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarray | None:
+    """Measure the mean motion (P, 2) px of the pins; None if they do not match the lattice.
 
-    By the least turn of those that match about equally well: in a lattice of some symmetry noise must not choose which pin is which.
+    Pins that no image shows follow the mean motion of their neighbours.
+    """
+    tracks = track_all(lattice, [DetectedPins(pins) for pins in frames])
+    identified = [track for track in tracks if track.identified]
+    motion = np.array([track.motion for track in identified or tracks])
+    count = np.isfinite(motion[..., 0]).sum(axis=0)
+    extra = np.median([track.extra for track in tracks])
+    if np.mean(count > 0) < MIN_TRACKED_SHARE or extra > MAX_EXTRA_SHARE * len(lattice.rest):
+        return None
+    mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
+    return np.where(count[:, None] > 0, mean, lattice.neighbour_weights @ mean)
+
+
+def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
+    """Guess rest positions (P, 2) px: the flat lattice, bent in radius, on the rim of all pins.
+
+    It is turned to match the outer rings, by the least turn of those that match about equally well:
+    in a lattice of some symmetry noise must not choose which pin is which.
     """
     flat = layout.flat / np.linalg.norm(layout.flat, axis=-1).max()
-    hulls = np.concatenate([_hull(found) for found in frames])
+    radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+    hulls = np.concatenate([_select_hull(pins) for pins in frames])
     centre = (np.percentile(hulls, 2, axis=0) + np.percentile(hulls, 98, axis=0)) / 2
     rim = float(np.median(np.linalg.norm(hulls - centre, axis=-1)))
-    outer = layout.shell >= layout.shell.max() - 2
-    trees = [cKDTree(found) for found in frames[:: max(1, len(frames) // 10)][:10]]
-    radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+    outer = layout.ring >= layout.ring.max() - 2
+    step = max(1, len(frames) // GUESS_IMAGES)
+    trees = [cKDTree(pins) for pins in frames[::step][:GUESS_IMAGES]]
 
-    def guess(turn: float, bend: float) -> np.ndarray:
+    def place(turn: float, bend: float) -> np.ndarray:
         return centre + rim * (1 + bend * (1 - radius**2)) * flat @ rotation_2d(-turn)
 
+    def measure_distance(turn: float, bend: float) -> float:
+        expected = place(turn, bend)[outer]
+        return float(np.mean([np.median(tree.query(expected)[0]) for tree in trees]))
+
     turns = np.radians(np.arange(-layout.symmetry_deg / 2, layout.symmetry_deg / 2, TURN_DEG))
-    off = np.array(
-        [
-            [
-                np.mean([np.median(tree.query(guess(turn, bend)[outer])[0]) for tree in trees])
-                for bend in RADIAL_BENDS
-            ]
-            for turn in turns
-        ]
-    )
-    alike = np.flatnonzero(off.min(axis=1) <= MAX_MATCH_RATIO * off.min())
-    chosen = alike[np.argmin(np.abs(turns[alike]))]
-    return guess(turns[chosen], RADIAL_BENDS[np.argmin(off[chosen])])
+    distance = np.empty((len(turns), len(RADIAL_BENDS)))
+    for row, turn in enumerate(turns):
+        for column, bend in enumerate(RADIAL_BENDS):
+            distance[row, column] = measure_distance(turn, bend)
+    near_best = np.flatnonzero(distance.min(axis=1) <= MAX_MATCH_RATIO * distance.min())
+    best = near_best[np.argmin(np.abs(turns[near_best]))]
+    return place(turns[best], RADIAL_BENDS[np.argmin(distance[best])])
 
 
-def _hull(found: np.ndarray) -> np.ndarray:
-    corners = find_hull(found)
-    return found[corners] if len(corners) else found
+def _select_hull(pins: np.ndarray) -> np.ndarray:
+    """Select the pins on the convex hull, or all of them if there is none."""
+    corners = find_hull(pins)
+    return pins[corners] if len(corners) else pins

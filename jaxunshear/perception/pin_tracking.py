@@ -1,18 +1,21 @@
-"""Which pin is which: found pins of a binary image get the identities of the sensor's lattice.
+"""Assign the identities of a sensor's lattice to the detected pins of a binary image.
 
-A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But the skin is smooth: taken together, the
-pins move by a low polynomial of their place, to well below half a spacing. Mean and spread of all found pins give a first affine
-motion; pairs of mutually nearest pins then refine polynomials of rising degree, and last each pin follows its neighbours. What is
-not smooth in the end is taken back there and grown anew from the pins around; what is not smooth then is reported as doubt.
+A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But
+the skin is smooth: taken together, the pins move by a low polynomial of their rest position, to
+well below half a spacing. Mean and spread of all detected pins give a first affine motion; pairs of
+mutually nearest pins then refine polynomials of rising degree, and last each pin follows its
+neighbours. Identities that are not smooth in the end are erased and grown anew from the pins
+around; what is not smooth then leaves the image unidentified.
 
-Where pins have left the view, mean and spread mislead. Then the frames that went well help: motions of one sensor differ in two or
-three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
+Where pins have left the view, mean and spread mislead. Then the identified images help: motions of
+one sensor differ in two or three ways (slides along x and y, and the depth), so a grid over these
+is compared with the detected pins, and the best are refined.
 
-    lattice = fit_lattice([find_pins(image) for image in images], layout_of(TACTIP_331))
+    lattice = fit_lattice([find_pins(image) for image in images], make_layout(TACTIP_331))
     tracks = track_all(lattice, [detect_pins(image) for image in images])
-    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
+    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is missing
 
-What reads pins takes `track_images` images, or their `measure_motions`.
+Networks that take pins use `track_images`, or `measure_motions`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,250 +33,294 @@ from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
 from jaxunshear.perception.pin_refinement import refine_track
 from jaxunshear.perception.pin_track import PinTrack, assess_track
 
-MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a found pin is another one
-REPEATS = 3  # of a polynomial's fit, fewer where pairs come no nearer than
-CONVERGED_RATIO = 0.9  # of their distance before
-MIN_PRIOR_FRAMES = 10  # sure frames, at least
+MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
+MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
+# Fits of a polynomial, fewer if the distance of pairs falls by less than this ratio.
+REPEATS = 3
+CONVERGED_RATIO = 0.9
+NEIGHBOUR_REPEATS = 4
+FIRST_TURNS_DEG = (4, -4, 8, -8)  # of the first motion, tried if no prior is known
+MIN_PRIOR_FRAMES = 10  # identified images that a prior is fitted to, at least
 MODES = 3
-STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may differ at a pin
+STEP = 0.6  # of the spacing: the largest difference at a pin between neighbours on the grid
 GRID = 15  # points along a mode, at most
 TRIED_MOTIONS = 6  # of the grid's motions
-MAX_FAULT_SHARE = 0.1  # share of the pins that are at fault in a motion worth mending at once
-MAX_REPAIRED = 2  # of the others
+MAX_FAULT_SHARE = 0.1  # of the pins: identities with more faults are repaired last
+MAX_REPAIRED = 2  # of those
 
 
 class MotionPrior(NamedTuple):
-    """How the pins of a set usually move."""
+    """How the pins of a set of images usually move."""
 
-    motion: np.ndarray  # (M, P, 2) px, a grid over the ways in which motions differ
-    view: float  # px from the lattice's centre within which pins are seen
+    motion: np.ndarray  # (M, P, 2) px, a grid over the modes of motion
+    view: float  # px from the lattice's centre within which pins are visible
 
 
 class TrackedPins(NamedTuple):
     """The pins of N images by identity."""
 
-    # (N, P, 2) px from the lattice; NaN where a pin is not seen, and all of an image that is not sure
+    # (N, P, 2) px from the lattice; NaN where a pin is missing, or its image is not identified
     motion: np.ndarray
-    identified: np.ndarray  # (N,) whether the pins were identified for sure
+    identified: np.ndarray  # (N,) bool
 
 
 def track_images(
     lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, independent: bool = False
 ) -> TrackedPins:
-    """The pins of binary images (S, S) of one camera. `independent`: each image by itself, as a robot sees it; else the sure ones help with
-    the others."""
-    found = [detect_pins(image) for image in images]
+    """Track the pins of binary images (S, S) of one camera.
+
+    `independent`: each image by itself, as a robot takes them; else the identified ones help with
+    the others.
+    """
+    detected = [detect_pins(image) for image in images]
     tracks = (
-        [track_pins(lattice, each) for each in found] if independent else track_all(lattice, found)
+        [track_pins(lattice, each) for each in detected]
+        if independent
+        else track_all(lattice, detected)
     )
-    sure = np.array([track.identified for track in tracks], bool)
+    identified = np.array([track.identified for track in tracks], bool)
     motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.rest.shape)
-    return TrackedPins(np.where(sure[:, None, None], motion, np.nan), sure)
+    return TrackedPins(np.where(identified[:, None, None], motion, np.nan), identified)
 
 
 def measure_motions(
     lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray
 ) -> Float[np.ndarray, "N P 2"]:
-    """In px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
-    motion, sure = track_images(lattice, images)
-    for row in np.flatnonzero(sure):
+    """Measure pin motions px in images (N, S, S), with missing pins filled in.
+
+    Images that are not identified have NaN.
+    """
+    motion, identified = track_images(lattice, images)
+    for row in np.flatnonzero(identified):
         motion[row] = fill_missing(lattice, motion[row])
     return motion
 
 
 def track_all(lattice: Lattice, frames: list[DetectedPins]) -> list[PinTrack]:
-    """Every pin's identity and motion in frames of one camera, in their order; those that are sure help with the others."""
-    tracks = [track_pins(lattice, found) for found in frames]
-    usual = fit_motion_prior(lattice, tracks)
-    if usual is None:
+    """Track the pins of images of one camera, in order; the identified help with the others."""
+    tracks = [track_pins(lattice, detected) for detected in frames]
+    prior = fit_motion_prior(lattice, tracks)
+    if prior is None:
         return tracks
     return [
-        track if track.identified else track_pins(lattice, found, usual)
-        for track, found in zip(tracks, frames, strict=True)
+        track if track.identified else track_pins(lattice, detected, prior)
+        for track, detected in zip(tracks, frames, strict=True)
     ]
 
 
 def track_pins(
     lattice: Lattice, detected: DetectedPins, prior: MotionPrior | None = None
 ) -> PinTrack:
-    """The same of one frame, with the help of how pins `prior`ly move where that is known."""
-    found, pins = detected.pins, len(lattice.rest)
-    best = PinTrack(
-        np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False
-    )
-    if len(found) < 0.7 * pins:
+    """Track the pins of one image, with the help of a prior if there is one."""
+    pins, count = len(lattice.rest), len(detected.pins)
+    missing = np.full((pins, 2), np.nan)
+    best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
+    if count < MIN_DETECTED_SHARE * pins:
         return best
-    tree = cKDTree(found)
-    left = []
-    for motion in _first_motions(lattice, found, prior):
-        which = _match_iteratively(lattice, found, motion)
-        rating = rate_identities(lattice, found, which)
-        if rating.fault_count > MAX_FAULT_SHARE * pins:
-            left.append((rating.fault_count, which))
+    tree = cKDTree(detected.pins)
+    postponed = []
+    for motion in _propose_motions(lattice, detected.pins, prior):
+        identity = _match_iteratively(lattice, detected.pins, motion)
+        fault_count = rate_identities(lattice, detected.pins, identity).fault_count
+        if fault_count > MAX_FAULT_SHARE * pins:
+            postponed.append((fault_count, identity))
             continue
-        best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
+        best = min(best, _finish_track(lattice, detected, tree, identity), key=_rank_track)
         if best.identified:
             return best
-    for _, which in sorted(left, key=lambda pair: pair[0])[:MAX_REPAIRED]:
-        best = min(best, _finish_track(lattice, detected, tree, which), key=_rank_track)
+    for _, identity in sorted(postponed, key=lambda pair: pair[0])[:MAX_REPAIRED]:
+        best = min(best, _finish_track(lattice, detected, tree, identity), key=_rank_track)
         if best.identified:
             break
     return best
 
 
 def _finish_track(
-    lattice: Lattice, seen: DetectedPins, tree: cKDTree, which: np.ndarray
+    lattice: Lattice, detected: DetectedPins, tree: cKDTree, identity: np.ndarray
 ) -> PinTrack:
-    """From rows (P,) of the found pins: repaired, then measured where that leaves doubt."""
-    which = repair_identities(lattice, seen.pins, tree, which)
-    motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.rest, np.nan)
-    return refine_track(lattice, assess_track(lattice, motion, which, len(seen.pins)), seen)
+    """Repair identities, the rows (P,) of the detected pins, and measure doubtful pins again."""
+    identity = repair_identities(lattice, detected.pins, tree, identity)
+    motion = np.where(identity[:, None] >= 0, detected.pins[identity] - lattice.rest, np.nan)
+    track = assess_track(lattice, motion, identity, len(detected.pins))
+    return refine_track(lattice, track, detected)
 
 
-def _rank_track(track: PinTrack) -> tuple[bool, int, float]:
-    return not track.identified, track.missed, track.max_offset
+class _TrackRank(NamedTuple):
+    """Sorts tracks, the best first."""
+
+    unidentified: bool
+    missed: int
+    max_offset: float
+
+
+def _rank_track(track: PinTrack) -> _TrackRank:
+    return _TrackRank(not track.identified, track.missed, track.max_offset)
 
 
 def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | None:
-    """What the sure ones of some tracks have in common; None where there are too few."""
-    sure = [track for track in tracks if track.identified]
-    if len(sure) < MIN_PRIOR_FRAMES:
+    """Fit a prior to the identified ones of some tracks; None if they are too few."""
+    motions = [track.motion for track in tracks if track.identified]
+    if len(motions) < MIN_PRIOR_FRAMES:
         return None
-    known = np.array(
-        [
-            np.where(np.isnan(track.motion), fill_missing(lattice, track.motion), track.motion)
-            for track in sure
-        ]
-    )
-    mean = known.mean(axis=0)
-    left, size, right = np.linalg.svd((known - mean).reshape(len(known), -1), full_matrices=False)
+    full = np.array([_fill_if_missing(lattice, motion) for motion in motions])
+    mean = full.mean(axis=0)
+    left, size, right = np.linalg.svd((full - mean).reshape(len(full), -1), full_matrices=False)
+    amounts = (left * size).T[:MODES]
+    modes = right[:MODES].reshape(-1, *mean.shape)
     axes = []
-    for amount, mode in zip(
-        (left * size).T[:MODES], right[:MODES].reshape(-1, *mean.shape), strict=True
-    ):
+    for amount, mode in zip(amounts, modes, strict=True):
         low, high = 1.3 * amount.min(), 1.3 * amount.max()
         reach = (high - low) * np.linalg.norm(mode, axis=-1).max() / lattice.spacing
         axes.append(np.linspace(low, high, int(np.clip(np.ceil(reach / STEP) + 1, 2, GRID))))
-    amounts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    grid = mean + np.tensordot(amounts, right[: len(axes)].reshape(-1, *mean.shape), 1)
-    off = np.linalg.norm(
-        lattice.rest + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1
-    )
-    return MotionPrior(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    grid = mean + np.tensordot(points, modes, 1)
+    distance = np.linalg.norm(lattice.rest + np.array(motions) - _compute_centre(lattice), axis=-1)
+    return MotionPrior(grid.astype(np.float32), float(np.nanmax(distance)) + 0.1 * lattice.spacing)
 
 
-def _centre(lattice: Lattice) -> np.ndarray:
+def _fill_if_missing(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+    return np.where(np.isnan(motion), fill_missing(lattice, motion), motion)
+
+
+def _compute_centre(lattice: Lattice) -> np.ndarray:
     return (lattice.rest.max(axis=0) + lattice.rest.min(axis=0)) / 2
 
 
-def _first_motions(
-    lattice: Lattice, found: np.ndarray, usual: MotionPrior | None
+def _propose_motions(
+    lattice: Lattice, detected: np.ndarray, prior: MotionPrior | None
 ) -> Iterator[np.ndarray]:
-    """Motions (P, 2) px to start from: the likeliest affine one, then the best usual ones, or turned ones where none is known."""
-    likeliest = _affine(lattice, found)
+    """Propose motions (P, 2) px to start from, the likeliest affine one first.
+
+    The best ones of the prior follow, or turned ones if there is no prior.
+    """
+    likeliest = _fit_affine(lattice, detected)
     yield likeliest - lattice.rest
-    if usual is not None:
-        yield from _search_prior(lattice, found, usual)
+    if prior is not None:
+        yield from _search_prior(lattice, detected, prior)
         return
     middle = likeliest.mean(axis=0)
-    for angle in np.radians([4, -4, 8, -8]):
+    for angle in np.radians(FIRST_TURNS_DEG):
         yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.rest
 
 
-def _search_prior(lattice: Lattice, found: np.ndarray, usual: MotionPrior) -> np.ndarray:
-    """The usual motions (TRIED, P, 2) that put the lattice nearest to the found pins.
+def _search_prior(lattice: Lattice, detected: np.ndarray, prior: MotionPrior) -> np.ndarray:
+    """Find the prior motions (TRIED_MOTIONS, P, 2) that put the lattice nearest to the pins.
 
-    A pin counts as far off as the nearest found one, half a spacing at most; so does one too many or too few in view. Distances are read
-    off a map at half a pixel, so that the entire grid costs little more than one frame.
+    The cost of a pin is its distance to the nearest detected one, half a spacing at most; a pin too
+    many or too few in view costs as much. Distances are looked up on a map at half a pixel, so that
+    the entire grid costs little more than one image.
     """
-    low = found.min(axis=0) - 2 * lattice.spacing
-    high = found.max(axis=0) + 2 * lattice.spacing
+    low = detected.min(axis=0) - 2 * lattice.spacing
+    high = detected.max(axis=0) + 2 * lattice.spacing
     empty = np.ones(np.ceil(2 * (high - low)).astype(int)[::-1] + 1, bool)
-    column, row = np.round(2 * (found - low)).astype(int).T
+    column, row = np.round(2 * (detected - low)).astype(int).T
     empty[row, column] = False
-    off = np.minimum(ndimage.distance_transform_edt(empty) / (2 * lattice.spacing), 0.5).astype(
-        np.float32
-    )
-    place = lattice.rest.astype(np.float32) + usual.motion
-    inside = np.linalg.norm(place - _centre(lattice), axis=-1) < usual.view
-    cell = np.clip(np.round(2 * (place - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
-    apart = (off[cell[..., 1], cell[..., 0]] * inside).sum(-1) + 0.5 * np.abs(
-        inside.sum(-1) - len(found)
-    )
-    return usual.motion[np.argsort(apart)[:TRIED_MOTIONS]].astype(float)
+    distance = ndimage.distance_transform_edt(empty) / (2 * lattice.spacing)
+    cost_map = np.minimum(distance, 0.5).astype(np.float32)
+    position = lattice.rest.astype(np.float32) + prior.motion
+    in_view = np.linalg.norm(position - _compute_centre(lattice), axis=-1) < prior.view
+    cell = np.clip(np.round(2 * (position - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
+    pin_cost = (cost_map[cell[..., 1], cell[..., 0]] * in_view).sum(-1)
+    cost = pin_cost + 0.5 * np.abs(in_view.sum(-1) - len(detected))
+    return prior.motion[np.argsort(cost)[:TRIED_MOTIONS]].astype(float)
 
 
-def _affine(lattice: Lattice, found: np.ndarray) -> np.ndarray:
-    """Places (P, 2) moved so that they have the mean and covariance of the found pins, without a turn.
+def _fit_affine(lattice: Lattice, detected: np.ndarray) -> np.ndarray:
+    """Move the pins (P, 2) to the mean and covariance of the detected ones, without a turn.
 
-    Where a side of the pins has left the view, those that stand farthest out are left out of the comparison.
+    Where a side of the pins has left the view, the outermost are left out of the comparison.
     """
-    place, middle, spread = lattice.rest, found.mean(axis=0), np.cov(found.T)
-    kept = np.arange(len(place))
+    rest, middle, spread = lattice.rest, detected.mean(axis=0), np.cov(detected.T)
+    compared = np.arange(len(rest))
     for _ in range(5):
-        here = place[kept]
-        root = _root(np.cov(here.T))
-        back = np.linalg.inv(root)
-        moved = (place - here.mean(axis=0)) @ (back @ _root(root @ spread @ root) @ back) + middle
-        inside = np.sort(
-            np.argsort(np.linalg.norm(moved - _centre(lattice), axis=-1))[: len(found)]
-        )
-        if np.array_equal(inside, kept):
+        subset = rest[compared]
+        root = _root(np.cov(subset.T))
+        inverse = np.linalg.inv(root)
+        stretch = inverse @ _root(root @ spread @ root) @ inverse
+        position = (rest - subset.mean(axis=0)) @ stretch + middle
+        distance = np.linalg.norm(position - _compute_centre(lattice), axis=-1)
+        inner = np.sort(np.argsort(distance)[: len(detected)])
+        if np.array_equal(inner, compared):
             break
-        kept = inside
-    return moved
+        compared = inner
+    return position
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:
+    """Return the square root of a symmetric matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
 
 
-def _match_iteratively(lattice: Lattice, found: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """From a first motion (P, 2) to the rows (P,) of the found pins, -1 for none."""
-    place, pins = lattice.rest, len(lattice.rest)
-    pairs = _pairs(place + motion, found)
+def _match_iteratively(lattice: Lattice, detected: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Match pins to the rows (P,) of the detected ones, -1 for none, from a first motion (P, 2)."""
+    pairs = _pair_nearest(lattice.rest + motion, detected)
     for degree in POLYNOMIAL_DEGREES:
         for _ in range(REPEATS):
-            rows, columns, off = pairs
-            middle = _middle(off)
-            share = 1 / (1 + (off / max(2.5 * middle, 0.06 * lattice.spacing)) ** 2)
-            powers = lattice.powers[degree]
-            weighted = powers[rows].T * share
-            normal = weighted @ powers[rows] + 1e-3 * np.eye(powers.shape[1])
-            motion = powers @ np.linalg.solve(normal, weighted @ (found[columns] - place[rows]))
-            pairs = _pairs(place + motion, found)
-            if _middle(pairs[2]) > CONVERGED_RATIO * middle:
+            middle = _compute_middle(pairs.distance)
+            motion = _fit_polynomial(lattice, detected, pairs, degree)
+            pairs = _pair_nearest(lattice.rest + motion, detected)
+            if _compute_middle(pairs.distance) > CONVERGED_RATIO * middle:
                 break
-    which = np.full(pins, -1)
-    for _ in range(4):
-        rows, columns, off = pairs
-        near = off <= MAX_MATCH_DISTANCE * lattice.spacing
-        before, which = which, np.full(pins, -1)
-        which[rows[near]] = columns[near]
-        if np.array_equal(before, which):
+    return _follow_neighbours(lattice, detected, pairs, motion)
+
+
+class _Pairs(NamedTuple):
+    """Pairs of an expected and a detected pin that are each other's nearest."""
+
+    pin: np.ndarray  # (N,) rows of the expected pins
+    detected: np.ndarray  # (N,) rows of the detected pins
+    distance: np.ndarray  # (N,) px
+
+
+def _fit_polynomial(
+    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, degree: int
+) -> np.ndarray:
+    """Fit a motion (P, 2) px, a polynomial of the rest position, to pairs; far ones count less."""
+    scale = max(2.5 * _compute_middle(pairs.distance), 0.06 * lattice.spacing)
+    share = 1 / (1 + (pairs.distance / scale) ** 2)
+    powers = lattice.powers[degree]
+    paired = powers[pairs.pin]
+    weighted = paired.T * share
+    normal = weighted @ paired + 1e-3 * np.eye(powers.shape[1])
+    motion = detected[pairs.detected] - lattice.rest[pairs.pin]
+    return powers @ np.linalg.solve(normal, weighted @ motion)
+
+
+def _follow_neighbours(
+    lattice: Lattice, detected: np.ndarray, pairs: _Pairs, motion: np.ndarray
+) -> np.ndarray:
+    """Match pins to detected ones (P,) while each pin follows the motion of its neighbours."""
+    identity = np.full(len(lattice.rest), -1)
+    for _ in range(NEIGHBOUR_REPEATS):
+        near = pairs.distance <= MAX_MATCH_DISTANCE * lattice.spacing
+        before, identity = identity, np.full(len(lattice.rest), -1)
+        identity[pairs.pin[near]] = pairs.detected[near]
+        if np.array_equal(before, identity):
             break
-        motion = lattice.neighbour_weights @ np.where(
-            which[:, None] >= 0, found[which] - place, motion
-        )
-        pairs = _pairs(place + motion, found)
-    return which
+        matched = np.where(identity[:, None] >= 0, detected[identity] - lattice.rest, motion)
+        motion = lattice.neighbour_weights @ matched
+        pairs = _pair_nearest(lattice.rest + motion, detected)
+    return identity
 
 
-def _middle(values: np.ndarray) -> float:
-    """The median, or the next above it: `numpy.median` spends most of its time on checks, and this is asked for a dozen times a frame."""
+def _compute_middle(values: np.ndarray) -> float:
+    """Return the median, or the next above it.
+
+    `numpy.median` spends most of its time on checks, and this runs a dozen times an image.
+    """
     return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
-def _pairs(expected: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs of (expected, found) that are each other's nearest, and their distances."""
-    # for some hundred pins all distances at once take less time than trees of them do
-    middle = found.mean(axis=0)
-    here, there = (expected - middle).astype(np.float32), (found - middle).astype(np.float32)
+def _pair_nearest(expected: np.ndarray, detected: np.ndarray) -> _Pairs:
+    """Pair the expected and detected pins that are each other's nearest."""
+    # For some hundred pins all distances at once take less time than trees do.
+    middle = detected.mean(axis=0)
+    here, there = (expected - middle).astype(np.float32), (detected - middle).astype(np.float32)
     squares = here @ (-2 * there.T)
     squares += (here**2).sum(axis=1)[:, None]
     squares += (there**2).sum(axis=1)
     nearest = squares.argmin(axis=1)
     rows = np.flatnonzero(squares.argmin(axis=0)[nearest] == np.arange(len(expected)))
     columns = nearest[rows]
-    return rows, columns, np.hypot(*(expected[rows] - found[columns]).T)
+    return _Pairs(rows, columns, np.hypot(*(expected[rows] - detected[columns]).T))

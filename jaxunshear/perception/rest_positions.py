@@ -1,4 +1,4 @@
-"""Where a simulated sensor's untouched pins lie in its images."""
+"""Compute the rest positions of a simulated sensor's pins in its images."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +11,7 @@ from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 
 def compute_rest_lattice(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
-    """The lattice of a sensor that touches nothing, seen through this camera and prepared like all frames."""
+    """Compute the lattice, px of the prepared image, of a sensor that touches nothing."""
     px = project(camera, jnp.asarray(compute_pin_tips(sensor), jnp.float32), sensor)
-    return make_lattice(
-        np.asarray(to_image_px(camera, preprocess, px), float), compute_rings(sensor)
-    )
+    rest = np.asarray(to_image_px(camera, preprocess, px), float)
+    return make_lattice(rest, compute_rings(sensor))

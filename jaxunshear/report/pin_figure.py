@@ -5,6 +5,7 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from jaxunshear.data.recorded_pins import ShownImage
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.style import encode_png
@@ -12,7 +13,7 @@ from jaxunshear.style import encode_png
 COLUMNS = 4
 
 
-def plot_pins(lattice: Lattice, shown: list[tuple[str, np.ndarray, PinTrack]]) -> bytes:
+def plot_pins(lattice: Lattice, shown: list[ShownImage]) -> bytes:
     """A PNG of (name, image (S, S) uint8, track): shells in turn in two colours, so that an exchanged pin catches the eye."""
     rows = -(-len(shown) // COLUMNS)
     figure = Figure(figsize=(3.6 * COLUMNS, 3.9 * rows), layout="constrained", dpi=110)

@@ -1,4 +1,4 @@
-"""A stand-in for the simulator: microseconds a contact, and every image says which contact it is of."""
+"""Stand in for the simulator: microseconds a contact, and each image shows its contact's number."""
 
 import os
 import time

@@ -38,7 +38,10 @@ def checksums(folder: Path) -> dict[str, str]:
 
 def test_a_library_that_came_in_parts_is_one_line():
     """TFDS logs what its import raises, and gives a module without its parts."""
-    parts = "import sys, types; sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
+    parts = (
+        "import sys, types; "
+        "sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
+    )
     words = [sys.executable, "-c", f"{parts}; import jaxunshear.data.builders.stored"]
     said = subprocess.run(words, check=False, capture_output=True, text=True).stderr
     assert said.splitlines()[-1].startswith(
@@ -163,7 +166,8 @@ def test_a_full_disk_is_reported_and_loses_nothing(
 
             def full(path, iterator):
                 raise RuntimeError(
-                    f"write() failed: {os.strerror(errno.ENOSPC)}; writing {path}; Failed to close chunk_writer"
+                    f"write() failed: {os.strerror(errno.ENOSPC)}; writing {path}; "
+                    "Failed to close chunk_writer"
                 )
 
             patch.setattr(tfds.core.file_adapters.ArrayRecordFileAdapter, "write_examples", full)

@@ -1,4 +1,7 @@
-"""A data set over a Ray cluster of two nodes on this machine, one of which is lost, and what is refused before one is started."""
+"""Make a data set over a Ray cluster of two nodes on this machine, one of which is lost.
+
+Also what is refused before a cluster is started.
+"""
 
 import os
 import signal
@@ -19,14 +22,16 @@ from jaxunshear.errors import UserError
 
 STAND_IN = Path(__file__).with_name("conftest.py")
 TINY = Path(__file__).resolve().parents[2] / "experiments" / "tiny.py"
-MARK = "FAKE_CLUSTER"  # in the environment of its processes: another test may have a cluster of its own
+# In the environment of its processes: another test may have a cluster of its own.
+MARK = "FAKE_CLUSTER"
 SCRIPT = """
 import runpy, sys
 from pathlib import Path
 from jaxunshear.cluster import make_ray_runner
 from jaxunshear.data.generation import make_set
 fake = runpy.run_path(sys.argv[1])
-make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"]._replace(spread=make_ray_runner(sys.argv[3], 1)))
+engine = fake["ENGINE"]._replace(run_calls=make_ray_runner(sys.argv[3], 1))
+make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), engine)
 """
 
 
@@ -96,7 +101,10 @@ def nodes(monkeypatch, tmp_path):
 def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
     nodes, paired, sensor, engine, tmp_path
 ):
-    """The same examples to the bit as on one machine, and no chunk made twice that a stopped command had kept."""
+    """Check for the same bits as on one machine.
+
+    No chunk that a stopped command had kept is made twice.
+    """
     make_set(paired, sensor, tmp_path / "serial", engine)
     chunks = get_unfinished_folder(paired, sensor, tmp_path / "ray")
     words = [sys.executable, "-c", SCRIPT, str(STAND_IN), str(tmp_path / "ray"), nodes.address]

@@ -29,7 +29,10 @@ def make(settings, sensor, folder, engine):
 
 
 def breaking(engine, helped: bool):
-    """An engine whose first try fails at the x that are put into the list, and the second unless it `helped`."""
+    """Return an engine whose first try fails at the x in the list.
+
+    The second try fails, too, unless it `helped`.
+    """
 
     def simulate(sensor, names, scenes):
         contacts = engine.simulate(sensor, names, scenes)

@@ -22,7 +22,10 @@ CAMERA = Camera(frame_px=256)
 
 
 def frames(sensor, shifts_mm):
-    """Grey frames (N, 256, 256) of skins that slid by these, most in the middle; true pins (N, P, 2) px."""
+    """Render skins that slid by these shifts, most in the middle.
+
+    Returns grey frames (N, 256, 256) and true pins (N, P, 2) px.
+    """
     tips, key = np.asarray(compute_pin_tips(sensor), np.float32), jax.random.key(0)
     bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
     moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
@@ -71,7 +74,8 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     ]
     with np.load(tmp_path / "out" / "pins.npz") as stored:
         motion, place = stored["motion_px"], stored["place_px"]
-    # pins are called as in the simulator or by the lattice's symmetry, in another crop: so the farthest motions must agree
+    # pins have the identities of the simulator or of the lattice's symmetry, in another crop: so
+    # the farthest motions must agree
     scale = np.ptp(place[0]) / np.ptp(true[0])
     expected = np.sort(scale * np.linalg.norm(true - true[:1], axis=-1), axis=-1)
     np.testing.assert_allclose(

@@ -177,7 +177,7 @@ def test_links_that_lead_back_are_not_followed(tmp_path):
 
 
 def test_a_ready_frame_takes_no_arithmetic(tmp_path, monkeypatch):
-    """As it lies on disk, within the mask; the long way, which wider numbers take, says the same."""
+    """Check that the image is as on disk within the mask, and that wider numbers give the same."""
     root = older(tmp_path / "set")
     ready = replace(PREPROCESS, size=96)
     recordings = read_recordings(root, ready)
@@ -356,7 +356,10 @@ def test_numbers_below_zero_are_refused(tmp_path):
 
 
 def test_a_flipped_bit_of_a_png_is_never_another_image(tmp_path):
-    """Pillow passes over the checksum of the pixels; of a binary image, many flips leave what can be decoded."""
+    """Check what Pillow passes over: the checksum of the pixels.
+
+    In a binary image many flips leave what can be decoded.
+    """
     file = tmp_path / "a.png"
     Image.fromarray(np.pad(np.full((20, 20), 255, np.uint8), 14)).save(file)
     sound, right = file.read_bytes(), read_image(file)

@@ -170,7 +170,8 @@ def test_friction_is_the_materials(paired):
         ({"seed": -1}, "seed = -1"),
         (
             {"config": "huge"},
-            "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, end_to_end, twisted, tilted, paper",
+            "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, end_to_end, "
+            "twisted, tilted, paper",
         ),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
         ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, r"must not exceed depth_max_mm \(2\)"),

@@ -1,6 +1,7 @@
 """Images that a sensor's model must know, and images that are none of its sensor's.
 
-All are binary (S, S) uint8 of {0, 255}. Simulated ones need no contact solved: pins move by smooth fields of up to two spacings.
+All are binary (S, S) uint8 of {0, 255}. Simulated ones need no contact solved: pins move by smooth
+fields of up to two spacings.
 """
 
 from collections.abc import Callable
@@ -40,7 +41,10 @@ def touched(sensor: Sensor, camera: Camera, count: int, seed: int, size: int = 1
 
 
 def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:
-    """Pin tips (P, 3) mm that a dent has spread, a slide carried and a twist turned, less towards the rim, where the skin is held."""
+    """Return pin tips (P, 3) mm that a dent has spread, a slide carried and a twist turned.
+
+    They move less towards the rim, where the skin is held.
+    """
     tips = compute_pin_tips(sensor)
     flat = tips[:, :2]
     radius = np.linalg.norm(flat, axis=1).max()
@@ -55,7 +59,11 @@ def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:
 
 
 def varied(image: np.ndarray, rng: Generator) -> np.ndarray:
-    """The same sensor another day: turned, drifted by up to 2 px of 128, up to 4 % nearer or farther, with up to a dozen specks."""
+    """Return the image as of another day.
+
+    It is turned, drifted by up to 2 px of 128, up to 4 % nearer or farther, and has up to a dozen
+    specks.
+    """
     size = len(image)
     drift = rng.uniform(-2, 2, 2) * size / 128
     image = _resampled(image, rng.uniform(0.96, 1.04), rng.uniform(0, 2 * np.pi), drift).copy()
@@ -67,8 +75,11 @@ def varied(image: np.ndarray, rng: Generator) -> np.ndarray:
 def _resampled(
     image: np.ndarray, scale: float, turn: float = 0.0, shift: np.ndarray | tuple = (0.0, 0.0)
 ) -> np.ndarray:
-    """Scaled and turned about the middle, then shifted by px as (row, column). The edge of the mask goes on outwards, as housings do:
-    pieces of its ring that black cut off would pass for pins."""
+    """Scale and turn an image about the middle, then shift it by px as (row, column).
+
+    The edge of the mask continues outwards, as housings do: pieces of its ring that black cut off
+    would pass for pins.
+    """
     middle = (len(image) - 1) / 2
     back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) / scale
     offset = np.moveaxis(np.indices(image.shape), 0, -1) - middle - np.asarray(shift)

@@ -66,7 +66,10 @@ def test_scrambled_pins_are_not_sure():
 
 
 def test_lattice_is_found_turned_and_shifted():
-    """Whatever the camera's turn, the lattice is found again: each pin within a tenth of a pixel, up to the lattice's symmetry."""
+    """Check that the lattice is fitted for any turn of the camera.
+
+    Each pin is within a tenth of a pixel, up to the lattice's symmetry.
+    """
     place = _flat(TACTIP_331) - 64
     turn = np.radians(17)
     turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [

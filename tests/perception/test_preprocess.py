@@ -33,7 +33,10 @@ SIZES = pytest.mark.parametrize("size", [128, 256])
 
 
 def binarise_reference(preprocess, grey):
-    """`binarise` of one (H, H) crop by scikit-image, in the order of published pipelines: what it must agree with."""
+    """Binarise one (H, H) crop by scikit-image, in the order of published pipelines.
+
+    `binarise` must agree with it.
+    """
     small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
     block = 2 * round(preprocess.block * preprocess.size / 2) + 1
     threshold = threshold_local(
@@ -68,7 +71,10 @@ def frames():
 
 
 def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
-    """A colour photograph (height, width, 3) uint8 in which the square frame lies in a light surround."""
+    """Make a colour photograph (height, width, 3) uint8 of the frame.
+
+    The square frame lies in a light surround.
+    """
     small = np.asarray(Image.fromarray(square).resize((side, side), Image.Resampling.BOX))
     full = np.full((height + 400, width + 400), light, np.float32)
     full[200 + top : 200 + top + side, 200 + left : 200 + left + side] = small

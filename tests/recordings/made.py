@@ -1,6 +1,7 @@
-"""Recordings in the published layouts, made in milliseconds: pins that move as smooth functions of pose and slide, drawn as dots.
+"""Make recordings in the published layouts, in milliseconds.
 
-No contact is solved: what matters is that pose and slide can be read off the pins, and that files lie where a laboratory's lie.
+Pins move as smooth functions of pose and slide, and are drawn as dots. No contact is solved: what
+matters is that pose and slide can be read off the pins, and that files lie where a laboratory's do.
 """
 
 import csv
@@ -30,7 +31,11 @@ def rest_px(sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
 def pins_px(
     pose: np.ndarray, move: np.ndarray, sensor: Sensor = TACTIP_127, size: int = SIZE
 ) -> np.ndarray:
-    """(P, 2) px of a contact: an edge at y, deep by z, turned by Rz, spreads the pins on its side; a slide drags those in touch."""
+    """Return the pins (P, 2) px of a contact.
+
+    An edge at y, deep by z, turned by Rz, spreads the pins on its side; a slide drags those in
+    touch.
+    """
     rest = rest_px(sensor, size)
     unit = (rest - (size - 1) / 2) / (0.375 * size)
     angle = np.radians(pose[5])

@@ -1,4 +1,7 @@
-"""A laboratory's day, from the command line: from folder to report, scored on what was never seen, put to use."""
+"""Test a laboratory's day from the command line: from folder to report.
+
+Networks are scored on contacts that they were not trained on, and put to use.
+"""
 
 import csv
 import errno
@@ -148,7 +151,10 @@ def some_hidden(slides, tmp_path_factory):
 def test_images_whose_pins_are_not_identified_have_no_pose(
     command, pins_run, slides, some_hidden, tmp_path
 ):
-    """Not in the table, not in a picture, not in the mean errors; they are counted, and half of them are no success."""
+    """Check that they are in no table, in no picture and not in the mean errors.
+
+    They are counted, and half of them are no success.
+    """
     folder, hidden = some_hidden
     whole = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "whole")
     assert whole.code == 0 and "40 images unsheared, 0 left out" in whole.out

@@ -83,7 +83,7 @@ def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
 
 
 def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
-    """Crop and untouched pins are those of training frames: other test frames leave them as they are."""
+    """Check that crop and rest positions are those of training frames, whatever the test frames."""
     other = tmp_path / "edge"
     shutil.copytree(recording, other)
     settings = settings_of(other)
@@ -99,11 +99,11 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
 
 
 def test_targets_are_those_that_the_training_labels_vary(opened):
-    targets = opened().targets(())
+    targets = opened().make_targets(())
     assert [target.name for target in targets] == ["y_mm", "z_mm", "Rz_deg"]
     assert [target.is_circular for target in targets] == [False, False, True]
     with pytest.raises(UserError, match="'x_mm' does not vary"):
-        opened().targets(("x_mm",))
+        opened().make_targets(("x_mm",))
 
 
 def test_an_unreadable_frame_is_left_out_and_named(tmp_path):
@@ -118,7 +118,7 @@ def test_an_unreadable_frame_is_left_out_and_named(tmp_path):
 
 def test_the_nearest_tap_weighs_by_its_gap(opened):
     stored = opened(pairing="nearest")
-    reader = stored.pairs(stored.targets(()))
+    reader = stored.read_pairs(stored.make_targets(()))
     rows = reader.take("train", np.arange(reader.length("train")), ("gap", "weight", "pose"))
     assert rows["weight"].mean() == pytest.approx(1, rel=1e-5)
     scaled = np.hypot(rows["gap"][:, 1] / 3, 2 * np.sin(np.radians(rows["gap"][:, 5]) / 2))
@@ -131,10 +131,12 @@ def test_the_nearest_tap_weighs_by_its_gap(opened):
 def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     """Else test taps would have a say in which checkpoint is the best."""
     stored = opened(pairing="nearest")
-    reader = stored.pairs(stored.targets(()))
+    reader = stored.read_pairs(stored.make_targets(()))
     partners = reader.take(split, np.arange(reader.length(split)), ("canonical", "pose", "gap"))
     taps = {
-        each: stored.taps().take(each, np.arange(stored.count("taps", each)), ("image", "pose"))
+        each: stored.read_taps().take(
+            each, np.arange(stored.count_contacts("taps", each)), ("image", "pose")
+        )
         for each in SPLITS
     }
     known = {
@@ -144,7 +146,7 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     assert {known[image.tobytes()] for image in partners["canonical"]} == {"train", split}
     # and the nearest of these
     allowed = np.concatenate([taps[each]["pose"] for each in dict.fromkeys(("train", split))])
-    targets = stored.targets(())
+    targets = stored.make_targets(())
     row, _ = find_nearest(targets, partners["pose"], allowed)
     np.testing.assert_allclose(
         partners["gap"], compute_pose_gaps(partners["pose"], allowed[row]), atol=1e-4
@@ -157,7 +159,7 @@ def test_rendered_partners_stand_where_the_renderer_says(opened):
     def render(poses):
         return np.stack([made.pins_px(pose, np.zeros(6)) for pose in poses])
 
-    reader = stored.pairs(stored.targets(()), render)
+    reader = stored.read_pairs(stored.make_targets(()), render)
     rows = reader.take(
         "test", np.arange(5), ("canonical", "canonical_pins", "pose", "gap", "weight")
     )
@@ -192,7 +194,7 @@ def test_pairs_of_one_pose_by_its_number(tmp_path):
 def test_poses_without_taps_of_their_number_are_refused(opened):
     stored = opened(pairing="pose_id")
     with pytest.raises(UserError, match="record taps and slides of the same poses"):
-        stored.pairs(stored.targets(())).length("train")
+        stored.read_pairs(stored.make_targets(())).length("train")
 
 
 @pytest.mark.parametrize("seed", [0, 5])
@@ -200,7 +202,7 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
     shares = [0.05, 0.3, 1.0]
     drawn = []
     for share in shares:
-        reader = opened(seed=seed, labelled=share).slides()
+        reader = opened(seed=seed, labelled=share).read_slides()
         drawn.append(
             set(
                 reader.take("train", np.arange(reader.length("train")), ("number",))[
@@ -208,9 +210,9 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
                 ].tolist()
             )
         )
-        assert opened(seed=seed, labelled=share).slides().length(
+        assert opened(seed=seed, labelled=share).read_slides().length(
             "test"
-        ) == opened().slides().length("test")
+        ) == opened().read_slides().length("test")
     assert drawn[0] < drawn[1] < drawn[2]
     assert abs(len(drawn[1]) / len(drawn[2]) - 0.3) < 0.12
     poses = opened().stored.rows("train")
@@ -222,8 +224,8 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
 
 def test_taps_join_the_training_slides_alone_as_slides_of_length_zero(opened):
     fields = ("number", "sheared_pins", "pose", "move")
-    plain, joined = opened().slides(), opened(direct_taps="recorded").slides()
-    taps = opened().taps()
+    plain, joined = opened().read_slides(), opened(direct_taps="recorded").read_slides()
+    taps = opened().read_taps()
     for split in ("validation", "test"):
         assert joined.length(split) == plain.length(split)
     count, more = plain.length("train"), taps.length("train")
@@ -244,19 +246,22 @@ def test_slides_without_a_label_get_the_pose_that_is_read(opened):
         asked.append((images.shape, pins.shape))
         return np.full((len(pins), 6), 2.5, np.float32)
 
-    few, all_slides = stored.slides(), stored.pairs(stored.targets(()), read=read)
+    few, all_slides = (
+        stored.read_slides(),
+        stored.read_pairs(stored.make_targets(()), estimate=read),
+    )
     rows = all_slides.take(
         "train", np.arange(all_slides.length("train")), ("pose", "number", "sheared_pins")
     )
     known = few.take("train", np.arange(few.length("train")), ("pose", "number"))
     unread = ~np.isin(rows["number"], known["number"])
-    assert len(rows["number"]) == stored.count("slides", "train")
+    assert len(rows["number"]) == stored.count_contacts("slides", "train")
     assert asked == [((unread.sum(), made.SIZE, made.SIZE), (unread.sum(), 127, 2))]
     assert np.all(rows["pose"][unread] == 2.5)
     order = np.argsort(rows["number"][~unread]), np.argsort(known["number"])
     np.testing.assert_array_equal(rows["pose"][~unread][order[0]], known["pose"][order[1]])
     assert all_slides.length("validation") == few.length("validation")
-    assert all_slides.length("test") == opened().slides().length("test")
+    assert all_slides.length("test") == opened().read_slides().length("test")
 
 
 def test_labels_of_an_axis_that_stands_still_are_no_target():

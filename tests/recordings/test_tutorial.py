@@ -1,4 +1,4 @@
-"""Every command of the tutorial, as it stands there, on a small recording in the published layout."""
+"""Run every command of the tutorial on a small recording in the published layout."""
 
 import re
 import shlex

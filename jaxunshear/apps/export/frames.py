@@ -14,6 +14,7 @@ from jaxunshear.data.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.perception.grey import LUMA
 from jaxunshear.perception.preprocess import (
+    Box,
     View,
     make_area_matrix,
     make_mask,
@@ -28,7 +29,7 @@ class ExportCamera(NamedTuple):
     """What the frames of a robot's camera have in common."""
 
     preprocess: Preprocess
-    box: tuple[int, int, int, int]  # left, top, right, bottom, px
+    box: Box
     frames: np.ndarray  # some of them, (N, H, W) or (N, H, W, channels) uint8
 
 

@@ -1,4 +1,4 @@
-"""`tactip_paired`: sheared tactile images, each with a tap at the same pose."""
+"""Build `tactip_paired`: sheared tactile images, each with a tap at the same pose."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,13 @@ import tensorflow_datasets as tfds
 
 from jaxunshear.config.configs import PAIRED_SET
 from jaxunshear.data import examples
-from jaxunshear.data.builders.stored import SimulatedSet, make_standard_configs
+from jaxunshear.data.builders.stored import (
+    SimulatedSet,
+    make_image_feature,
+    make_pins_feature,
+    make_standard_configs,
+    make_vector_feature,
+)
 from jaxunshear.data.sampling import ContactSamples
 
 
@@ -18,24 +24,15 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
 
     def _info(self) -> tfds.core.DatasetInfo:
         settings, pins = self.builder_config.settings, self.builder_config.sensor.pins
-        size = settings.preprocess.size
-        image = tfds.features.Image(shape=(size, size, 1), encoding_format="png")
+        image, ranges = make_image_feature(settings.preprocess.size), settings.ranges
         features = {
             "canonical": image,
             "sheared": image,
-            "canonical_pins": tfds.features.Tensor(
-                shape=(pins, 2), dtype=np.float32, encoding="bytes"
-            ),
-            "sheared_pins": tfds.features.Tensor(
-                shape=(pins, 2), dtype=np.float32, encoding="bytes"
-            ),
-            "pose": tfds.features.Tensor(
-                shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32
-            ),
-            "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
-            "move": tfds.features.Tensor(
-                shape=(3 if settings.ranges.twist_deg else 2,), dtype=np.float32
-            ),
+            "canonical_pins": make_pins_feature(pins),
+            "sheared_pins": make_pins_feature(pins),
+            "pose": make_vector_feature(6 if ranges.tilt_deg else 4),
+            "edge": make_vector_feature(2),
+            "move": make_vector_feature(3 if ranges.twist_deg else 2),
             "friction": np.float32,
             "stimulus": tfds.features.ClassLabel(names=list(settings.names)),
             "pose_id": np.int32,

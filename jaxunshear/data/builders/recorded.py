@@ -1,4 +1,4 @@
-"""`tactip_recorded`: taps and slides as a laboratory recorded them, with the pins that are found in them."""
+"""Build `tactip_recorded`: taps and slides of a laboratory, with the pins detected in them."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +10,12 @@ import tensorflow_datasets as tfds
 from jaxunshear.config import configs
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import recorded_examples
-from jaxunshear.data.builders.stored import StoredSet
+from jaxunshear.data.builders.stored import (
+    StoredSet,
+    make_image_feature,
+    make_pins_feature,
+    make_vector_feature,
+)
 from jaxunshear.data.recorded_contacts import RecordedContacts
 
 
@@ -23,14 +28,13 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
 
     def _info(self) -> tfds.core.DatasetInfo:
         settings, pins = self.builder_config.settings, self.builder_config.sensor.pins
-        size = settings.preprocess.size
         features = {
-            "image": tfds.features.Image(shape=(size, size, 1), encoding_format="png"),
-            "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
+            "image": make_image_feature(settings.preprocess.size),
+            "pins": make_pins_feature(pins),
             "sure": np.int32,
             "slid": np.int32,
-            "pose": tfds.features.Tensor(shape=(6,), dtype=np.float32),
-            "move": tfds.features.Tensor(shape=(6,), dtype=np.float32),
+            "pose": make_vector_feature(6),
+            "move": make_vector_feature(6),
             "pose_id": np.int32,
             "number": np.int32,
         }
@@ -40,11 +44,10 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        contacts, frame, paths = recorded_examples.prepare_recordings(
-            settings, sensor, self._get_unfinished_folder
-        )
-        counts, more = recorded_examples.summarise_recordings(contacts, frame, paths)
-        self._keep_metadata(counts, **more)
+        folder = self._unfinished_folder
+        contacts, frame, paths = recorded_examples.prepare_recordings(settings, sensor, folder)
+        counts, description = recorded_examples.summarise_recordings(contacts, frame, paths)
+        self._set_metadata(counts, **description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
 
     def _generate_examples(

@@ -1,8 +1,8 @@
-"""What all builders share: TFDS without TensorFlow, over the examples of `jaxunshear.data`.
+"""Build sets with TFDS, without TensorFlow, from the examples of `jaxunshear.data`.
 
-A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard
-and a checksum of the metadata, by which a reader detects a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/`
-until then.
+A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the
+SHA-256 of each shard and a checksum of the metadata, by which a reader detects a truncated or
+damaged file. Until then contacts lie under `<data_dir>/.partial/`.
 """
 
 import contextlib
@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import tensorflow_datasets as tfds
 
 from jaxunshear.config import configs
@@ -30,7 +31,8 @@ from jaxunshear.files import compute_checksum, write_json
 
 if not hasattr(tfds, "core"):  # TFDS logs what its own import raised, and goes on without its parts
     raise UserError(
-        "tensorflow_datasets could not be imported; its own lines above say why: a lack of memory, or a broken install"
+        "tensorflow_datasets could not be imported; its own lines above say why: "
+        "a lack of memory, or a broken install"
     )
 
 HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets imitate
@@ -43,6 +45,7 @@ class SetConfig(tfds.core.BuilderConfig):
 
 
 def make_standard_configs(name: str) -> list[SetConfig]:
+    """Make the configurations of a set that TFDS knows by name."""
     return [
         SetConfig(
             name=config,
@@ -54,8 +57,26 @@ def make_standard_configs(name: str) -> list[SetConfig]:
     ]
 
 
+def make_image_feature(size: int) -> tfds.features.Image:
+    """Describe a binary image of `size` px."""
+    return tfds.features.Image(shape=(size, size, 1), encoding_format="png")
+
+
+def make_pins_feature(pins: int) -> tfds.features.Tensor:
+    """Describe the positions of pins."""
+    return tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes")
+
+
+def make_vector_feature(length: int) -> tfds.features.Tensor:
+    """Describe a vector of numbers, such as a pose."""
+    return tfds.features.Tensor(shape=(length,), dtype=np.float32)
+
+
 class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
-    """Makes the set, or goes on making it, when it is prepared. `file_format` need not be given: it is array_record."""
+    """Makes the set, or continues to make it, when it is prepared.
+
+    `file_format` need not be passed: it is array_record.
+    """
 
     def _set_info(self, features: dict, keys: tuple[str, str]) -> tfds.core.DatasetInfo:
         info = self.dataset_info_from_configs(
@@ -64,42 +85,41 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
             metadata=tfds.core.MetadataDict(),
             homepage=HOMEPAGE,
         )
-        # TFDS would ask its own bucket for a set of this name, over the network, and leave an empty folder behind each time
+        # else TFDS asks its own bucket for a set of this name, over the network, and leaves an
+        # empty folder behind each time
         info.initialize_from_bucket = lambda: None
         return info
 
     @property
-    def _get_unfinished_folder(self) -> Path:
-        config = self.builder_config
-        return configs.get_unfinished_folder(
-            config.settings, config.sensor, Path(self._data_dir_root)
-        )
+    def _unfinished_folder(self) -> Path:
+        config, data_dir = self.builder_config, Path(self._data_dir_root)
+        return configs.get_unfinished_folder(config.settings, config.sensor, data_dir)
 
     def download_and_prepare(self, **options: object) -> None:
-        """Makes the set unless it is there. Raises `UserError` if another process is making it."""
-        if not Path(self.data_dir).exists():
-            with _alone(self._get_unfinished_folder):
-                if not Path(self.data_dir).exists():
-                    for left in Path(self.data_dir).parent.glob("incomplete.*"):
-                        shutil.rmtree(left)  # of a killed run: under the lock no other is at work
+        """Make the set unless it is there. Raises `UserError` if another process is making it."""
+        unfinished, folder = self._unfinished_folder, Path(self.data_dir)
+        if not folder.exists():
+            with _hold_lock(unfinished):
+                if not folder.exists():
+                    for incomplete in folder.parent.glob("incomplete.*"):
+                        shutil.rmtree(incomplete)  # of a killed run: the lock excludes others
                     defaults = {
                         "file_format": "array_record",
-                        "download_dir": self._get_unfinished_folder / "downloads",
+                        "download_dir": unfinished / "downloads",
                     }
-                    with _full_disk_is_an_os_error():
+                    with _convert_full_disk_error():
                         super().download_and_prepare(**{**defaults, **options})
-        shutil.rmtree(self._get_unfinished_folder, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
 
     def _download_and_prepare(self, *args: object, **kwargs: object) -> None:
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
-        sums = {path.name: compute_sha256(path) for path in shards} | {
-            configs.METADATA: compute_checksum(dict(self.info.metadata))
-        }
-        write_json(folder / configs.MANIFEST, sums)
+        checksums = {path.name: compute_sha256(path) for path in shards}
+        checksums[configs.METADATA] = compute_checksum(dict(self.info.metadata))
+        write_json(folder / configs.MANIFEST, checksums)
 
-    def _keep_metadata(self, counts: dict, **more: object) -> None:
+    def _set_metadata(self, counts: dict, **more: object) -> None:
         versions = {
             name: importlib.metadata.version(name)
             for name in ("jax", "numpy", "tensorflow-datasets")
@@ -109,7 +129,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
 
 
 class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
-    """Simulates, or goes on simulating."""
+    """Simulates the contacts of a set, or continues to."""
 
     VERSION = tfds.core.Version(configs.VERSION)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {
@@ -117,8 +137,9 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         "2.1.0": "Presses in increments of 3 mm.",
         "2.3.0": "Polygons without a ridge along rows through a corner.",
         "2.4.0": "Pairs drift too.",
-        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; the fitted sensor but for tiny and demo; a pose's "
-        "split is its own: by seed, stimulus and number, whatever the set's size.",
+        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; "
+        "the fitted sensor but for tiny and demo; a pose's split is its own: "
+        "by seed, stimulus and number, whatever the set's size.",
         "1.0.0": "First release.",
     }
     engine: SimulationEngine | None = None  # tests put a fast stand-in for the simulator here
@@ -127,28 +148,33 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        shots = sample_contacts(settings)
+        samples = sample_contacts(settings)
         paths = simulate_chunks(
-            settings, sensor, shots, self._get_unfinished_folder, self.engine or make_engine()
+            settings, sensor, samples, self._unfinished_folder, self.engine or make_engine()
         )
-        counts = summarise_set(settings, shots, paths)
+        counts = summarise_set(settings, samples, paths)
         for split, count in counts["written"].items():
             if not count:
                 raise UserError(
-                    f"{self.name}/{self.builder_config.name}: no contact of split '{split}' converged: draw more poses"
+                    f"{self.name}/{self.builder_config.name}: no contact of split '{split}' "
+                    "converged: draw more poses"
                 )
-        self._keep_metadata(counts)
-        return {split: self._generate_examples(shots, paths, split) for split in SPLITS}
+        self._set_metadata(counts)
+        return {split: self._generate_examples(samples, paths, split) for split in SPLITS}
 
 
 def compute_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextlib.contextmanager
-def _full_disk_is_an_os_error() -> Iterator[None]:
-    """array_record's writer reports a full disk as a `RuntimeError` with the system's words in it."""
+def _convert_full_disk_error() -> Iterator[None]:
+    """Raise OSError for the RuntimeError by which array_record's writer reports a full disk.
+
+    That error has the system's words in it.
+    """
     try:
         yield
     except RuntimeError as error:
@@ -159,8 +185,8 @@ def _full_disk_is_an_os_error() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Holds a lock on an unfinished set's folder; the system gives it back when a process dies."""
+def _hold_lock(folder: Path) -> Iterator[None]:
+    """Hold a lock on an unfinished set's folder; the system releases it when a process dies."""
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY)
     try:
