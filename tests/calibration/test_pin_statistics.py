@@ -16,7 +16,7 @@ from jaxunshear.calibration.pin_statistics import (
 )
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import render_images
-from jaxunshear.calibration.report import summaries_of
+from jaxunshear.calibration.report import summarise_group
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
@@ -146,7 +146,9 @@ def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
     contacts = read_motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
     reported = {
         row.name: row.values
-        for row in summaries_of(RecordedGroup("one", seen, contacts), seen, np.array([True, False]))
+        for row in summarise_group(
+            RecordedGroup("one", seen, contacts), seen, np.array([True, False])
+        )
     }
     assert all(np.isnan(values[1]) for values in reported.values())
     assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331

@@ -68,7 +68,7 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, at_start):
     assert slopes[others, :RINGS] == pytest.approx(plain[others, :RINGS], abs=1e-5)
     places = plain[others, RINGS:] - plain[others, RINGS:].mean(axis=0)
     assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
-    residual = made.compute_all_residuals(made.values(x))
+    residual = made.compute_all_residuals(made.to_values(x))
     assert (residual[LOST, 0] == UNSOLVED_RESIDUAL_PX and not residual[LOST, 1:].any()) == at_start
 
 
@@ -86,7 +86,7 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
     found, half = [], []
     for _ in range(12):
         widened = group.observation.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
-        seen = group.observation.take(np.zeros(20, int))._replace(place=widened)
+        seen = group.observation.take(np.zeros(20, int))._replace(positions=widened)
         fitted = fit([RecordedGroup("one", seen)], SMALL, start, fixed=("distance_mm",))
         found.append(fitted.values.mm_across)
         half.append((fitted.high["mm_across"] - fitted.low["mm_across"]) / 2)
@@ -104,5 +104,5 @@ def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
         (0.0,),
     )
     made = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)
-    for bound in made.bounds():
-        check_sensor(made.values(bound).sensor(sensor))
+    for bound in made.compute_bounds():
+        check_sensor(made.to_values(bound).sensor(sensor))

@@ -11,7 +11,7 @@ from jaxunshear.calibration.prediction import (
     make_probe_sensor,
     predict_positions,
 )
-from jaxunshear.calibration.validate import explained_by_labels
+from jaxunshear.calibration.validate import predict_from_labels
 from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import (
     ComparedFolder,
@@ -45,12 +45,12 @@ def _moved(count: int = 30) -> np.ndarray:
 def _compared(noise_px: float = 0.0, count: int = 30) -> ComparedFolder:
     place, rest = predict_positions(VALUES, SENSOR, 128, _moved(count))
     recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
-    one, other = centre_motions(recorded, place)
+    recorded, simulated = centre_motions(recorded, place)
     return ComparedFolder(
         "a",
-        one,
-        other,
-        one,
+        recorded,
+        simulated,
+        recorded,
         compute_rings(SENSOR),
         rest,
         np.ones(len(rest)),
@@ -121,9 +121,9 @@ def test_an_offset_of_a_pin_costs_nothing_and_a_missing_one_is_left_out():
 
 
 def test_half_the_motion_explains_three_quarters():
-    one = _compared().recorded
-    assert compute_r2(one, 0.5 * one) == pytest.approx(0.75)
-    assert np.isnan(compute_r2(0 * one, one))
+    motion = _compared().recorded
+    assert compute_r2(motion, 0.5 * motion) == pytest.approx(0.75)
+    assert np.isnan(compute_r2(0 * motion, motion))
 
 
 def test_rows_of_taps_and_slides_and_by_ring():
@@ -166,9 +166,9 @@ def test_labels_that_give_all_and_nothing():
     ]
     reported = reported - reported.mean(axis=0)
     contacts = read_motions(poses, moves)
-    assert compute_r2(reported, explained_by_labels(contacts, reported)) > 0.9
+    assert compute_r2(reported, predict_from_labels(contacts, reported)) > 0.9
     noise = rng.standard_normal((200, 3, 2))
-    assert compute_r2(noise, explained_by_labels(contacts, noise)) < 0.05
+    assert compute_r2(noise, predict_from_labels(contacts, noise)) < 0.05
 
 
 def test_the_figure_is_a_png():
