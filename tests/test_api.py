@@ -54,7 +54,7 @@ def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model,
     slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=10.0))
     z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
     taught = dataclasses.replace(
-        model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides
+        model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slide_targets=slides
     )
     found = taught.slide(images)
     assert list(found) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
@@ -103,23 +103,21 @@ def test_the_example_of_uses_runs(capsys):
     assert example.count(walks) == 1
     exec(
         example.replace(
-            walks, f"{walks}, patience={2 * 0.5 / trace_contour(STIMULI['disk']).length * 0.999}"
+            walks,
+            f"{walks}, max_outline_lengths={2 * 0.5 / trace_contour(STIMULI['disk']).length * 0.999}",
         ),
         names,
     )
-    assert (
-        names["way_of_the_sensor"].shape == (2, 2, 3)
-        and np.isfinite(names["way_of_the_sensor"]).all()
-    )
+    assert names["sensor_poses"].shape == (2, 2, 3) and np.isfinite(names["sensor_poses"]).all()
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
         "true",
         "disentangled",
     ]
-    found, model = names["found"], names["model"]
-    assert found.scores[0].ends == {"took too long": 1} and found.course.stimulus == "disk"
-    found.walks.end[0] = servo.WALKING
+    result, model = names["result"], names["model"]
+    assert result.scores[0].ends == {"took too long": 1} and result.task.stimulus == "disk"
+    result.trajectories.end[0] = servo.WALKING
     with pytest.raises(UserError, match="walks around disk are not finished"):
-        reconstruct(model.folder, model.experiment, [(found.course, found.walks)])
+        reconstruct(model.folder, model.experiment, [(result.task, result.trajectories)])
 
 
 @pytest.mark.parametrize(

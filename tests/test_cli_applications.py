@@ -130,7 +130,7 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.load_trajectories(out / "disk.npz")
     walks.end[0] = servo.WALKING
-    servo._store(out / "disk.npz", course, walks)
+    servo._save(out / "disk.npz", course, walks)
     answer = command("reconstruct", *words)
     assert answer.code == 2 and "not finished" in answer.err
     other = run_of(tmp_path, 128, seed=1)

@@ -52,18 +52,18 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
 
 
 def test_an_undeformed_sensor_is_flat(lattice):
-    assert (compute_relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
+    assert (compute_relative_growth(lattice, np.zeros_like(lattice.rest)) == 0).all()
 
 
 def test_the_same_shift_of_all_pins_changes_nothing(lattice):
     np.testing.assert_allclose(
-        compute_relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9
+        compute_relative_growth(lattice, np.full_like(lattice.rest, 3.3)), 0, atol=1e-9
     )
 
 
 def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
-    growth = compute_relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
-    inner = lattice.shell < lattice.shell.max()
+    growth = compute_relative_growth(lattice, 0.1 * (lattice.rest - lattice.centre))
+    inner = lattice.ring < lattice.ring.max()
     np.testing.assert_allclose(growth[inner], 1.1**2 - 1, rtol=1e-6)
     assert (growth[~inner] > 0).all()
 
@@ -79,7 +79,7 @@ def test_hexagons_have_their_closed_form():
 
 
 def test_heights_rise_where_pins_are_drawn_apart(lattice):
-    offset = lattice.place - lattice.middle
+    offset = lattice.rest - lattice.centre
     bell = np.exp(-np.sum(offset**2, axis=-1) / (2 * 12.0**2))
     growth = compute_relative_growth(lattice, 0.2 * offset * bell[:, None])
     assert compute_correlation(growth[None], bell[None])[0] > 0.8
@@ -87,7 +87,7 @@ def test_heights_rise_where_pins_are_drawn_apart(lattice):
 
 
 def test_missing_pins_follow_their_neighbours(lattice):
-    motion = 0.05 * (lattice.place - lattice.middle)
+    motion = 0.05 * (lattice.rest - lattice.centre)
     with_gaps = motion.copy()
     with_gaps[[3, 40, 90]] = np.nan
     np.testing.assert_allclose(
@@ -98,13 +98,13 @@ def test_missing_pins_follow_their_neighbours(lattice):
 
 
 def test_surface_passes_through_its_pins_and_is_smooth(lattice):
-    x, y = (lattice.place - lattice.middle).T / 40
+    x, y = (lattice.rest - lattice.centre).T / 40
     heights = 1 + x - 0.5 * y
-    drawn = interpolate_surface(lattice.place, heights, 41)
+    drawn = interpolate_surface(lattice.rest, heights, 41)
     assert drawn.shape == (41, 41) and np.isnan(drawn[0, 0])
-    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    low, high = lattice.rest.min(axis=0), lattice.rest.max(axis=0)
     gx, gy = np.meshgrid(*(np.linspace(low[i], high[i], 41) for i in (0, 1)))
-    plane = 1 + (gx - lattice.middle[0]) / 40 - 0.5 * (gy - lattice.middle[1]) / 40
+    plane = 1 + (gx - lattice.centre[0]) / 40 - 0.5 * (gy - lattice.centre[1]) / 40
     inside = ~np.isnan(drawn)
     np.testing.assert_allclose(drawn[inside], plane[inside], atol=1e-6)
 
@@ -117,28 +117,28 @@ def test_correlation_knows_its_extremes():
 
 def test_a_shift_of_all_pins_shows_where_they_are(lattice):
     """The heights keep their values, but a camera sees them elsewhere: read at the places of before they are those of a neighbour."""
-    x = (lattice.place - lattice.middle)[:, 0]
+    x = (lattice.rest - lattice.centre)[:, 0]
     shift = np.array([0.5 * lattice.spacing, 0.0])
     heights = x / lattice.spacing
-    inner = lattice.shell < lattice.shell.max() - 1
+    inner = lattice.ring < lattice.ring.max() - 1
     still, moved = (
-        interpolate_heights(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift)
+        interpolate_heights(lattice.rest + by, heights, lattice.rest) for by in (0 * shift, shift)
     )
     np.testing.assert_allclose(still, heights, atol=1e-6)
     np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
 
 
 def test_beyond_the_rim_the_nearest_height_counts(lattice):
-    both = np.stack([lattice.place[:, 0], lattice.shell.astype(float)], -1)
-    far = lattice.middle + np.array([[1e3, 0.0]])
-    found = interpolate_heights(lattice.place, both, far)
-    nearest = np.argmin(np.linalg.norm(lattice.place - far, axis=-1))
+    both = np.stack([lattice.rest[:, 0], lattice.ring.astype(float)], -1)
+    far = lattice.centre + np.array([[1e3, 0.0]])
+    found = interpolate_heights(lattice.rest, both, far)
+    nearest = np.argmin(np.linalg.norm(lattice.rest - far, axis=-1))
     np.testing.assert_array_equal(found[0], both[nearest])
 
 
 def test_a_linear_skin_is_learnt(lattice):
     generator = np.random.default_rng(0)
-    pins = len(lattice.place)
+    pins = len(lattice.rest)
     shapes = generator.normal(size=(6, 2 * pins))
     rises = generator.normal(size=(6, pins))
     share = generator.normal(size=(200, 6))
@@ -150,7 +150,7 @@ def test_a_linear_skin_is_learnt(lattice):
 
 
 def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):
-    pins = len(lattice.place)
+    pins = len(lattice.rest)
     first = np.zeros((2 * pins, pins))
     first[0] = 1.0
     motion = np.zeros((4, pins, 2))

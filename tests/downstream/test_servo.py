@@ -71,7 +71,7 @@ def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
     assert load_trajectories(tmp_path / "disk.npz")[1].steps == 5
     again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz")
     assert len(taken) == 25 + 11
-    for field in ("point", "seen", "images", "force_n", "sums", "way_mm", "end"):
+    for field in ("point", "perceived", "images", "force_n", "sums", "way_mm", "end"):
         np.testing.assert_array_equal(getattr(again, field), getattr(full, field), err_msg=field)
     with pytest.raises(UserError, match="other settings"):
         follow_contour(

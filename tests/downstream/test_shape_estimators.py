@@ -52,7 +52,7 @@ def test_makers_agree_on_what_they_are_given(makers):
     gaps = motion[:3].copy()
     gaps[1] = np.nan
     for maker in made.values():
-        value, place = maker.value(gaps), maker.place(gaps)
+        value, place = maker.estimate_values(gaps), maker.locate_values(gaps)
         assert place.shape == (*value.shape, 2)
         assert np.isnan(value[1]).all() and not np.isnan(value[[0, 2]]).any()
 
@@ -60,10 +60,10 @@ def test_makers_agree_on_what_they_are_given(makers):
 def test_untouched_skin_stands_as_the_dome_does(makers):
     maker = makers[0][SKIN]
     still = np.zeros((1, *LATTICE.rest.shape))
-    off = np.linalg.norm(maker.place(still)[0], axis=-1)
+    off = np.linalg.norm(maker.locate_values(still)[0], axis=-1)
     radius = TACTIP_331.dome_radius_mm
     np.testing.assert_allclose(
-        maker.value(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9
+        maker.estimate_values(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9
     )
 
 
