@@ -80,6 +80,7 @@ def read_labels(
     recorded = _measure_rings(
         observation.lattice.ring, observation.take(rows).positions, observation.rest
     )
+    size, ring = observation.size, compute_rings(sensor)
     has_slides = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
     best, best_score = None, -np.inf
     for sign in (1, -1) if has_slides else (1,):
@@ -93,13 +94,8 @@ def read_labels(
             )
             if not converged.any():
                 continue
-            positions, rest = predict_positions(
-                start,
-                sensor,
-                observation.size,
-                np.where(converged[:, None, None], displacement, np.nan),
-            )
-            simulated = _measure_rings(compute_rings(sensor), positions, rest)
+            displacement = np.where(converged[:, None, None], displacement, np.nan)
+            simulated = _measure_rings(ring, *predict_positions(start, sensor, size, displacement))
             radii_correlation = _correlate_radii(
                 recorded.radii[converged], simulated.radii[converged]
             )

@@ -92,7 +92,7 @@ def calibrate(
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
     path = Path(path)
-    _check_fixed(fixed)
+    _check_fixed_names(fixed)
     recorded, notes = sample_folders(path, images, SEED)
     sensor = sensor or _choose_sensor(recorded)
     start = _make_start(sensor, camera or Camera())
@@ -105,26 +105,19 @@ def calibrate(
     )
     summaries, pictures = summarise_images(recorded, groups, before, after)
     parameters = _build_parameter_rows(start, fitted, sensor, radius, fixed)
-    failures = {
-        "the fit, where each counts for 3 px": fitted.dropped,
-        "the images before, left out": _count_failures(before.tips),
-        "the images after, left out": _count_failures(after.tips),
-    }
-    notes += _build_notes(fixed, fitted, failures)
-    calibration = Calibration(
-        "", after.sensor, after.values.camera(Camera().frame_px), after.values.friction
-    )
+    notes += _build_fit_notes(fixed, fitted)
+    notes += _build_failure_notes(fitted, before, after)
     results: Json = {
         "rows": build_rows(summaries),
         "parameters": parameters,
-        "preset": calibration.preset,
+        "preset": _make_preset(after),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.observation.pin_counts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
         "notes": notes,
     }
-    text = format_table(results["rows"], parameters) + "\n"
-    text += "".join(f"\nnote: {note}" for note in notes)
+    text = format_table(results["rows"], parameters)
+    text += "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
     if out is not None:
         write_json(Path(out) / "calibration.json", results)
@@ -133,7 +126,7 @@ def calibrate(
     return results
 
 
-def _check_fixed(fixed: Collection[str]) -> None:
+def _check_fixed_names(fixed: Collection[str]) -> None:
     allowed = [name for name in UNITS if name != PIN_RADIUS]
     wrong = [name for name in fixed if name not in allowed]
     if wrong:
@@ -321,11 +314,12 @@ def _build_parameter_rows(
     return rows
 
 
-def _count_failures(tips_by_group: list[SimulatedTips]) -> int:
-    return sum(int((~tips.converged).sum()) for tips in tips_by_group)
+def _make_preset(simulated: SimulatedGroups) -> Json:
+    camera = simulated.values.camera(Camera().frame_px)
+    return Calibration("", simulated.sensor, camera, simulated.values.friction).preset
 
 
-def _build_notes(fixed: Collection[str], fitted: FitResult, failures: dict[str, int]) -> list[str]:
+def _build_fit_notes(fixed: Collection[str], fitted: FitResult) -> list[str]:
     notes = [OVERALL_MODULUS]
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):
@@ -348,9 +342,23 @@ def _build_notes(fixed: Collection[str], fitted: FitResult, failures: dict[str, 
     if missing:
         contacts = "slides" if missing == ["friction"] else "contacts"
         notes.append(f"not fitted, as no labelled {contacts} determine them: {', '.join(missing)}")
-    for stage, count in failures.items():
-        if count:
-            notes.append(
-                f"{count} simulated contacts were out of reach or did not converge in {stage}"
-            )
     return notes
+
+
+def _build_failure_notes(
+    fitted: FitResult, before: SimulatedGroups, after: SimulatedGroups
+) -> list[str]:
+    failures = {
+        "the fit, where each counts for 3 px": fitted.dropped,
+        "the images before, left out": _count_failures(before.tips),
+        "the images after, left out": _count_failures(after.tips),
+    }
+    return [
+        f"{count} simulated contacts were out of reach or did not converge in {stage}"
+        for stage, count in failures.items()
+        if count
+    ]
+
+
+def _count_failures(tips_by_group: list[SimulatedTips]) -> int:
+    return sum(int((~tips.converged).sum()) for tips in tips_by_group)

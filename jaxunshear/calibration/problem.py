@@ -231,7 +231,7 @@ class Problem:
         """
         cache = self.caches.get(which)
         if cache is None:
-            return self._estimate_undisturbed(self._compare_features(values, which, None))
+            return self._estimate_undisturbed_pins(self._compare_features(values, which, None))
         displacement = (
             cache.interpolate(values) if base is None else cache.extrapolate(values, base)
         )
@@ -245,7 +245,7 @@ class Problem:
         expected = compute_ring_features(compute_rings(self.sensor), positions, rest, size)
         return expected - self.recorded[which]
 
-    def _estimate_undisturbed(self, difference: np.ndarray) -> np.ndarray:
+    def _estimate_undisturbed_pins(self, difference: np.ndarray) -> np.ndarray:
         """Estimate the difference (N, F) of undisturbed pins from unlabelled images.
 
         A touch widens all rings by an unknown amount, so the narrowest tenth counts as undisturbed.
@@ -268,7 +268,7 @@ class Problem:
             residuals = base.copy()
             for i, difference in unlabelled.items():
                 rows = generator.integers(len(difference), size=len(difference))
-                undisturbed = self._estimate_undisturbed(difference[rows])
+                undisturbed = self._estimate_undisturbed_pins(difference[rows])
                 residuals[ends[i] : ends[i + 1]] = np.nan_to_num(undisturbed)
             return residuals
 

@@ -55,12 +55,12 @@ def summarise_images(
     summaries: Summaries = {RECORDED: _merge_summaries(parts)}
     pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, simulated in ((BEFORE, before), (AFTER, after)):
-        summaries[kind], image = _summarise_simulated(groups, simulated)
+        summaries[kind], image = _summarise_simulated_images(groups, simulated)
         pictures.append((kind, image))
     return summaries, pictures
 
 
-def _summarise_simulated(
+def _summarise_simulated_images(
     groups: list[RecordedGroup], simulated: SimulatedGroups
 ) -> tuple[list[Summary], np.ndarray]:
     """Summarise rendered images of the contacts, and return the first image.

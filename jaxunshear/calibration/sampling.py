@@ -123,10 +123,10 @@ def are_among(names: Sequence[str], used: Collection[str]) -> np.ndarray:
     """
     ends = tuple(f"/{name}" for name in used)
 
-    def is_used(name: str) -> bool:
+    def is_among(name: str) -> bool:
         return f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends)
 
-    return np.array([is_used(name) for name in names], bool)
+    return np.array([is_among(name) for name in names], bool)
 
 
 def open_recordings(path: Path) -> tuple[Recordings, list[str]]:

@@ -91,11 +91,7 @@ def validate(
         raise UserError(
             f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}"
         )
-    for why in sorted({image["why"] for image in left_out}):
-        names = [image["image"] for image in left_out if image["why"] == why]
-        some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
-        notes.append(f"{len(names)} left out, {why}: {some}")
-    notes.append(CEILING_NOTE)
+    notes += [*_note_left_out(left_out), CEILING_NOTE]
     rows = build_rows(folders)
     text = format_table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
@@ -105,6 +101,15 @@ def validate(
         write_text(Path(out) / "validate.txt", text + "\n")
         write_bytes(Path(out) / "validate.png", validate_figure(folders))
     return {"rows": rows, "notes": notes, "left_out": left_out}
+
+
+def _note_left_out(left_out: LeftOut) -> list[str]:
+    notes = []
+    for why in sorted({image["why"] for image in left_out}):
+        names = [image["image"] for image in left_out if image["why"] == why]
+        some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
+        notes.append(f"{len(names)} left out, {why}: {some}")
+    return notes
 
 
 def format_table(rows: list[Row]) -> str:

@@ -88,12 +88,8 @@ def make_shape_estimators(
         return np.nan_to_num(interpolate_map(fused), nan=-np.inf) > level
 
     return {
-        VORONOI: ShapeEstimator(
-            estimate_growth, displace_skin, extract_ridge_shape, None, in_mm=False
-        ),
-        SKIN: ShapeEstimator(
-            estimate_skin_height, displace_skin, extract_above_level, level, in_mm=True
-        ),
+        VORONOI: ShapeEstimator(estimate_growth, displace_skin, extract_ridge_shape, None, False),
+        SKIN: ShapeEstimator(estimate_skin_height, displace_skin, extract_above_level, level, True),
     }
 
 

@@ -16,7 +16,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.inference.perception import (
     TRUE_POSE,
-    confidence,
+    compute_confidence,
     find_unshearing_network,
     list_methods,
     load_forward,
@@ -128,6 +128,6 @@ def test_an_edge_that_is_none_is_refused(model, tmp_path):
 
 
 def test_confidence_of_crisp_grey_and_black(images):
-    assert confidence(np.float32(images[0] / 255)[..., None]) == pytest.approx(1)
-    assert confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
-    assert confidence(np.zeros((8, 8, 1), np.float32)) == 0
+    assert compute_confidence(np.float32(images[0] / 255)[..., None]) == pytest.approx(1)
+    assert compute_confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
+    assert compute_confidence(np.zeros((8, 8, 1), np.float32)) == 0
