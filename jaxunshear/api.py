@@ -110,9 +110,9 @@ class Model:
         return predictions.unsheared
 
     def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-        """Predict poses by way of reading and by quantity, (B,) each.
+        """Predict poses by kind of input and by quantity, (B,) each.
 
-        They are in mm and deg, in the frame of the training labels. Ways are "as_recorded" and
+        They are in mm and deg, in the frame of the training labels. Kinds are "as_recorded" and
         "unsheared", and "learnt" if there is a PoseNet of slides. Raises UserError if the model has
         no PoseNet.
         """

@@ -1,4 +1,4 @@
-"""Experiments about a laboratory's recordings: the networks that these allow, and their sensor.
+"""Experiments about recordings: the networks that these allow, and their sensor.
 
 >>> experiment = set_recordings(BASE_EXPERIMENT, taps="recordings/tap", slides="recordings/slide")
 """

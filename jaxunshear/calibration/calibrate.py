@@ -204,7 +204,10 @@ def _read_group(
     start: SensorValues,
     notes: list[str],
 ) -> tuple[RecordedGroup, float]:
-    """Read a folder's labels; without a reading the group has no contacts, and a height of 0 mm."""
+    """Read a folder's labels; return its group, and the height of its top in mm.
+
+    Without a reading the group has no contacts, and the height is 0.
+    """
     identified = observation.take(np.flatnonzero(observation.identified))
     unlabelled = RecordedGroup(part.name, identified), 0.0
     rows = np.flatnonzero(observation.identified & part.labelled_rows)

@@ -1,4 +1,4 @@
-"""A sensor, a camera and a friction that belong together: the shipped preset, or one from a file.
+"""Calibrated sensor, camera and friction: the shipped preset, or one from a file.
 
 calibration = read_calibration(Path("runs/calibration/calibration.json"))
 """

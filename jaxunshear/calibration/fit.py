@@ -1,4 +1,4 @@
-"""Least squares of simulated to recorded rings: camera, pin spacing, friction and stiffness.
+"""Fit camera, pin spacing, friction and stiffness to recorded rings, by least squares.
 
 Uncertainties come from resampling the images. A parameter that the images leave open stays at its
 start, because of a wide prior, and is reported as not determined.

@@ -1,4 +1,4 @@
-"""What images of pins say in numbers: the same functions on recorded and on simulated images.
+"""Statistics of images of pins, the same for recorded and for simulated images.
 
 observation = observe_pins(images, TACTIP_331)    # binary images (N, S, S)
 ring, rest = observation.lattice.ring, observation.rest
@@ -129,9 +129,10 @@ def _average_by_ring(ring: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def compute_ring_radii(ring: np.ndarray, positions: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Compute the mean distance (..., rings) of each ring from the middle, without the apex pin.
+    """Compute the mean distance (..., rings) of each ring from the middle.
 
-    Distances are along the directions of `rest` (P, 2); `ring` (P,) is the ring of each pin.
+    The apex pin is left out. Distances are along the directions of `rest` (P, 2); `ring` (P,) is
+    the ring of each pin.
     """
     direction = compute_unit_vectors(rest)
     undisturbed = (rest * direction).sum(-1)

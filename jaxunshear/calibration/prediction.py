@@ -1,4 +1,4 @@
-"""Predict the simulated pins of labelled contacts, as smooth functions of calibrated values.
+"""Simulated pins of labelled contacts, as smooth functions of the calibrated values.
 
 A contact is solved once, for the pins of a probe: a lattice that is finer and wider than the
 sensor's. The motion of the sensor's own pins is interpolated from it. So the spacing of the pins
@@ -83,9 +83,10 @@ def compute_interpolation(sensor: Sensor) -> np.ndarray:
 
 
 def compute_interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
-    """Compute weights (P, Q) from the probe's pins to positions (P, 2), mm of arc from the apex.
+    """Compute weights (P, Q) from the probe's pins to positions (P, 2).
 
-    They are trigonometric around the rings and cubic across them.
+    Positions are in mm of arc from the apex. The weights are trigonometric around the rings and
+    cubic across them.
     """
     rings = PROBE_RINGS
     across = np.linalg.norm(flat, axis=-1) / _compute_probe_spacing(sensor)
@@ -106,7 +107,10 @@ def compute_interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
 
 
 def _interpolate_circle(count: int, turn: np.ndarray) -> np.ndarray:
-    """Compute trigonometric weights of `count` even points of a circle, at `turn` rad from each."""
+    """Compute trigonometric weights of `count` even points of a circle.
+
+    The interpolated point is `turn` rad from each.
+    """
     if count == 1:
         return np.ones_like(turn)
     half = np.tan(turn / 2)

@@ -1,4 +1,4 @@
-"""The least squares problem of a calibration: rings of recorded pins against simulated ones.
+"""The least squares problem of a calibration: recorded against simulated rings of pins.
 
 The mean radius and the mean shift of every ring count, contact by contact, each with the weight of
 its pins.
@@ -106,7 +106,7 @@ class _DisplacementCache:
 def compute_ring_features(
     ring: np.ndarray, positions: np.ndarray, rest: np.ndarray, size: int
 ) -> np.ndarray:
-    """Compute radii and mean shifts of the rings, each weighted by its pins: (N, F) px of 128.
+    """Compute radii and mean shifts of rings, weighted by their pins: (N, F) px of 128.
 
     `ring` (P,) is the ring of each pin; `positions` (N, P, 2) and `rest` (P, 2) are as in
     `PinObservation`.

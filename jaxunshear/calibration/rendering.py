@@ -71,9 +71,9 @@ def simulate_tips(
 
 
 def render_images(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Render binary images (N, S, S) uint8 of pin tips (N, P, 3) mm with the default disturbances.
+    """Render binary images (N, S, S) uint8 of pin tips (N, P, 3) mm.
 
-    S is the camera's `frame_px`.
+    Disturbances are the default ones. S is the camera's `frame_px`.
     """
     keys = jax.random.split(jax.random.key(seed), len(tips))
     frame_camera = replace(camera, frame_px=max(FRAME_PX, camera.frame_px))

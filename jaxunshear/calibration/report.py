@@ -1,6 +1,6 @@
-"""The report of a calibration: recorded images, and simulated ones before and after the fit.
+"""Report a calibration: recorded images, and simulated ones before and after the fit.
 
-It has rows of statistics, and one page of curves and example images.
+A report has rows of statistics, and one page of curves and example images.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ def summarise_images(
     before: SimulatedGroups,
     after: SimulatedGroups,
 ) -> tuple[Summaries, list[Picture]]:
-    """Summarise recorded images, and simulated ones before and after the fit; choose pictures."""
+    """Summarise images, recorded and simulated before and after the fit; choose pictures."""
     parts = [
         summarise_group(group, group.observation, group.observation.identified) for group in groups
     ]
@@ -159,7 +159,7 @@ def _unit(row: Json) -> str:
 
 
 def plot_curves(summaries: Summaries, pictures: Sequence[Picture]) -> bytes:
-    """Draw a PNG: ring layout, spacing, pin size and motion over slide, and pictures below them."""
+    """Draw a PNG of ring layout, spacing, pin size and motion over slide, and pictures."""
     by_name: ValuesByName = {}
     for kind, rows in summaries.items():
         by_name[kind] = {row.name: row.values for row in rows}

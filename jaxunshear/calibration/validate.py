@@ -1,4 +1,4 @@
-"""Measure how far the simulated pins follow the recorded ones; see `validation` for the scores.
+"""Measure how far simulated pins follow recorded ones; see `validation` for the scores.
 
 results = validate(Path("recordings/edge"))
 results["rows"]  # [{"name": "r2.tap", "unit": "1", "value": 0.71, "contacts": 398}, ...]
@@ -60,9 +60,10 @@ def validate(
     log: Callable[[str], None] = print,
     as_labelled: bool = False,
 ) -> Json:
-    """Compare simulated with recorded pins in contacts that the calibration was not fitted to.
+    """Compare simulated with recorded pins.
 
-    Raises `UserError` if nothing can be compared.
+    Contacts that the calibration was fitted to are not compared. Raises `UserError` if nothing can
+    be compared.
 
     Args:
         path: A folder of labelled recordings.
@@ -160,7 +161,10 @@ def _compare_folder(
     notes: list[str],
     left_out: LeftOut,
 ) -> ComparedFolder | None:
-    """Align and compare a folder, with notes and the images left out; None if it is impossible."""
+    """Align and compare a folder; None if that is impossible.
+
+    Adds to the notes and to the images left out.
+    """
     folder = _read_folder(split, calibration, left_out)
     if isinstance(folder, str):
         notes.append(f"{split.scored.name}: {folder}")

@@ -1,4 +1,4 @@
-"""Scores of simulated against recorded motions: how much of every pin's motion is explained.
+"""Scores of simulated motions: how much of every recorded pin's motion they explain.
 
     flat, simulated = fit_positions(values, sensor, size, recorded, displacement)  # (N, P, 2) px
     compute_r2(*centre_motions(recorded, simulated))
@@ -116,7 +116,7 @@ def compute_mm_per_px(
 
 
 def centre_motions(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Subtract each pin's mean from both (N, P, 2), over the contacts in which both are known."""
+    """Subtract each pin's mean over the contacts in which both motions (N, P, 2) are known."""
     known = np.isfinite(recorded) & np.isfinite(simulated)
     return (
         subtract_mean(np.where(known, recorded, np.nan)),

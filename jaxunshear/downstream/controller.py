@@ -1,6 +1,6 @@
-"""The paper's controller (appendix C): proportional and integral, with a step along the edge.
+"""The paper's controller (appendix C): proportional and integral.
 
-It steers towards a pose normal to the edge.
+It steers towards a pose normal to the edge, with a constant step along it.
 
 >>> zero = ControllerState(jnp.zeros(1), jnp.zeros(1))
 >>> control(ControllerGains(), zero, edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))

@@ -1,4 +1,4 @@
-"""Contact geometry from pins: by the paper's Voronoi cells, or by an inverse model of the skin.
+"""Contact geometry from pins, by Voronoi cells or by an inverse model of the skin.
 
 >>> estimators = make_height_estimators(lattice, taps)    # by name, from taps of known indentation
 >>> heights = estimators["inverse"](motion)               # (N, P) mm, from motions (N, P, 2) px

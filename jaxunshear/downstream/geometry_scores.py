@@ -65,7 +65,7 @@ class GeometryResult:
 
 
 def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> GeometryResult:
-    """Score contact geometry by the networks of a finished run, over about `count` fresh contacts.
+    """Score contact geometry by the networks of a run, over about `count` new contacts.
 
     Scales are fitted to other taps. Raises UserError if `folder` has no network that unshears.
     """

@@ -1,4 +1,4 @@
-"""Reconstruct objects from trajectories around them, and compare them with the true shapes."""
+"""Reconstruct objects from trajectories around them, and score their shapes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -122,7 +122,7 @@ def _list_methods(trajectories: Trajectories) -> tuple[str, ...]:
 
 
 def _make_estimators(experiment: Experiment, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
-    """Make the estimators of shapes by name, from taps whose poses and indentations are known."""
+    """Make the shape estimators by name, from taps of known poses and indentations."""
     paired, _ = require_simulated(experiment, "reconstruct")
     lattice = perception.compute_model_lattice(experiment)
     xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(experiment.sensor))

@@ -1,4 +1,4 @@
-"""Complete objects (paper section 4.4): contact geometries along a trajectory, fused to a shape.
+"""Fuse contact geometries along a trajectory to a complete object (paper section 4.4).
 
 Each step gives, for the skin around the sensor's axis, how high it stands or how its cells have
 grown. These values are placed where the sensor was and averaged over all steps that touched a cell.
@@ -43,9 +43,9 @@ class HeightMap(NamedTuple):
 
 
 def compute_skin_positions(sensor: Sensor) -> np.ndarray:
-    """Compute the positions (P, 2) mm of the undeformed skin above each pin, in the sensor frame.
+    """Compute where the undeformed skin is above each pin: (P, 2) mm, sensor frame.
 
-    They are on the outer face, projected along the sensor's axis.
+    Positions are on the outer face, projected along the sensor's axis.
     """
     centre = np.array([0, 0, sensor.dome_radius_mm])
     outward = compute_pin_tips(sensor) - centre

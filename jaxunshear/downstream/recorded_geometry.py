@@ -1,4 +1,4 @@
-"""Contact geometry of recordings, as they are and unsheared, for inspection: no truth is known."""
+"""Contact geometry of recordings, as they are and unsheared: the truth is not known."""
 
 from collections.abc import Mapping
 from itertools import islice

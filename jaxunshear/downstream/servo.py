@@ -1,8 +1,8 @@
-"""Contour following in the simulator: the sensor slides around an object and steers by touch.
+"""Contour following in the simulator.
 
-The contact keeps its history from step to step, so shear and twist build up as on a robot. All
-trajectories, of all methods of perception and from all starts, advance side by side: one batch of
-contacts per step.
+The sensor slides around an object and steers by touch. The contact keeps its history from step to
+step, so shear and twist build up as on a robot. All trajectories, of all methods of perception and
+from all starts, advance side by side: one batch of contacts per step.
 
 Read `_take_step` first: contact -> image -> perception -> controller -> next way point.
 """
@@ -116,7 +116,7 @@ def follow_contour(
     file: Path | None = None,
     digests: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Trajectories, Contour]:
-    """Follow the outline from every start by every method, until each has closed it or failed.
+    """Follow the outline from every start by every method, until each closes it or fails.
 
     Args:
         task: The object, and how it is followed.

@@ -1,4 +1,4 @@
-"""Contour following by the networks of a run, and scores of it: how much, how close, how it ended.
+"""Follow contours by the networks of a run, and score the trajectories.
 
 >>> model = load_model("standard")
 >>> (result,) = servo(model.folder, model.experiment, [ServoTask("disk", starts=1)], ("sheared",))

@@ -94,9 +94,9 @@ def make_shape_estimators(
 
 
 def find_separating_level(values: np.ndarray, over: np.ndarray) -> float:
-    """Find the level at which as many values `over` the object are below it as others above it.
+    """Find the level that separates values `over` the object from others.
 
-    Both counts are shares.
+    The share of values below it over the object equals the share of others above it.
     """
     levels = np.quantile(values, np.linspace(0, 1, 1001))
     below = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)

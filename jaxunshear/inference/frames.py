@@ -1,4 +1,4 @@
-"""The frames of a folder, and whether the folder is of the sensor that a model was trained on."""
+"""The frames of a folder, and whether they are of a model's sensor."""
 
 from collections.abc import Iterator
 from typing import NamedTuple

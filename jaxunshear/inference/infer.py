@@ -70,11 +70,11 @@ class _Batch(NamedTuple):
 def unshear_recordings(
     path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
-    """Unshear every image at `path` to a grey PNG in `out`; write `poses.csv` and `NOTE.txt` there.
+    """Unshear every image at `path`; write PNGs, `poses.csv` and `NOTE.txt` to `out`.
 
     An image that is rejected gets no PNG and no pose, but a row that says why. The time per image
-    is that of a full batch over BATCH. Raises `UserError` if the model or every image cannot be read,
-    if `out` lies among the recordings, or if the images are not of the model's sensor.
+    is that of a full batch over BATCH. Raises `UserError` if the model or every image cannot be
+    read, if `out` lies among the recordings, or if the images are not of the model's sensor.
 
     Args:
         path: An image, or a folder of recordings.
@@ -134,10 +134,10 @@ def unshear_recordings(
 def predict_recordings(
     path: Path, model: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
-    """Predict and print, as CSV, the pose of every image at `path`, as recorded and unsheared.
+    """Print the predicted poses of every image at `path`, as recorded and unsheared.
 
-    Notes and errors against the labels go to stderr, so that the CSV can be piped. Arguments and
-    exceptions are those of `unshear_recordings`.
+    They are printed as CSV. Notes and errors against the labels go to stderr, so that the CSV can
+    be piped. Arguments and exceptions are those of `unshear_recordings`.
     """
     model = find_model_folder(model)
     experiment = _load_settings(path, model)
@@ -158,10 +158,10 @@ def predict_recordings(
         for i, (row, name) in enumerate(zip(batch.rows, batch.names, strict=True)):
             reason = rejected.add(name, batch.predictions.rejection[i])
             cells: Json = {"name": name}
-            for way, poses in batch.predictions.poses.items():
-                cells |= _format_poses(poses, i, f"{way}_")
+            for kind, poses in batch.predictions.poses.items():
+                cells |= _format_poses(poses, i, f"{kind}_")
                 if not reason:
-                    measured += _list_pose_rows(f"{name}.{way}", poses, i)
+                    measured += _list_pose_rows(f"{name}.{kind}", poses, i)
             table.append(cells | _format_labels(recordings, row) | {"left_out": reason})
     print(format_csv(table).rstrip("\n"))
     log = partial(print, file=sys.stderr)

@@ -52,7 +52,7 @@ class RejectedImages:
 
 
 class LabelErrors:
-    """Errors of predicted poses against labels, if the labels have all the names of the poses."""
+    """Errors of predicted poses, if the labels have all the names of the poses."""
 
     def __init__(self, names: tuple[str, ...], recordings: "Recordings") -> None:
         labels = {"pose": recordings.poses, "move": recordings.moves}
@@ -70,11 +70,11 @@ class LabelErrors:
         from jaxunshear.metrics.pose_error import compute_pose_errors
 
         true = {name: values[rows] for name, values in self._true.items()}
-        for way, poses in predictions.poses.items():
+        for kind, poses in predictions.poses.items():
             predicted = {name: values[: len(rows)] for name, values in poses.items()}
             for name, error in compute_pose_errors(predicted, true).items():
                 finite = error[np.isfinite(error)]
-                self._errors.setdefault(f"{way}.{name}", []).append(finite)
+                self._errors.setdefault(f"{kind}.{name}", []).append(finite)
 
     def means(self) -> dict[str, float]:
         means = {}
@@ -91,9 +91,9 @@ class LabelErrors:
         ]
 
     def report(self, log: Log) -> None:
-        by_way: dict[str, list[str]] = {}
+        by_kind: dict[str, list[str]] = {}
         for name, value in self.means().items():
-            way, target = name.split(".")
-            by_way.setdefault(way, []).append(f"{target} {value:.3f}")
-        for way, parts in by_way.items():
-            log(f"mean error against the labels, {way}: {', '.join(parts)}")
+            kind, target = name.split(".")
+            by_kind.setdefault(kind, []).append(f"{target} {value:.3f}")
+        for kind, parts in by_kind.items():
+            log(f"mean error against the labels, {kind}: {', '.join(parts)}")

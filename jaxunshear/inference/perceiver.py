@@ -1,4 +1,6 @@
-"""A trained model for prepared frames: unsheared images and poses, from images or from pins.
+"""A trained model for prepared frames: unsheared images and poses.
+
+Its networks take images or pins.
 
 >>> perceiver = load_perceiver(Path("runs/recorded"), experiment, with_sheared_poses=True)
 >>> predictions = perceiver.predict(images)    # (B, S, S) uint8 of {0, 255}, see its `preprocess`
@@ -60,7 +62,7 @@ LEARNT = "learnt"  # poses by a PoseNet that was trained on slides
 EDGE = "edge_deg"  # the target that rotates with the image
 NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
 
-Poses = dict[str, dict[str, np.ndarray]]  # by way of reading and target, (B,)
+Poses = dict[str, dict[str, np.ndarray]]  # by kind of input and target, (B,)
 PinTransform = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 
 
@@ -78,7 +80,7 @@ class NetworkOutputs(NamedTuple):
 
     unsheared: np.ndarray | None  # (B, S, S) in [0, 1]
     poses: Poses
-    pins: dict[str, np.ndarray]  # by way, (B, P, 2) px, of pin networks alone
+    pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
 
 
 class Predictions(NamedTuple):
@@ -199,7 +201,7 @@ ForwardResult = tuple[Array | None, dict[str, dict[str, Array]]]
 def _forward(
     nets: Json, targets: Json, with_sheared_poses: bool, variables: Variables, values: Array
 ) -> ForwardResult:
-    """Unshear images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, and predict poses by way.
+    """Unshear images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, and predict poses by kind.
 
     The unsheared ones are None without a network that unshears.
     """
@@ -224,8 +226,8 @@ def _forward(
 def _order_poses(poses: Poses, names: tuple[str, ...]) -> Poses:
     """Restore the order of the targets, which a compiled program loses."""
     ordered: Poses = {}
-    for way, pose in poses.items():
-        ordered[way] = {name: pose[name] for name in names}
+    for kind, pose in poses.items():
+        ordered[kind] = {name: pose[name] for name in names}
     return ordered
 
 

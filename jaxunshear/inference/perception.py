@@ -19,6 +19,7 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
 from jaxunshear.config.registry import (
+    ALL_NETWORKS,
     DISENTANGLED,
     ENTANGLED,
     ENTANGLED_LARGE,
@@ -86,8 +87,8 @@ class LoadedForward(NamedTuple):
 
 def list_methods(model: Path) -> tuple[str, ...]:
     """List the methods that the trained networks in a folder allow."""
-    trained = [name for name in (*UNSHEARING, POSENET, POSENET_SHEARED) if has_model(model / name)]
-    return tuple(method for method, networks in METHODS.items() if set(networks) <= set(trained))
+    trained = {name for name in ALL_NETWORKS if has_model(model / name)}
+    return tuple(method for method, networks in METHODS.items() if trained.issuperset(networks))
 
 
 def load_networks(model: Path, names: Iterable[str]) -> LoadedNetworks:
