@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.calibration.alignment import MIN_CORRELATION, read_labels
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.fit import FitResult, fit
-from jaxunshear.calibration.pin_statistics import PinObservation
 from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
 from jaxunshear.calibration.problem import RecordedGroup
+from jaxunshear.calibration.recorded_groups import choose_sensor, observe_groups
 from jaxunshear.calibration.rendering import (
     PinRadius,
     SimulatedTips,
@@ -32,21 +31,18 @@ from jaxunshear.calibration.report import (
     plot_curves,
     summarise_images,
 )
-from jaxunshear.calibration.sampling import RecordedImages, sample_folders
+from jaxunshear.calibration.sampling import sample_folders
 from jaxunshear.config.image import Camera
-from jaxunshear.config.sensor import SENSORS, Sensor
+from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import ABS_FRICTION
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text
-from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.progress import Progress
 
 IMAGES = 200  # of all groups together; more do not narrow the intervals that matter
 SEED = 0  # of the choice of images
 FIRST_FIT_STRIDE = 3  # the first fit takes one of so many images
 SOLVES_PER_CONTACT = 40  # about so many simulations of each recorded contact
-MIN_LABELLED = 12  # contacts from which the reading of the labels can be found
-MAX_FRAMING_DIFFERENCE = 0.05  # of the outermost ring's radius; two cameras differ by more
 PIN_RADIUS = "pin_radius_mm"
 UNITS = {
     "mm_across": "mm",
@@ -79,14 +75,12 @@ def calibrate(
     recordings cannot be read or do not show such pins.
 
     Args:
-        path: A folder of recordings.
         out: The folder for calibration.json, calibration.txt and calibration.png, if any. The
             picture shows recorded images, so it is yours to keep or share.
         sensor: Where the fit starts; by default the preset with as many pins as are detected.
         camera: Where the fit starts.
         fixed: Names of UNITS, except the pin radius, that keep their start.
         images: How many images of all folders together are used.
-        log: Prints the table and the notes.
 
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
@@ -94,9 +88,9 @@ def calibrate(
     path = Path(path)
     _check_fixed_names(fixed)
     recorded, notes = sample_folders(path, images, SEED)
-    sensor = sensor or _choose_sensor(recorded)
+    sensor = sensor or choose_sensor(recorded)
     start = _make_start(sensor, camera or Camera())
-    groups, surfaces = _observe_groups(recorded, sensor, start, notes)
+    groups, surfaces = observe_groups(recorded, sensor, start, notes)
     start = replace(start, surface_mm=surfaces)
     fitted = _fit_in_two_stages(groups, sensor, start, fixed)
     before = _simulate(groups, sensor, replace(start, surface_mm=fitted.values.surface_mm))
@@ -133,19 +127,6 @@ def _check_fixed_names(fixed: Collection[str]) -> None:
         raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(allowed)}")
 
 
-def _choose_sensor(recorded: list[RecordedImages]) -> Sensor:
-    counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
-    pins = float(np.median(counts))
-    nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
-    if abs(nearest.pins - pins) > 0.1 * nearest.pins:
-        presets = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in SENSORS.values())
-        raise UserError(
-            f"about {pins:.0f} pins are found in an image, "
-            f"which is none of the known sensors: {presets}"
-        )
-    return nearest
-
-
 def _make_start(sensor: Sensor, camera: Camera) -> SensorValues:
     return SensorValues(
         camera.mm_across,
@@ -154,89 +135,6 @@ def _make_start(sensor: Sensor, camera: Camera) -> SensorValues:
         ABS_FRICTION,
         compute_modulus_ratio(sensor),
     )
-
-
-def _observe_groups(
-    recorded: list[RecordedImages], sensor: Sensor, start: SensorValues, notes: list[str]
-) -> tuple[list[RecordedGroup], tuple[float, ...]]:
-    """Observe every folder's pins, with its contacts if labels and images agree.
-
-    Also returns the height of each object's top in its labels, in mm.
-    """
-    groups, surfaces, framing = [], [], []
-    for part in recorded:
-        observation = part.observe(sensor)
-        framing.append(_measure_framing(observation, sensor))
-        count, usable = len(observation.identified), int(observation.identified.sum())
-        if not usable:
-            raise UserError(
-                f"{part.name}: in none of {len(part.images)} images the pins can be followed "
-                "from rim to middle"
-            )
-        if usable < count:
-            notes.append(
-                f"{part.name}: {count - usable} of {count} images left out, "
-                "their pins cannot be followed surely"
-            )
-        group, surface_mm = _read_group(part, observation, sensor, start, notes)
-        groups.append(group)
-        surfaces.append(surface_mm)
-    if max(framing) > (1 + MAX_FRAMING_DIFFERENCE) * min(framing):
-        widest, narrowest = recorded[int(np.argmax(framing))], recorded[int(np.argmin(framing))]
-        raise UserError(
-            f"{widest.name} and {narrowest.name} are framed differently: "
-            "calibrate one camera at a time"
-        )
-    return groups, tuple(surfaces)
-
-
-def _measure_framing(observation: PinObservation, sensor: Sensor) -> float:
-    """Measure the outermost ring's radius as a share of the image size."""
-    lattice = observation.lattice
-    outermost = lattice.rest[lattice.ring == sensor.rings] - lattice.centre
-    return float(np.linalg.norm(outermost, axis=-1).mean() / observation.size)
-
-
-def _read_group(
-    part: RecordedImages,
-    observation: PinObservation,
-    sensor: Sensor,
-    start: SensorValues,
-    notes: list[str],
-) -> tuple[RecordedGroup, float]:
-    """Read a folder's labels; return its group, and the height of its top in mm.
-
-    Without a reading the group has no contacts, and the height is 0.
-    """
-    identified = observation.take(np.flatnonzero(observation.identified))
-    unlabelled = RecordedGroup(part.name, identified), 0.0
-    rows = np.flatnonzero(observation.identified & part.labelled_rows)
-    if part.poses is None or len(rows) < MIN_LABELLED:
-        notes.append(
-            f"{part.name}: fewer than {MIN_LABELLED} labelled poses, "
-            "so it determines framing and pin size only"
-        )
-        return unlabelled
-    moves = None if part.moves is None else part.moves[rows]
-    reading = read_labels(observation.take(rows), part.poses[rows], moves, start, sensor)
-    if reading is None:
-        notes.append(
-            f"{part.name}: simulated touches as labelled move pins otherwise than these images "
-            f"show (correlation below {MIN_CORRELATION}), "
-            "so it determines framing and pin size only"
-        )
-        return unlabelled
-    edge = ""
-    if reading.side:
-        sign = "negative" if reading.side > 0 else "positive"
-        edge = f", an edge with the object on the side of its {sign} labels"
-    notes.append(
-        f"{part.name}: labels read with a correlation of {reading.correlation:.2f}{edge}; "
-        f"camera turned by {np.degrees(reading.angle):.0f} deg"
-    )
-    rotated = observation.take(rows).rotate(reading.mirrored, reading.angle)
-    group = RecordedGroup(part.name, rotated, reading.contacts, reading.side)
-    return group, reading.surface_mm
 
 
 def _fit_in_two_stages(

@@ -54,8 +54,6 @@ def fit(
     """Fit all groups at once by damped Gauss-Newton.
 
     Args:
-        groups: The recorded images.
-        sensor: Gives what is not fitted.
         start: The centre of the priors, with an entry of `surface_mm` for every group.
         fixed: Names of parameters that keep their start.
         advance: Is called with numbers of simulated contacts.

@@ -107,8 +107,6 @@ def make_paths(
     """Make paths over a half plane.
 
     Args:
-        motions: N contacts.
-        sensor: The sensor.
         surface_mm: Where the top lies on the depth axis.
         side: +1 or -1 for an edge whose object lies towards negative or positive labels; 0 for no
             edge.

@@ -76,9 +76,7 @@ def split_folders(
     Raises `UserError` if nothing is left to compare.
 
     Args:
-        path: The folder of all recordings.
         each: Most images of a folder that are compared; None for all.
-        seed: Of the random choice.
         used: Images that are not compared, and align before others do: names as in
             `RecordedImages.names`, or the end of such a name.
     """

@@ -17,11 +17,12 @@ from sklearn.model_selection import PredefinedSplit, cross_val_predict
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.calibration.alignment import STEPS, AlignmentProblem, find_frame, read_labels
-from jaxunshear.calibration.calibrate import IMAGES, MIN_LABELLED, SEED
+from jaxunshear.calibration.calibrate import IMAGES, SEED
 from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, Calibration
 from jaxunshear.calibration.labels import LabelFrame, LabelledMotions, apply_frame, read_motions
 from jaxunshear.calibration.pin_statistics import PinObservation, subtract_mean
 from jaxunshear.calibration.prediction import simulate_displacements
+from jaxunshear.calibration.recorded_groups import MIN_LABELLED
 from jaxunshear.calibration.sampling import FolderSplit, sample_folders, split_folders
 from jaxunshear.calibration.validation import (
     ComparedFolder,
@@ -66,12 +67,9 @@ def validate(
     be compared.
 
     Args:
-        path: A folder of labelled recordings.
         calibration: The simulator's sensor, camera and friction.
         contacts_per_folder: Most contacts of every folder, drawn at random; None for all.
-        seed: Of the draw.
         out: The folder for validate.txt and validate.png, which show no recorded image.
-        log: Prints the table and the notes.
         as_labelled: Leave edge and tilt of the object where the labels have them.
 
     Returns:

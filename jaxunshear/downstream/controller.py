@@ -55,8 +55,6 @@ def control(
     An error sum does not grow further while its correction is at a limit (anti-windup).
 
     Args:
-        gains: The controller's gains.
-        state: Sums of errors.
         edge_mm: (B,) distance of the edge, negative inside.
         edge_deg: (B,) direction of its outward normal.
     """

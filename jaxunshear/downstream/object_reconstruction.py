@@ -85,7 +85,7 @@ def reconstruct(
     """
     paired, _ = require_simulated(experiment, "reconstruct")
     for task, task_trajectories in trajectories:
-        methods = _list_methods(task_trajectories)
+        methods = task_trajectories.list_methods()
         if (task_trajectories.end == WALKING).any():
             raise UserError(
                 f"walks around {task.stimulus} are not finished: "
@@ -117,10 +117,6 @@ def reconstruct(
     return (reconstruct_task(*each) for each in trajectories)
 
 
-def _list_methods(trajectories: Trajectories) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(trajectories.method.tolist()))
-
-
 def _make_estimators(experiment: Experiment, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
     """Make the shape estimators by name, from taps of known poses and indentations."""
     paired, _ = require_simulated(experiment, "reconstruct")
@@ -141,7 +137,7 @@ def _reconstruct_task(
     typical: dict[tuple[str, str], ReconstructedObject] = {}
     scores = []
     with Progress(f"reconstruct {task.stimulus}", len(trajectories.method), "walks") as progress:
-        for method in _list_methods(trajectories):
+        for method in trajectories.list_methods():
             unshear = networks.get(perception.find_unshearing_network(method))
             rows = np.flatnonzero(trajectories.method == method)
             by_row = []

@@ -95,6 +95,9 @@ class Trajectories:
     steps: np.ndarray  # () done
     provenance: np.ndarray  # () text: `compute_servo_digest`
 
+    def list_methods(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(self.method.tolist()))
+
 
 class _Loop(NamedTuple):
     """What stays the same over the steps of a task."""
@@ -119,8 +122,6 @@ def follow_contour(
     """Follow the outline from every start by every method, until each closes it or fails.
 
     Args:
-        task: The object, and how it is followed.
-        sensor: The sensor.
         settings: Camera, disturbances and preprocessing of the images.
         methods: Estimators of the edge by name; None for the true pose.
         file: Where trajectories are saved from time to time and at the end, if anywhere; the same
@@ -132,11 +133,9 @@ def follow_contour(
     steer, label_edges = jax.jit(control, static_argnums=0), make_edge_labeler(stimulus)
     loop = _Loop(task, sensor, settings, contour, methods, steer, label_edges)
     digest = compute_servo_digest(sensor, settings, digests)
-    trajectories = _load_matching_trajectories(file, task, tuple(methods), digest)
-    if trajectories is None:
-        trajectories = _make_trajectories(loop, digest)
-    total = trajectories.point.shape[1]
-    done = int(trajectories.steps)
+    trajectories = _load_matching(file, task, tuple(methods), digest)
+    trajectories = trajectories or _make_trajectories(loop, digest)
+    total, done = trajectories.point.shape[1], int(trajectories.steps)
     with Progress(f"servo {task.stimulus}", total, "steps", done=done) as progress:
         while trajectories.steps < total and np.any(trajectories.end == WALKING):
             _take_step(loop, trajectories)
@@ -217,13 +216,12 @@ def _take_step(loop: _Loop, trajectories: Trajectories) -> None:
     trajectories.images[:, step] = pack_bits(images)
     point = trajectories.point[:, step]
     trajectories.true[:, step] = loop.label_edges(point)
-    _perceive(loop.methods, trajectories, images, rows)
+    _perceive(loop, trajectories, images, rows)
 
     before = trajectories.arc_mm[rows]
-    trajectories.arc_mm[rows] = update_arc_positions(
-        loop.contour, before, point[rows, :2], WINDOW_MM
-    )
-    trajectories.way_mm[rows] += trajectories.arc_mm[rows] - before
+    arc_mm = update_arc_positions(loop.contour, before, point[rows, :2], WINDOW_MM)
+    trajectories.arc_mm[rows] = arc_mm
+    trajectories.way_mm[rows] += arc_mm - before
     ends[np.abs(trajectories.true[:, step, 0]) > MAX_EDGE_DISTANCE_MM] = LOST
     ends[(trajectories.way_mm >= loop.contour.length) & (ends == WALKING)] = CLOSED
     trajectories.end[rows] = ends[rows]
@@ -289,23 +287,20 @@ def _simulate_contacts(loop: _Loop, trajectories: Trajectories, rows: np.ndarray
     paths = Paths(np.zeros(len(rows), int), np.full(len(rows), friction), points)
     contacts, skins = follow(loop.sensor, (stimulus,), paths, start=before)
     if step == 0:
-        shape = (len(trajectories.method), *skins.force_n.shape[1:])
-        trajectories.force_n = np.zeros(shape)
+        count = len(trajectories.method)
+        trajectories.force_n = np.zeros((count, *skins.force_n.shape[1:]))
     trajectories.force_n[rows] = skins.force_n
     return contacts
 
 
 def _perceive(
-    methods: Mapping[str, EdgeEstimator | None],
-    trajectories: Trajectories,
-    images: np.ndarray,
-    rows: np.ndarray,
+    loop: _Loop, trajectories: Trajectories, images: np.ndarray, rows: np.ndarray
 ) -> None:
     """Estimate the edge from the images of this step, for the trajectories `rows`."""
     step = int(trajectories.steps)
     walking = np.zeros(len(trajectories.method), bool)
     walking[rows] = True
-    for method, estimate_edge in methods.items():
+    for method, estimate_edge in loop.methods.items():
         batch = np.flatnonzero(trajectories.method == method)
         if not walking[batch].any():
             continue
@@ -343,13 +338,13 @@ def _save(file: Path | None, task: ServoTask, trajectories: Trajectories) -> Non
         write_npz(file, {"course": np.array(course)} | vars(trajectories))
 
 
-def _load_matching_trajectories(
+def _load_matching(
     file: Path | None, task: ServoTask, methods: tuple[str, ...], digest: str
 ) -> Trajectories | None:
     if file is None or not file.exists():
         return None
     saved_task, trajectories = load_trajectories(file)
-    if saved_task != task or tuple(dict.fromkeys(trajectories.method.tolist())) != methods:
+    if saved_task != task or trajectories.list_methods() != methods:
         raise UserError(f"{file} holds walks with other settings: give another --out, or delete it")
     if str(trajectories.provenance) != digest:
         raise UserError(

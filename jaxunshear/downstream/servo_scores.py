@@ -44,8 +44,6 @@ def servo(
     Raises UserError, before anything is simulated, if the tasks or methods are impossible.
 
     Args:
-        folder: The folder of the run.
-        experiment: Its experiment.
         tasks: The objects, and how they are followed.
         methods: Names of `perception.METHODS`, and `perception.TRUE_POSE`; None for all that the
             networks allow.
@@ -93,8 +91,10 @@ def score_trajectories(
     trajectories: Trajectories, contour: Contour, stimulus: str
 ) -> tuple[TrajectoryScore, ...]:
     """Score the trajectories of each method of perception."""
-    methods = dict.fromkeys(trajectories.method.tolist())
-    return tuple(_score_method(trajectories, contour, stimulus, method) for method in methods)
+    return tuple(
+        _score_method(trajectories, contour, stimulus, method)
+        for method in trajectories.list_methods()
+    )
 
 
 def _score_method(

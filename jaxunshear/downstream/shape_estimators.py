@@ -53,7 +53,6 @@ def make_shape_estimators(
     """Make both methods by name, from taps at the depth of the trajectory.
 
     Args:
-        sensor: The sensor.
         lattice: Its rest positions.
         motion: (N, P, 2) px, NaN if unknown.
         indentation_mm: (N, P) of the skin above each pin.

@@ -130,8 +130,6 @@ def load_perceiver(
     """Load the networks in the folder of a run. Raises UserError if there are none.
 
     Args:
-        model: The folder.
-        experiment: The experiment of the run.
         with_sheared_poses: Also predict the poses of images as they are.
         frame: The rest positions in the images to be read; networks over simulated pins need it.
     """
