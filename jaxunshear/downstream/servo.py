@@ -149,10 +149,7 @@ def follow_contour(
 
 
 def compute_servo_digest(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
-    """Compute a digest of all that decides trajectories except the task.
-
-    It is of the simulator, the sensor, its images, and the networks of each method.
-    """
+    """Compute a digest of all that decides trajectories except the task."""
     content = {
         "version": VERSION,
         "sensor": dataclasses.asdict(sensor),
@@ -167,10 +164,7 @@ def compute_servo_digest(sensor: Sensor, settings: PairedData, digests: Mapping[
 
 
 def sample_start_points(task: ServoTask, contour: Contour) -> np.ndarray:
-    """Sample starts (starts, 3) x, y, yaw.
-
-    They are evenly spaced around the outline, then moved off it and rotated by random amounts.
-    """
+    """Sample starts (starts, 3) x, y, yaw: even around the outline, then moved at random."""
     generator = np.random.default_rng([task.seed, 5])
     arc_mm = (np.arange(task.starts) + generator.uniform()) * contour.length / task.starts
     offset = generator.uniform(-task.start_offset_mm, task.start_offset_mm, task.starts)
