@@ -6,7 +6,8 @@
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
 
-What the commands do with a model are functions, too: `servo`, `reconstruct`, `score_geometry`, `find_pins`.
+The commands that use a model are functions, too: `servo`, `reconstruct`, `score_geometry`,
+`find_pins`.
 """
 
 import warnings
@@ -30,7 +31,7 @@ from jaxunshear.downstream.servo_scores import ServoResult, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_frame, load_perceiver
 from jaxunshear.inference.perception import BATCH, run_in_batches
-from jaxunshear.inference.suitability import learnt_note, suits_recordings
+from jaxunshear.inference.suitability import describe_training, suits_recordings
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.models.dispatch import encode
 from jaxunshear.models.inference import jit_for_inference
@@ -57,23 +58,26 @@ __all__ = [
 
 
 class Codes(NamedTuple):
-    """Of B images, each code as a row of numbers."""
+    """Latent codes of B images, each code as a row of numbers."""
 
     pose: np.ndarray  # z_p, (B, F)
-    shear: np.ndarray | None  # z_s, (B, G); None of weights without it, as released ones are
+    shear: np.ndarray | None  # z_s, (B, G); None for weights without it, such as released ones
 
 
 @dataclass(frozen=True)
 class Model:
-    """Networks that take binary images (B, S, S), uint8 of {0, 255} or bool, as `prepare` makes them. What they give for an image that is
-    not understood is NaN: its pins are not those of the model's sensor or, where networks read pins, cannot be identified for sure."""
+    """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
+
+    Results are NaN for images that are rejected: their pins are not those of the model's sensor
+    or, for pin networks, cannot be identified.
+    """
 
     folder: Path
     experiment: Experiment
     perceiver: Perceiver
-    # what networks read -> both codes; None where nothing unshears
+    # network inputs -> both codes; None if no network unshears
     encoder: Callable[[np.ndarray], tuple[Array, Array | None]] | None
-    slide_targets: Targets = ()  # what the shear code says of the slide
+    slide_targets: Targets = ()  # components of the slide that the shear code predicts
 
     @property
     def size(self) -> int:
@@ -81,87 +85,100 @@ class Model:
         return self.perceiver.preprocess.size
 
     def prepare(self, frame: np.ndarray) -> np.ndarray:
-        """Turn a camera's frame into a binary image (S, S) uint8.
+        """Turn a camera frame into a binary image (S, S) uint8.
 
         The frame is (H, W) or (H, W, channels), of any number type. Colours are red, green, blue;
-        OpenCV's are blue, green, red. Warns with a `Note` if these
-        networks do not suit a camera: they learnt from simulated touches of one sensor alone, so
-        their answers for other frames mean little. Raises UserError.
+        OpenCV's are blue, green, red. Warns with a `Note` if these networks do not suit a camera:
+        they were trained on simulated contacts of one sensor alone, so their predictions for other
+        frames mean little. Raises UserError.
         """
         if not suits_recordings(self.experiment):
-            warnings.warn(learnt_note(self.experiment), Note, stacklevel=2)
+            warnings.warn(describe_training(self.experiment), Note, stacklevel=2)
         return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
-        """(B, S, S) float32 in [0, 1]: as a tap at the same poses would appear. Raises UserError."""
-        answers = self._predict(images)
-        if answers.unsheared is None:
+        """Predict the images of taps at the same poses, (B, S, S) float32 in [0, 1].
+
+        Raises UserError if the model has no such network.
+        """
+        predictions = self._predict(images)
+        if predictions.unsheared is None:
             raise UserError(
-                f"{self.folder} holds no network that unshears: train {DISENTANGLED}, or load another model"
+                f"{self.folder} holds no network that unshears: "
+                f"train {DISENTANGLED}, or load another model"
             )
-        return answers.unsheared
+        return predictions.unsheared
 
     def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-        """By way of reading and by quantity (mm and deg, in the frame of the labels that were learnt), (B,) each: of the images
-        "as_recorded" and "unsheared", and "learnt" where a PoseNet of slides is there. Raises UserError."""
-        answers = self._predict(images)
-        if not answers.poses:
+        """Predict poses by kind of input and by quantity, (B,) each.
+
+        They are in mm and deg, in the frame of the training labels. Kinds are "as_recorded" and
+        "unsheared", and "learnt" if there is a PoseNet of slides. Raises UserError if the model has
+        no PoseNet.
+        """
+        predictions = self._predict(images)
+        if not predictions.poses:
             raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
-        return answers.poses
+        return predictions.poses
 
     def codes(self, images: np.ndarray) -> Codes:
-        """Pose code and shear code. Raises UserError."""
+        """Compute pose code and shear code. Raises UserError if the model has no codes."""
         if self.encoder is None:
             raise UserError(
-                f"{self.folder} holds no network with codes: train {DISENTANGLED}, or load another model"
+                f"{self.folder} holds no network with codes: "
+                f"train {DISENTANGLED}, or load another model"
             )
         encoder = self.encoder
 
-        def encode_known(part: np.ndarray) -> tuple[Array | None, ...]:
-            seen = self.perceiver.read(part)
-            known = jnp.asarray(self.perceiver.explain_rejections(part, seen) == "")[:, None]
-            codes = encoder(seen.values)
+        def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
+            inputs = self.perceiver.read(batch)
+            rejection = self.perceiver.explain_rejections(batch, inputs)
+            accepted = jnp.asarray(rejection == "")[:, None]
             return tuple(
-                z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes
+                code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
+                for code in encoder(inputs.values)
             )
 
-        return Codes(*self._in_batches(images, encode_known))
+        return Codes(*self._run_in_batches(images, encode_batch))
 
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
-        """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the simulated sensor feels it that the
-        network learnt from, or as the recordings were labelled. Of what has slipped, which cannot be seen, it is what is likely.
-        Raises UserError."""
+        """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
+
+        It is in the frame of the simulated sensor that the network was trained on, or as the
+        recordings were labelled. Slip cannot be seen, so its likely value is included. Raises
+        UserError if the shear code was not trained to predict slides.
+        """
         shear = self.codes(images).shear if self.slide_targets else None
         if shear is None:
             raise UserError(
-                f"{self.folder}: its shear code was not taught the slide, or was left out: train with the loss slide"
+                f"{self.folder}: its shear code was not taught the slide, or was left out: "
+                "train with the loss slide"
             )
         outputs = jnp.asarray((shear[:, : len(self.slide_targets)] + 1) / 2)
-        return {
-            name: np.asarray(value)
-            for name, value in unscale_outputs(outputs, self.slide_targets).items()
-        }
+        slides = unscale_outputs(outputs, self.slide_targets)
+        return {name: np.asarray(value) for name, value in slides.items()}
 
     def _predict(self, images: np.ndarray) -> Predictions:
-        return self._in_batches(images, self.perceiver.predict)
+        return self._run_in_batches(images, self.perceiver.predict)
 
-    def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
-        """A few images are not filled up to a full batch: to find their pins takes longer than to compile once more."""
+    def _run_in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
         images = self._check_images(images)
+        # finding pins in blank images of a full batch takes longer than to compile once more
         return run_in_batches(run, images, min(BATCH, len(images)))
 
     def _check_images(self, images: np.ndarray) -> np.ndarray:
         images = np.asarray(images)
         if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or not len(images):
             raise UserError(
-                f"images of shape {images.shape}: this model takes (B, {self.size}, {self.size}), B at least 1; `prepare` "
-                "makes one of a camera's frame"
+                f"images of shape {images.shape}: this model takes (B, {self.size}, {self.size}), "
+                "B at least 1; `prepare` makes one of a camera's frame"
             )
         if images.dtype == bool:
             return images.astype(np.uint8) * np.uint8(255)
         if images.dtype != np.uint8 or not np.isin(images, (0, 255)).all():
             raise UserError(
-                f"images of {images.dtype}: this model takes uint8 of 0 and 255 alone, or bool; `prepare` makes them"
+                f"images of {images.dtype}: this model takes uint8 of 0 and 255 alone, or bool; "
+                "`prepare` makes them"
             )
         return images
 
@@ -169,27 +186,24 @@ class Model:
 def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
     """Load released weights by name, or the networks in the folder of a finished run.
 
-    Networks over pins that learnt from simulation alone, such as `skin`, need `like`: a folder of
-    at least 20 contacts of your sensor and camera. The mean over them shows where untouched pins
-    are. Other networks do not use it. `force` also answers images that are not of the model's
-    sensor. Raises UserError.
+    Pin networks that were trained on simulation alone, such as `skin`, need `like`: a folder of at
+    least 20 contacts of your sensor and camera. Their mean gives the rest positions of the pins.
+    Other networks do not use it. `force` also accepts images that are not of the model's sensor.
+    Raises UserError.
     """
     folder = find_model_folder(Path(name))
     experiment = load_settings(folder)
     frame = None if like is None else find_pin_frame(Path(like), experiment)
     encoder = None
-    slides: Targets = ()
+    slide_targets: Targets = ()
     if has_model(folder / DISENTANGLED):
         net = read_net(folder / DISENTANGLED)
         encoder = jit_for_inference(
-            lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED)
+            lambda variables, inputs: encode(net, variables, inputs),
+            load_best(folder / DISENTANGLED),
         )
-        slides = read_slides(folder / DISENTANGLED)
-    network = load_perceiver(folder, experiment, True, frame)
-    return Model(
-        folder,
-        experiment,
-        network._replace(min_plausibility=NO_MINIMUM) if force else network,
-        encoder,
-        slides,
-    )
+        slide_targets = read_slides(folder / DISENTANGLED)
+    perceiver = load_perceiver(folder, experiment, True, frame)
+    if force:
+        perceiver = perceiver._replace(min_plausibility=NO_MINIMUM)
+    return Model(folder, experiment, perceiver, encoder, slide_targets)

@@ -1,6 +1,6 @@
-"""A laboratory's recordings -> an experiment about them: which networks these allow, which sensor they are of.
+"""Experiments about recordings: the networks that these allow, and their sensor.
 
->>> experiment = set_recordings(BASE, taps="recordings/tap", slides="recordings/slide")
+>>> experiment = set_recordings(BASE_EXPERIMENT, taps="recordings/tap", slides="recordings/slide")
 """
 
 import dataclasses
@@ -20,7 +20,10 @@ from jaxunshear.files import write_text
 
 BASE_EXPERIMENT = Experiment(
     name="recorded",
-    claim="A network that learnt from a sensor's own taps and slides takes the slide out of its images.",
+    claim=(
+        "A network that learnt from a sensor's own taps and slides "
+        "takes the slide out of its images."
+    ),
     networks=(DISENTANGLED, POSENET, POSENET_SHEARED),
     paired=Recorded(),
     pose=RecordedTaps(),
@@ -52,25 +55,30 @@ BASE_EXPERIMENT = Experiment(
 def set_recordings(
     experiment: Experiment, taps: str = "", slides: str = "", pairs: str = ""
 ) -> Experiment:
-    """`experiment` about the taps and slides in these folders, which may be one. Networks that they do not allow are left out: without
-    taps nothing unshears, and poses are learnt from slides alone. Raises UserError.
+    """Change `experiment` to the taps and slides in these folders, which may be one.
+
+    Networks that they do not allow are left out: without taps nothing unshears, and poses are
+    predicted by a PoseNet of slides alone. Raises UserError.
     """
     recorded = experiment.paired
     if not isinstance(recorded, Recorded):
         raise UserError(
-            f"'{experiment.name}' is about simulated touches: recordings are for experiments such as experiments/recorded.py"
+            f"'{experiment.name}' is about simulated touches: "
+            "recordings are for experiments such as experiments/recorded.py"
         )
     digest = compute_digest(tuple(folder for folder in (taps, slides) if folder), pairs)
     recorded = replace(recorded, tap_folder=taps, slide_folder=slides, digest=digest, pairs=pairs)
     if pairs:
         recorded = replace(recorded, pairing="file")
     contacts = read_contacts(recorded)
-    dragged = bool(contacts.is_slide.any()) or recorded.pairing == "simulated"
-    tapped = bool((~contacts.is_slide).any())
-    if recorded.direct_taps != "none" and not tapped:
-        asked = f"--paired.direct_taps {recorded.direct_taps}"
-        raise UserError(f"{asked}: these recordings hold no taps: leave it at none")
-    networks = select_networks(experiment.networks, tapped, dragged)
+    has_slides = bool(contacts.is_slide.any()) or recorded.pairing == "simulated"
+    has_taps = bool((~contacts.is_slide).any())
+    if recorded.direct_taps != "none" and not has_taps:
+        raise UserError(
+            f"--paired.direct_taps {recorded.direct_taps}: "
+            "these recordings hold no taps: leave it at none"
+        )
+    networks = select_networks(experiment.networks, has_taps, has_slides)
     if not networks:
         raise UserError(
             f"networks: none of {', '.join(experiment.networks)} can learn from these recordings"
@@ -80,7 +88,7 @@ def set_recordings(
 
 
 def select_networks(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Network, ...]:
-    """Those that can learn where there are `taps`, or `slides`, or both; of slides alone, poses."""
+    """Select the networks that can be trained if there are `taps`, `slides`, or both."""
     if taps and slides:
         return networks
     if taps:
@@ -89,39 +97,42 @@ def select_networks(networks: tuple[Network, ...], taps: bool, slides: bool) -> 
 
 
 def format_experiment(experiment: Experiment) -> str:
-    """The source of an experiment file: every field that is not at its default."""
+    """Format the source of an experiment file, with every field that is not at its default."""
     modules: dict[str, set[str]] = {}
     body = _format_dataclass(experiment, modules, 0)
     imports = "\n".join(
         f"from {module} import {', '.join(sorted(names))}"
         for module, names in sorted(modules.items())
     )
-    return f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""\n\n{imports}\n\nexperiment = {body}\n'
+    docstring = f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""'
+    return f"{docstring}\n\n{imports}\n\nexperiment = {body}\n"
 
 
-def _format_dataclass(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
-    """The source of a dataclass of settings; `modules` gains the name of each that it takes, by the module that has it."""
-    kind = type(thing).__name__
-    modules.setdefault(type(thing).__module__, set()).add(kind)
-    parts = []
-    for field in dataclasses.fields(thing):
-        value = getattr(thing, field.name)
+def _format_dataclass(settings: Value, modules: dict[str, set[str]], depth: int) -> str:
+    """Format the source of a dataclass of settings, and add its name to those of its module."""
+    kind = type(settings).__name__
+    modules.setdefault(type(settings).__module__, set()).add(kind)
+    indent = "    " * depth
+    lines = []
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default:
-            inner = (
-                _format_dataclass(value, modules, depth + 1)
-                if dataclasses.is_dataclass(value)
-                else repr(value)
-            )
-            parts.append(f"{'    ' * (depth + 1)}{field.name}={inner},")
-    return f"{kind}(\n" + "\n".join(parts) + f"\n{'    ' * depth})" if parts else f"{kind}()"
+            nested = dataclasses.is_dataclass(value)
+            source = _format_dataclass(value, modules, depth + 1) if nested else repr(value)
+            lines.append(f"{indent}    {field.name}={source},\n")
+    return f"{kind}(\n{''.join(lines)}{indent})" if lines else f"{kind}()"
 
 
 def write_experiment(experiment: Experiment, file: Path) -> None:
-    """The experiment as a file to run again, and to change. Raises UserError where another one is there."""
+    """Write the experiment to a file to run again, and to change.
+
+    Raises UserError if the file holds another experiment.
+    """
     source = format_experiment(experiment)
     if file.exists() and file.read_text() != source:
         raise UserError(
-            f"{file} is there, and is not what these options ask for: `jaxunshear run {file}` runs it; else give another --name"
+            f"{file} is there, and is not what these options ask for: "
+            f"`jaxunshear run {file}` runs it; else give another --name"
         )
     write_text(file, source)

@@ -1,4 +1,4 @@
-"""Trained models from Python: what goes in is checked, what comes out is what the commands give."""
+"""Trained models from Python: inputs are checked, results are those of the commands."""
 
 import dataclasses
 import re
@@ -28,7 +28,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def images(model):
-    """Of a few pushed lattices, as a camera would show them."""
+    """Draw a few shifted lattices as a camera would show them."""
     paired = model.experiment.paired
     lattice = compute_rest_lattice(model.experiment.sensor, paired.camera, paired.preprocess)
     push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
@@ -41,9 +41,8 @@ def test_images_codes_and_poses_of_released_weights(model, images):
     unsheared = model.unshear(images)
     assert unsheared.shape == images.shape and 0 <= unsheared.min() < unsheared.max() <= 1
     codes = model.codes(images)
-    assert (
-        len(codes.pose) == 3 and codes.pose.ndim == 2 and codes.shear is None
-    )  # released weights leave it out
+    assert len(codes.pose) == 3 and codes.pose.ndim == 2
+    assert codes.shear is None  # released weights leave it out
     pose = model.pose(images)
     np.testing.assert_array_equal(
         pose[UNSHEARED]["edge_mm"], model.perceiver.predict(images).poses[UNSHEARED]["edge_mm"]
@@ -53,13 +52,13 @@ def test_images_codes_and_poses_of_released_weights(model, images):
 def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model, images):
     slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=10.0))
     z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
-    taught = dataclasses.replace(
-        model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides
+    supervised = dataclasses.replace(
+        model, encoder=lambda inputs: (np.zeros((3, 5), np.float32), z_s), slide_targets=slides
     )
-    found = taught.slide(images)
-    assert list(found) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
+    slide = supervised.slide(images)
+    assert list(slide) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
     np.testing.assert_allclose(
-        np.stack(list(found.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6
+        np.stack(list(slide.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6
     )
     with pytest.raises(UserError, match="its shear code was not taught the slide"):
         model.slide(images)
@@ -95,35 +94,27 @@ def test_models_that_are_none_are_refused_by_name(tmp_path):
 
 @pytest.mark.long
 def test_the_example_of_uses_runs(capsys):
-    """Two steps of its walk."""
+    """Run two steps of its trajectories."""
     page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     names: dict = {}
-    walks = 'ServoTask("disk", starts=1, depth_mm=2.0'
-    assert example.count(walks) == 1
-    exec(
-        example.replace(
-            walks, f"{walks}, patience={2 * 0.5 / trace_contour(STIMULI['disk']).length * 0.999}"
-        ),
-        names,
-    )
-    assert (
-        names["way_of_the_sensor"].shape == (2, 2, 3)
-        and np.isfinite(names["way_of_the_sensor"]).all()
-    )
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
-        "true",
-        "disentangled",
-    ]
-    found, model = names["found"], names["model"]
-    assert found.scores[0].ends == {"took too long": 1} and found.course.stimulus == "disk"
-    found.walks.end[0] = servo.WALKING
+    task = 'ServoTask("disk", starts=1, depth_mm=2.0'
+    assert example.count(task) == 1
+    outline_lengths = 2 * 0.5 / trace_contour(STIMULI["disk"]).length * 0.999
+    exec(example.replace(task, f"{task}, max_outline_lengths={outline_lengths}"), names)
+    poses = names["sensor_poses"]
+    assert poses.shape == (2, 2, 3) and np.isfinite(poses).all()
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["true", "disentangled"]
+    result, model = names["result"], names["model"]
+    assert result.scores[0].ends == {"took too long": 1} and result.task.stimulus == "disk"
+    result.trajectories.end[0] = servo.WALKING
     with pytest.raises(UserError, match="walks around disk are not finished"):
-        reconstruct(model.folder, model.experiment, [(found.course, found.walks)])
+        reconstruct(model.folder, model.experiment, [(result.task, result.trajectories)])
 
 
 @pytest.mark.parametrize(
-    ("course", "ways", "reason"),
+    ("task", "methods", "reason"),
     [
         (ServoTask("disk", starts=0), None, "--starts 0"),
         (ServoTask("surface"), None, "no outline that closes"),
@@ -131,6 +122,6 @@ def test_the_example_of_uses_runs(capsys):
         (ServoTask("disk"), ("smell",), "perception 'smell' is unknown"),
     ],
 )
-def test_walks_that_cannot_start_are_refused_at_once(model, course, ways, reason):
+def test_walks_that_cannot_start_are_refused_at_once(model, task, methods, reason):
     with pytest.raises(UserError, match=reason):
-        walk(model.folder, model.experiment, [course], ways)
+        walk(model.folder, model.experiment, [task], methods)

@@ -16,7 +16,7 @@ from jaxunshear.downstream.geometry import HEIGHT_METHODS
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.serialization import to_builtins
-from tests.inference.test_infer import init, trained
+from tests.inference.test_infer import init, write_network
 
 
 def experiment(size):
@@ -38,8 +38,10 @@ def run_of(folder, size, seed=0):
 
     small, run = experiment(size), folder / "small"
     write_json(run / "experiment.json", to_json(small))
-    trained(run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, seed))
-    trained(run / "posenet", "posenet", small.posenet, init(posenet, small.posenet, 1))
+    write_network(
+        run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, seed)
+    )
+    write_network(run / "posenet", "posenet", small.posenet, init(posenet, small.posenet, 1))
     return run
 
 
@@ -130,7 +132,7 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.load_trajectories(out / "disk.npz")
     walks.end[0] = servo.WALKING
-    servo._store(out / "disk.npz", course, walks)
+    servo._save(out / "disk.npz", course, walks)
     answer = command("reconstruct", *words)
     assert answer.code == 2 and "not finished" in answer.err
     other = run_of(tmp_path, 128, seed=1)

@@ -1,6 +1,6 @@
-"""A sensor, a camera and a friction that are validated together, shipped or read from a file.
+"""Calibrated sensor, camera and friction: the shipped preset, or one from a file.
 
-known = read_calibration(Path("runs/calibration/calibration.json"))
+calibration = read_calibration(Path("runs/calibration/calibration.json"))
 """
 
 from dataclasses import asdict, dataclass
@@ -15,7 +15,11 @@ from jaxunshear.files import Json, read_object
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is validated; `used` names the images that it was fitted to, as `Recorded.names` has them; None: those of the preset."""
+    """A calibrated simulator.
+
+    `image_names` are the images that it was fitted to, below the folder of all recordings; None
+    for those of the preset.
+    """
 
     name: str
     sensor: Sensor
@@ -25,16 +29,13 @@ class Calibration:
 
     @property
     def values(self) -> SensorValues:
-        camera = self.camera
-        ratio = compute_modulus_ratio(self.sensor)
         return SensorValues(
-            camera.mm_across,
-            camera.distance_mm,
+            self.camera.mm_across,
+            self.camera.distance_mm,
             self.sensor.pin_spacing_mm,
             self.friction,
-            ratio,
-            (),
-            camera.housing,
+            compute_modulus_ratio(self.sensor),
+            housing=self.camera.housing,
         )
 
     @property
@@ -53,18 +54,17 @@ DEFAULT_CALIBRATION = Calibration(
 
 
 def read_calibration(file: Path) -> Calibration:
-    """A `calibration.json` of `jaxunshear calibrate`. Raises `UserError` where it is none."""
-    found = read_object(file)
+    """Read a `calibration.json` of `jaxunshear calibrate`. Raises `UserError` if it is none."""
+    content = read_object(file)
     try:
-        preset = found["preset"]
+        preset = content["preset"]
         sensor, camera = Sensor(**preset["sensor"]), Camera(**preset["camera"])
-        friction, used = (
-            float(preset["friction"]),
-            tuple(str(name) for name in found.get("image_names", ())),
-        )
+        friction = float(preset["friction"])
+        image_names = tuple(str(name) for name in content.get("image_names", ()))
         check_sensor(sensor)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(
-            f"--calibration {file}: {type(error).__name__} {error}: give a calibration.json of `jaxunshear calibrate --out`"
+            f"--calibration {file}: {type(error).__name__} {error}: "
+            "give a calibration.json of `jaxunshear calibrate --out`"
         ) from None
-    return Calibration(f"calibration {file.name}", sensor, camera, friction, used)
+    return Calibration(f"calibration {file.name}", sensor, camera, friction, image_names)

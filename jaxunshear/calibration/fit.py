@@ -1,7 +1,7 @@
-"""Least squares of simulated on recorded rings: camera, pin spacing, friction and stiffness together.
+"""Fit camera, pin spacing, friction and stiffness to recorded rings, by least squares.
 
-Uncertainties come from resampling the images; a parameter that these leave open keeps its start, held there by a wide prior, and is
-reported as not determined.
+Uncertainties come from resampling the images. A parameter that the images leave open stays at its
+start, because of a wide prior, and is reported as not determined.
 """
 
 from collections.abc import Callable, Collection
@@ -14,25 +14,33 @@ from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, Record
 from jaxunshear.config.sensor import Sensor
 
 ROUNDS = 12
-MIN_COST_GAIN = 2e-3  # of the cost: a round that gains less is the last
-OUTLIER_PX = 0.5  # of 128: beyond it a residual counts linearly (stick and slip in turn leave some pins anywhere)
-PRIOR_PX = 0.15  # how much a prior weighs: the residual that one image's rings usually keep
-MAX_INTERVAL_SHARE = 0.4  # a 95% interval narrower than this share of the prior's is knowledge
+MIN_COST_GAIN = 2e-3  # a round that gains a smaller share of the cost is the last
+FIRST_DAMPING, MAX_DAMPING = 1e-3, 1e3
+MAX_STEP = 0.7
+# px of 128: a larger residual counts linearly (stick and slip in turn leave some pins anywhere)
+OUTLIER_PX = 0.5
+PRIOR_PX = 0.15  # weight of a prior: the residual that one image's rings usually keep
+MAX_INTERVAL_SHARE = 0.4  # a parameter is determined if its interval is so much of the prior's
 BOOTSTRAPS = 400
 
 
 class FitResult(NamedTuple):
-    """`low`, `high`: 95 % bootstrap interval over images, by name; `determined`: whether the images determine it."""
+    """Fitted values with 95 % bootstrap intervals over images, by name of parameter."""
 
     values: SensorValues
     low: dict[str, float]
     high: dict[str, float]
-    determined: dict[str, bool]
-    before_px: (
-        float  # from recorded to simulated rings, rms over an image's pins, median image, px of 128
-    )
+    determined: dict[str, bool]  # whether the images determine the parameter
+    # between recorded and simulated rings, px of 128: rms over an image's pins, median over images
+    before_px: float
     after_px: float
     dropped: int  # contacts that did not converge
+
+
+class _Minimum(NamedTuple):
+    x: np.ndarray  # (K,)
+    residual: np.ndarray  # (N, F)
+    slopes: np.ndarray  # (N, F, K)
 
 
 def fit(
@@ -43,67 +51,80 @@ def fit(
     advance: Callable[[int], None] = lambda contacts: None,
     begin: SensorValues | None = None,
 ) -> FitResult:
-    """Gauss-Newton with damping on all groups at once; what `fixed` names keeps its start.
+    """Fit all groups at once by damped Gauss-Newton.
 
-    `start`, where the priors stand, has an entry of `surface_mm` for every group; the search may `begin` elsewhere. `advance` is
-    called with how many contacts were solved.
+    Args:
+        start: The centre of the priors, with an entry of `surface_mm` for every group.
+        fixed: Names of parameters that keep their start.
+        advance: Is called with numbers of simulated contacts.
+        begin: Where the search begins, if not at `start`.
     """
     problem = Problem(groups, sensor, start, fixed, advance)
-    prior = problem.prior()
     x = problem.to_parameters(begin or start)
-    before = _error(
-        problem.compute_all_residuals(problem.values(np.where(problem.nuisance(), x, 0.0)))
+    x_before = np.where(problem.is_nuisance, x, 0.0)
+    before_px = _compute_error(problem.compute_all_residuals(problem.to_values(x_before)))
+    minimum = _minimise(problem, x)
+    spread = _bootstrap(
+        minimum.slopes,
+        problem.make_resampler(problem.to_values(minimum.x)),
+        _compute_weights(minimum.residual),
+        minimum.x,
+        problem.prior,
     )
-    while problem.recentre(problem.values(x)):
+    return _build_result(problem, minimum, spread, before_px)
+
+
+def _minimise(problem: Problem, x: np.ndarray) -> _Minimum:
+    prior = problem.prior
+    while problem.recentre(problem.to_values(x)):
         pass
-    base = problem.compute_all_residuals(problem.values(x))
-    cost, damping = _cost(base, x / prior), 1e-3
+    residual = problem.compute_all_residuals(problem.to_values(x))
+    cost, damping = _compute_cost(residual, x / prior), FIRST_DAMPING
     slopes = problem.compute_jacobian(x)
     for _ in range(ROUNDS):
-        weight, old = _weights(base), cost
-        while damping < 1e3:
-            step = _solve(slopes, base, weight, x, prior, damping)
-            proposed = np.clip(x + np.clip(step, -0.7, 0.7), *problem.bounds())
-            tried = problem.compute_all_residuals(problem.values(proposed))
+        weight, old_cost = _compute_weights(residual), cost
+        while damping < MAX_DAMPING:
+            step = _compute_step(slopes, residual, weight, x, prior, damping)
+            trial = np.clip(x + np.clip(step, -MAX_STEP, MAX_STEP), *problem.compute_bounds())
+            trial_residual = problem.compute_all_residuals(problem.to_values(trial))
+            trial_cost = _compute_cost(trial_residual, trial / prior)
             damping *= 10
-            if _cost(tried, proposed / prior) < cost:
-                x, base, cost, damping = (
-                    proposed,
-                    tried,
-                    _cost(tried, proposed / prior),
-                    damping / 100,
-                )
+            if trial_cost < cost:
+                x, residual, cost, damping = trial, trial_residual, trial_cost, damping / 100
                 break
-        elsewhere = problem.recentre(problem.values(x))
-        if elsewhere:
-            base = problem.compute_all_residuals(problem.values(x))
-            cost, damping = _cost(base, x / prior), 1e-3
+        recentred = problem.recentre(problem.to_values(x))
+        if recentred:
+            residual = problem.compute_all_residuals(problem.to_values(x))
+            cost, damping = _compute_cost(residual, x / prior), FIRST_DAMPING
         slopes = problem.compute_jacobian(x)
-        if not elsewhere and old - cost < MIN_COST_GAIN * old:
+        if not recentred and old_cost - cost < MIN_COST_GAIN * old_cost:
             break
-    spread = _bootstrap(slopes, problem.make_resampler(problem.values(x)), _weights(base), x, prior)
-    return _build_result(problem, x, spread, before, base)
+    return _Minimum(x, residual, slopes)
 
 
-def _weights(residual: np.ndarray) -> np.ndarray:
-    """Of pseudo-Huber's loss, one for each image."""
+def _compute_weights(residual: np.ndarray) -> np.ndarray:
+    """Compute the weight of each image in pseudo-Huber's loss, (N,)."""
     size = np.sqrt(np.sum(residual**2, axis=1))
     return 1 / np.sqrt(1 + (size / OUTLIER_PX) ** 2)
 
 
-def _cost(residual: np.ndarray, prior: np.ndarray) -> float:
+def _compute_cost(residual: np.ndarray, prior_steps: np.ndarray) -> float:
+    """Compute pseudo-Huber's loss of the images, and of the priors' standard deviations."""
     size = np.sum(residual**2, axis=1) / OUTLIER_PX**2
     return float(
-        np.sum(2 * OUTLIER_PX**2 * (np.sqrt(1 + size) - 1)) + PRIOR_PX**2 * np.sum(prior**2)
+        np.sum(2 * OUTLIER_PX**2 * (np.sqrt(1 + size) - 1)) + PRIOR_PX**2 * np.sum(prior_steps**2)
     )
 
 
-def _error(residual: np.ndarray) -> float:
-    """Root mean square over an image's pins (to which the features' weights add up), the median over images."""
+def _compute_error(residual: np.ndarray) -> float:
+    """Compute the median over images of the rms over an image's pins.
+
+    The features' weights add up to the pins.
+    """
     return float(np.median(np.sqrt(np.sum(residual**2, axis=1))))
 
 
-def _solve(
+def _compute_step(
     slopes: np.ndarray,
     residual: np.ndarray,
     weight: np.ndarray,
@@ -112,47 +133,47 @@ def _solve(
     damping: float,
 ) -> np.ndarray:
     normal = np.einsum("nfk,n,nfl->kl", slopes, weight, slopes) + np.diag(PRIOR_PX**2 / prior**2)
-    slope = np.einsum("nfk,n,nf->k", slopes, weight, residual) + PRIOR_PX**2 * x / prior**2
-    return -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+    gradient = np.einsum("nfk,n,nf->k", slopes, weight, residual) + PRIOR_PX**2 * x / prior**2
+    return -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
 
 
 def _bootstrap(
     slopes: np.ndarray,
-    redraw: Callable[[np.random.Generator], np.ndarray],
+    resample: Callable[[np.random.Generator], np.ndarray],
     weight: np.ndarray,
     x: np.ndarray,
     prior: np.ndarray,
 ) -> np.ndarray:
-    """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again, and with them the places (K,) that the priors
-    hold parameters at: else one that the images say nothing of would not move, and pass for exactly known. `redraw`: see
-    `Problem.make_resampler`."""
+    """Minimise the linearised problem for resampled images, (BOOTSTRAPS, K).
+
+    The centres of the priors are drawn again, too. Otherwise a parameter that the images do not
+    determine would not move, and would appear to be exactly determined. `resample` is made by
+    `Problem.make_resampler`.
+    """
     generator = np.random.default_rng(0)
     count = len(weight)
     draws = generator.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS)
-    places = prior * generator.standard_normal((BOOTSTRAPS, len(x)))
-    return np.array(
-        [
-            x + _solve(slopes, redraw(generator), weight * draw, x - place, prior, 0.0)
-            for draw, place in zip(draws, places, strict=True)
-        ]
-    )
+    centres = prior * generator.standard_normal((BOOTSTRAPS, len(x)))
+    minima = []
+    for draw, centre in zip(draws, centres, strict=True):
+        residual = resample(generator)
+        minima.append(x + _compute_step(slopes, residual, weight * draw, x - centre, prior, 0.0))
+    return np.array(minima)
 
 
 def _build_result(
-    problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray
+    problem: Problem, minimum: _Minimum, spread: np.ndarray, before_px: float
 ) -> FitResult:
     ends = np.percentile(spread, [2.5, 97.5], axis=0)
-    ends = (
-        ends - np.median(spread, axis=0) + x
-    )  # the draws scatter about their own middle; the fit is what is reported
-    low, high = (problem.name_values(problem.values(end)) for end in ends)
-    width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
+    # the draws scatter about their own median; the interval belongs around the fit
+    ends = ends - np.median(spread, axis=0) + minimum.x
+    width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior)
     return FitResult(
-        problem.values(x),
-        low,
-        high,
+        problem.to_values(minimum.x),
+        problem.name_values(problem.to_values(ends[0])),
+        problem.name_values(problem.to_values(ends[1])),
         {name: bool(w < MAX_INTERVAL_SHARE) for name, w in zip(problem.names, width, strict=True)},
-        before,
-        _error(residual),
-        int(np.sum(residual[:, 0] == UNSOLVED_RESIDUAL_PX)),
+        before_px,
+        _compute_error(minimum.residual),
+        int(np.sum(minimum.residual[:, 0] == UNSOLVED_RESIDUAL_PX)),
     )

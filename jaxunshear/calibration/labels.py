@@ -1,8 +1,10 @@
-"""A recording's labels as motions that can be simulated: `pose` and `move` of the robot become paths of the scene.
+"""The labels of a recording as motions that can be simulated.
 
-Robots report six numbers in a work frame whose depth axis points into the object, as static Euler angles x, y, z about the
-sensor's tip; the sensor hovered, pressed at `pose - move` and went to `pose`. Three things no label gives, and the images do
-(`fit`): how deep the work frame's origin lies, on which side of an edge the object is, and how the camera is turned.
+Robots report six numbers in a work frame whose depth axis points into the object: the position of
+the sensor's tip and static Euler angles x, y, z about it. The sensor hovered, pressed at
+`pose - move` and went to `pose`. The labels leave three things open, which `alignment` finds from
+the images: the depth of the work frame's origin, the side of an edge on which the object is, and
+the rotation of the camera.
 """
 
 from typing import NamedTuple
@@ -18,21 +20,21 @@ FLAT_DISTANCE_MM = 25.0  # from the edge, where a half plane is flat for all the
 
 
 class LabelledMotions(NamedTuple):
-    """N labelled contacts in a scene frame: z out of the object, x across its edge (if it has one), as the label's sign has it."""
+    """N labelled contacts in a scene frame.
+
+    z points out of the object, and x across its edge (if it has one) in the direction of the label.
+    """
 
     tip: np.ndarray  # (N, 2, 3) mm, the undeformed apex at the start and the end of the slide
     turn: Rotation  # (2 N,) the sensor's, starts first
-    across: (
-        bool  # whether some label runs across the object's top, which may then have an edge there
-    )
+    across: bool  # whether a label varies across the object's top, which may then have an edge
 
     def __len__(self) -> int:
         return len(self.tip)
 
     def take(self, rows: np.ndarray) -> "LabelledMotions":
-        return LabelledMotions(
-            self.tip[rows], self.turn[np.concatenate([rows, rows + len(self)])], self.across
-        )
+        turn = self.turn[np.concatenate([rows, rows + len(self)])]
+        return LabelledMotions(self.tip[rows], turn, self.across)
 
     @property
     def slide(self) -> np.ndarray:
@@ -41,28 +43,30 @@ class LabelledMotions(NamedTuple):
 
     @property
     def tilt_deg(self) -> np.ndarray:
-        """(N,) between the sensor's axis and the normal, at the end."""
+        """(N,) angles between the sensor's axis and the normal, at the end."""
         return np.degrees(np.arccos(np.clip(self.turn[len(self) :].as_matrix()[:, 2, 2], -1, 1)))
 
     @property
     def yaw(self) -> np.ndarray:
-        """(N,) rad, the sensor's turn about the normal at the end."""
-        return _swing_twist(self.turn[len(self) :])[1]
+        """(N,) rad, the sensor's rotation about the normal at the end."""
+        return _split_swing_twist(self.turn[len(self) :])[1]
 
 
 class LabelFrame(NamedTuple):
-    """How the object lies in the frame of the labels: what a robot's set-up leaves open, and pins show."""
+    """How the object lies in the frame of the labels.
+
+    A robot's set-up leaves this open; the pins show it.
+    """
 
     surface_mm: float = 0.0  # of the depth axis, where its top is
     across_mm: float = 0.0  # from the edge to where labels have it, along the scene's x
-    tilt_x_deg: float = (
-        0.0  # of its top, about the scene's x and y axes through the origin of the labels
-    )
+    # of its top, about the scene's x and y axes through the origin of the labels
+    tilt_x_deg: float = 0.0
     tilt_y_deg: float = 0.0
 
 
 def apply_frame(contacts: LabelledMotions, frame: LabelFrame) -> LabelledMotions:
-    """The same contacts as the object has them: its top at depth 0 and level, its edge at x = 0."""
+    """Transform contacts to the object's own frame: top at depth 0 and level, edge at x = 0."""
     turn = Rotation.from_euler("xy", [frame.tilt_x_deg, frame.tilt_y_deg], degrees=True)
     tip = contacts.tip + np.array([0, 0, frame.surface_mm])
     tip = turn.apply(tip.reshape(-1, 3)).reshape(tip.shape) + np.array([frame.across_mm, 0, 0])
@@ -70,31 +74,27 @@ def apply_frame(contacts: LabelledMotions, frame: LabelFrame) -> LabelledMotions
 
 
 def find_depth_axis(poses: np.ndarray) -> int:
-    """Of labels (N, 6): z, or, where z does not vary, the first other one that does."""
-    vary = np.ptp(poses, axis=0) > 1e-6
-    return next((axis for axis in (2, 1, 0) if vary[axis]), 2)
+    """Find the depth axis of labels (N, 6): the first of z, y and x that varies, or else z."""
+    varies = np.ptp(poses, axis=0) > 1e-6
+    return next((axis for axis in (2, 1, 0) if varies[axis]), 2)
 
 
 def read_motions(poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
-    """From labels (N, 6) mm and degrees."""
+    """Convert labels (N, 6), mm and degrees, to motions in a scene frame."""
     moves = np.zeros_like(poses) if moves is None else np.nan_to_num(moves)
-    vary = np.ptp(poses, axis=0) > 1e-6
+    varies = np.ptp(poses, axis=0) > 1e-6
     depth = find_depth_axis(poses)
-    rest = [axis for axis in (1, 0, 2) if axis != depth]
-    lateral = next((axis for axis in rest if vary[axis]), rest[0])
+    in_plane = [axis for axis in (1, 0, 2) if axis != depth]
+    lateral = next((axis for axis in in_plane if varies[axis]), in_plane[0])
     basis = np.zeros((3, 3))
     basis[2, depth] = -1
     basis[0, lateral] = 1
     basis[1] = np.cross(basis[2], basis[0])
     points = np.stack([poses - moves, poses], axis=1)
-    turn = Rotation.from_matrix(
-        basis
-        @ Rotation.from_euler(
-            "xyz", points[..., 3:].swapaxes(0, 1).reshape(-1, 3), degrees=True
-        ).as_matrix()
-        @ basis.T
-    )
-    return LabelledMotions(points[..., :3] @ basis.T, turn, bool(vary[lateral]))
+    angles = points[..., 3:].swapaxes(0, 1).reshape(-1, 3)
+    labelled = Rotation.from_euler("xyz", angles, degrees=True)
+    turn = Rotation.from_matrix(basis @ labelled.as_matrix() @ basis.T)
+    return LabelledMotions(points[..., :3] @ basis.T, turn, bool(varies[lateral]))
 
 
 def make_paths(
@@ -104,8 +104,14 @@ def make_paths(
     side: int,
     friction: float | np.ndarray,
 ) -> Paths:
-    """Paths over HALF_PLANE. The top lies at `surface_mm` of the depth axis; `side` is +1 or -1 for an edge whose object lies
-    towards negative or positive labels, 0 for no edge; `friction` of all, or (N,)."""
+    """Make paths over a half plane.
+
+    Args:
+        surface_mm: Where the top lies on the depth axis.
+        side: +1 or -1 for an edge whose object lies towards negative or positive labels; 0 for no
+            edge.
+        friction: Of all contacts, or (N,).
+    """
     count = len(motions)
     tip = motions.tip.copy()
     tip[..., 2] += surface_mm
@@ -116,18 +122,12 @@ def make_paths(
         tip, turn = tip * [-1, -1, 1], half * turn
     if side == 0:
         tip[..., 0] -= tip[:, 1:, 0] + FLAT_DISTANCE_MM
-    swing, yaw = _swing_twist(turn)
+    swing, yaw = _split_swing_twist(turn)
     axis = turn.apply([0, 0, sensor.dome_radius_mm])
     centre = tip.swapaxes(0, 1).reshape(-1, 3) + axis
     tilt = Rotation.from_euler("z", -yaw[:, None]).apply(swing)  # in the yawed frame
-    point = np.column_stack(
-        [
-            centre[:, :2],
-            np.degrees(yaw),
-            sensor.dome_radius_mm - centre[:, 2],
-            np.degrees(tilt[:, :2]),
-        ]
-    )
+    depth = sensor.dome_radius_mm - centre[:, 2]
+    point = np.column_stack([centre[:, :2], np.degrees(yaw), depth, np.degrees(tilt[:, :2])])
     start, end = point[:count], point[count:]
     hover = start.copy()
     hover[:, 3] = np.minimum(start[:, 3], 0)
@@ -137,8 +137,11 @@ def make_paths(
     return Paths(np.zeros(count, int), np.full(count, friction), points)
 
 
-def _swing_twist(turn: Rotation) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors (N, 3) of the least tilt of the z axis, and angles (N,) rad about z done before it."""
+def _split_swing_twist(turn: Rotation) -> tuple[np.ndarray, np.ndarray]:
+    """Split rotations into the least tilt of the z axis and a rotation about z before it.
+
+    Returns rotation vectors (N, 3) and angles (N,) in rad.
+    """
     axis = turn.as_matrix()[..., 2]
     normal = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
     sine = np.linalg.norm(normal, axis=-1)

@@ -1,7 +1,7 @@
-"""A sample of the images of a recording, folder by folder, at the size they have."""
+"""Samples of the images of a recording, folder by folder, at the size of the images."""
 
 import contextlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,14 +16,14 @@ from jaxunshear.errors import UserError
 from jaxunshear.perception.preprocess import is_binary, to_grey
 from jaxunshear.progress import Progress
 
-SIZES_PX = (128, 440)  # least and most; raw frames are made 256
-ALIGNED_BY = 100  # images of a folder, at most
-SHARE = 3  # of a folder's images at most one in so many aligns it
+SIZES_PX = (128, 440)  # least and most for binary images; raw frames become 256
+ALIGNED_BY = 100  # most images that align a folder
+SHARE = 3  # at most one of so many images of a folder aligns it
 
 
 @dataclass(frozen=True)
 class RecordedImages:
-    """One folder's images, sampled."""
+    """Sampled images of one folder."""
 
     name: str
     images: np.ndarray  # (N, S, S) uint8
@@ -33,33 +33,36 @@ class RecordedImages:
 
     @property
     def labelled_rows(self) -> np.ndarray:
-        """(N,) bool: pose known, and the slide where the folder has any: one that cannot be read is no tap."""
+        """(N,) bool: the pose is known, and the slide if the folder has any.
+
+        An image whose slide cannot be read is not a tap.
+        """
         if self.poses is None:
             return np.zeros(len(self.images), bool)
-        known = np.isfinite(self.poses).all(axis=-1)
+        labelled = np.isfinite(self.poses).all(axis=-1)
         if self.moves is not None and np.isfinite(self.moves).any():
-            known &= np.isfinite(self.moves).all(axis=-1)
-        return known
+            labelled &= np.isfinite(self.moves).all(axis=-1)
+        return labelled
 
     def observe(self, sensor: Sensor) -> PinObservation:
-        """Its pins, with a line of progress."""
+        """Observe the pins, and show the progress."""
         with Progress(f"pins of {self.name}", len(self.images)) as progress:
             return observe_pins(self.images, sensor, progress)
 
 
 def sample_folders(path: Path, images: int, seed: int) -> tuple[list[RecordedImages], list[str]]:
-    """A sample of every folder's images at a size that costs them nothing, and notes on what cannot be read."""
+    """Sample `images` images evenly over all folders; return notes on what cannot be read."""
     recordings, notes = open_recordings(path)
     folders = group_rows_by_folder(recordings)
     generator = np.random.default_rng(seed)
     count = max(1, images // len(folders))
-    chosen = [_choose(recordings.moves, rows, count, generator) for rows in folders]
-    parts, more = load_images(recordings, chosen)
-    return parts, notes + more
+    rows = [_choose_rows(recordings.moves, folder, count, generator) for folder in folders]
+    parts, read_notes = load_images(recordings, rows)
+    return parts, notes + read_notes
 
 
-class Parts(NamedTuple):
-    """One folder's images: those that show how labels and images go together, and those compared."""
+class FolderSplit(NamedTuple):
+    """One folder's images: those that align labels with images, and those that are compared."""
 
     align: RecordedImages
     scored: RecordedImages
@@ -67,77 +70,86 @@ class Parts(NamedTuple):
 
 def split_folders(
     path: Path, each: int | None, seed: int, used: Collection[str]
-) -> tuple[list[Parts], list[str]]:
+) -> tuple[list[FolderSplit], list[str]]:
     """Split every folder of recordings at `path` in two parts, and give notes.
 
-    `each`: images of a folder that are compared, at most; None: all. What `used` names (images as
-    `Recorded.names` has them, or the end of such a name) is not compared; it aligns before others
-    do. Raises `UserError` where nothing is left to compare.
+    Raises `UserError` if nothing is left to compare.
+
+    Args:
+        each: Most images of a folder that are compared; None for all.
+        used: Images that are not compared, and align before others do: names as in
+            `RecordedImages.names`, or the end of such a name.
     """
     recordings, notes = open_recordings(path)
-    generator, spent = np.random.default_rng(seed), are_among(recordings.names, used)
-    align, scored = [], []
+    generator, is_used = np.random.default_rng(seed), are_among(recordings.names, used)
+    align_rows, scored_rows = [], []
     for rows in group_rows_by_folder(recordings):
         rows = generator.permutation(rows)
-        seen = spent[rows]
-        fresh, count = rows[~seen], min(ALIGNED_BY, -(-len(rows) // SHARE))
-        if seen.any():
+        used_rows, fresh_rows = rows[is_used[rows]], rows[~is_used[rows]]
+        if len(used_rows):
             folder = recordings.names[rows[0]].rpartition("/")[0] or path.name
-            fitted = f"{int(seen.sum())} of {len(rows)} images, which the calibration was fitted to"
-            notes.append(f"{folder}: {fitted}, are not compared")
-        missing = max(0, count - int(seen.sum()))
-        align.append(np.sort(np.concatenate([rows[seen][:count], fresh[:missing]])))
-        scored.append(np.sort(fresh[missing:][:each]))
-    if not any(len(rows) for rows in scored):
+            notes.append(
+                f"{folder}: {len(used_rows)} of {len(rows)} images, "
+                "which the calibration was fitted to, are not compared"
+            )
+        count = min(ALIGNED_BY, -(-len(rows) // SHARE))
+        missing = max(0, count - len(used_rows))
+        align = np.sort(np.concatenate([used_rows[:count], fresh_rows[:missing]]))
+        scored = np.sort(fresh_rows[missing:][:each])
+        if len(scored):
+            align_rows.append(align)
+            scored_rows.append(scored)
+    if not scored_rows:
         raise UserError(
             f"{path}: the calibration was fitted to all its images: compare with others"
         )
-    kept = [(a, s) for a, s in zip(align, scored, strict=True) if len(s)]
-    first, more = load_images(recordings, [pair[0] for pair in kept])
-    second, still = load_images(recordings, [pair[1] for pair in kept])
-    by_name = {part.name: part for part in first}
-    return [
-        Parts(by_name[part.name], part) for part in second if part.name in by_name
-    ], notes + more + still
+    align_parts, align_notes = load_images(recordings, align_rows)
+    scored_parts, scored_notes = load_images(recordings, scored_rows)
+    align_by_name = {part.name: part for part in align_parts}
+    splits = [
+        FolderSplit(align_by_name[part.name], part)
+        for part in scored_parts
+        if part.name in align_by_name
+    ]
+    return splits, notes + align_notes + scored_notes
 
 
-def are_among(names: Collection[str], used: Collection[str]) -> np.ndarray:
-    """Mark the names that are `used`, (N,) bool, wherever their folders were given from.
+def are_among(names: Sequence[str], used: Collection[str]) -> np.ndarray:
+    """Mark the names that are `used`, (N,) bool, from whichever folder they were named.
 
-    Of two names of one image, given from higher up and from lower down, one ends with the other.
+    Of two names of one image, from a higher and from a lower folder, one ends with the other.
     """
     ends = tuple(f"/{name}" for name in used)
-    return np.array(
-        [
-            f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends)
-            for name in names
-        ],
-        bool,
-    )
+
+    def is_among(name: str) -> bool:
+        return f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends)
+
+    return np.array([is_among(name) for name in names], bool)
 
 
 def open_recordings(path: Path) -> tuple[Recordings, list[str]]:
-    """The recordings at a size that costs their images nothing, and notes on what cannot be read."""
+    """Open recordings at the size of their images; return notes on what cannot be read."""
     probe = read_recordings(path, Preprocess())
-    first = to_grey(_first(probe))
+    first = to_grey(_read_first(probe))
     size = int(np.clip(min(first.shape), *SIZES_PX)) if is_binary(first) else 256
     return replace(probe, preprocess=Preprocess(size=size)), list(probe.notes)
 
 
 def group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
-    """The rows of each folder of images."""
-    folders = sorted({file.parent for file in recordings.files})
-    return [
-        np.array([i for i, file in enumerate(recordings.files) if file.parent == folder])
-        for folder in folders
-    ]
+    """Group the rows of the images by their folder, in the order of the folders' names."""
+    rows: dict[Path, list[int]] = {}
+    for row, file in enumerate(recordings.files):
+        rows.setdefault(file.parent, []).append(row)
+    return [np.array(rows[folder]) for folder in sorted(rows)]
 
 
 def load_images(
     recordings: Recordings, chosen: list[np.ndarray]
 ) -> tuple[list[RecordedImages], list[str]]:
-    """The images of the rows chosen of each folder, and notes; a folder of which none can be read is left out. Raises `UserError`
-    where none of any can be."""
+    """Load the images of the chosen rows of each folder, and give notes.
+
+    A folder of which no image can be read is left out. Raises `UserError` if that is so for all.
+    """
     parts, notes = [], []
     problem: UserError | None = None
     path = recordings.path
@@ -145,22 +157,24 @@ def load_images(
         if not len(rows):
             continue
         sample = _take(recordings, rows)
-        frames: list[tuple[int, str, np.ndarray]] = []
+        readable, names, images = [], [], []
         try:
-            frames += sample.iterate_frames()
-        except UserError as error:  # not one of them can be read
+            for row, name, image in sample.iterate_frames():
+                readable.append(row)
+                names.append(name)
+                images.append(image)
+        except UserError as error:  # no image of the folder can be read
             problem = error
         notes += sample.notes
-        if not frames:
+        if not images:
             continue
-        kept = np.array([row for row, _, _ in frames])
         parts.append(
             RecordedImages(
-                _name(path, sample.files[0].parent) if path.is_dir() else path.name,
-                np.array([image for _, _, image in frames]),
-                None if sample.poses is None else sample.poses[kept],
-                None if sample.moves is None else sample.moves[kept],
-                tuple(name for _, name, _ in frames),
+                _name_recording(path, sample.files[0].parent) if path.is_dir() else path.name,
+                np.array(images),
+                None if sample.poses is None else sample.poses[readable],
+                None if sample.moves is None else sample.moves[readable],
+                tuple(names),
             )
         )
     if problem is not None and not parts:
@@ -168,32 +182,34 @@ def load_images(
     return parts, notes
 
 
-def _name(path: Path, folder: Path) -> str:
-    """Of the recording whose images lie in `folder`; no two in `path` have the same."""
+def _name_recording(path: Path, folder: Path) -> str:
+    """Name the recording whose images lie in `folder`; no two in `path` have the same name."""
     recording = folder.parent if folder != path and folder.name in IMAGE_FOLDERS else folder
     return recording.relative_to(path.parent).as_posix()
 
 
-def _first(recordings: Recordings) -> np.ndarray:
-    """The first image that can be read."""
+def _read_first(recordings: Recordings) -> np.ndarray:
     for file in recordings.files[:-1]:
-        with contextlib.suppress(UserError):  # `frames` will report it
+        with contextlib.suppress(UserError):  # `iterate_frames` will report it
             return read_image(file)
     return read_image(recordings.files[-1])
 
 
-def _choose(
+def _choose_rows(
     moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """At most `count` rows, with short slides as likely as long ones: they are rare, and say most about sticking."""
+    """Choose at most `count` rows, with short slides as likely as long ones.
+
+    Short slides are rare, and say most about sticking.
+    """
     rows = generator.permutation(rows)
     if moves is None or len(rows) <= count:
         return np.sort(rows[:count])
-    length = np.nan_to_num(np.linalg.norm(moves[rows, :3], axis=-1))
+    length = np.floor(np.nan_to_num(np.linalg.norm(moves[rows, :3], axis=-1)))
     rank = np.zeros(len(rows))
-    for bin in np.unique(np.floor(length)):
-        here = np.floor(length) == bin
-        rank[here] = np.arange(here.sum())
+    for full_mm in np.unique(length):
+        in_bin = length == full_mm
+        rank[in_bin] = np.arange(in_bin.sum())
     return np.sort(rows[np.argsort(rank, kind="stable")[:count]])
 
 

@@ -1,9 +1,10 @@
-"""What a slide would have added to recorded taps: the simulator follows it, from the taps' labels alone.
+"""Add simulated slides to recorded taps, from the labels of the taps alone.
 
-view = fit_label_view(taps, lattice, size, known)                 # how labels, object and camera go together
-motion, converged = simulate_shear(view, taps, moves, friction)     # (N, P, 2) px of every recorded pin, a slide less a tap
+view = fit_label_view(taps, lattice, size, calibration)
+motion, converged = simulate_shear(view, taps.pose, moves, friction)  # (N, P, 2) px, slide less tap
 
-Only the difference of two simulated contacts is used, so that what the simulator gets wrong of a tap does not enter.
+Only the difference of two simulated contacts is used, so errors of the simulator that a tap and a
+slide share do not enter.
 """
 
 from typing import NamedTuple
@@ -19,8 +20,8 @@ from jaxunshear.calibration.validation import fit_positions, project_positions
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
 
-ALIGNED_BY = 100  # taps that the frame is found from
-MIN_TAPS = 20  # of them
+ALIGNED_BY = 100  # most taps from which the frame is found
+MIN_TAPS = 20
 
 
 class RecordedTaps(NamedTuple):
@@ -38,79 +39,84 @@ class LabelView(NamedTuple):
     turn: np.ndarray  # (2, 2): recorded px @ turn are px of a camera that is not mirrored
     flat: np.ndarray  # (P, 2) mm of arc from the apex, where the recorded pins stand
     size: int  # px of the images
-    known: Calibration
+    calibration: Calibration
 
 
 def fit_label_view(
-    taps: RecordedTaps, lattice: Lattice, size: int, known: Calibration
+    taps: RecordedTaps, lattice: Lattice, size: int, calibration: Calibration
 ) -> LabelView:
-    """From up to ALIGNED_BY of the taps. Raises UserError where they are too few, or their labels do not go with their pins."""
+    """Find how labels, object and camera go together, from up to ALIGNED_BY of the taps.
+
+    Raises UserError if there are too few taps, or if their labels do not fit their pins.
+    """
     rows = np.flatnonzero(np.isfinite(taps.pins).all((1, 2)) & np.isfinite(taps.pose).all(1))
     rows = np.random.default_rng(0).permutation(rows)[:ALIGNED_BY]
     if len(rows) < MIN_TAPS:
         raise UserError(
-            f"{len(rows)} taps have a label and all pins: at least {MIN_TAPS} are needed to place a simulated slide"
+            f"{len(rows)} taps have a label and all pins: "
+            f"at least {MIN_TAPS} are needed to place a simulated slide"
         )
+    values, sensor = calibration.values, calibration.sensor
     pins, pose = taps.pins[rows].astype(np.float64), taps.pose[rows].astype(np.float64)
-    seen = _make_observation(pins, lattice, size)
-    reading = read_labels(seen, pose, None, known.values, known.sensor)
+    observation = _make_observation(pins, lattice, size)
+    reading = read_labels(observation, pose, None, values, sensor)
     if reading is None:
         raise UserError(
             "the taps' labels do not go with their images: no slide to them can be simulated"
         )
-    matter = AlignmentProblem(
-        seen.rotate(reading.mirrored, reading.angle),
-        reading.contacts,
-        reading.side,
-        known.values,
-        known.sensor,
-    )
-    frame = find_frame(matter, LabelFrame(reading.surface_mm))
-    angle = reading.angle - matter.measure_rotation(frame)
+    rotated = observation.rotate(reading.mirrored, reading.angle)
+    problem = AlignmentProblem(rotated, reading.contacts, reading.side, values, sensor)
+    frame = find_frame(problem, LabelFrame(reading.surface_mm))
+    angle = reading.angle - problem.measure_rotation(frame)
     turn = compute_camera_rotation(angle, reading.mirrored)
-    view = LabelView(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, known)
-    moved, fine = _simulate_motion(view, pose, None, known.friction)
-    flat, _ = fit_positions(
-        known.values, known.sensor, size, (pins[fine] - lattice.centre) @ turn, moved[fine]
-    )
+    view = LabelView(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, calibration)
+    displacement, converged = _simulate_contacts(view, pose, None, calibration.friction)
+    positions = (pins[converged] - lattice.centre) @ turn
+    flat, _ = fit_positions(values, sensor, size, positions, displacement[converged])
     return view._replace(flat=flat)
 
 
 def simulate_shear(
     view: LabelView, pose: np.ndarray, moves: np.ndarray, friction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By how many px (N, P, 2) a slide `moves` (N, 6) mm and deg that ends at `pose` (N, 6) moves each pin further than a tap there
-    does, and which contacts were reached and converged (N,). `friction` (N,)."""
-    tapped, fine = _simulate_motion(view, pose, None, friction)
-    slid, converged = _simulate_motion(view, pose, moves, friction)
-    values, sensor = view.known.values, view.known.sensor
-    apart = project_positions(values, sensor, view.size, view.flat, slid) - project_positions(
-        values, sensor, view.size, view.flat, tapped
+    """Simulate by how many px (N, P, 2) a slide moves each pin further than a tap does.
+
+    Args:
+        view: How labels, object and camera go together.
+        pose: (N, 6) mm and deg, at which the taps and the slides end.
+        moves: (N, 6) mm and deg, the slides.
+        friction: (N,).
+
+    Returns:
+        The motion, and which contacts (N,) were within reach and converged.
+    """
+    tap, tap_converged = _simulate_contacts(view, pose, None, friction)
+    slide, slide_converged = _simulate_contacts(view, pose, moves, friction)
+    shear = _project_pins(view, slide) - _project_pins(view, tap)
+    return (shear @ view.turn.T).astype(np.float32), tap_converged & slide_converged
+
+
+def _project_pins(view: LabelView, displacement: np.ndarray) -> np.ndarray:
+    calibration = view.calibration
+    return project_positions(
+        calibration.values, calibration.sensor, view.size, view.flat, displacement
     )
-    return (apart @ view.turn.T).astype(np.float32), fine & converged
 
 
-def _simulate_motion(
+def _simulate_contacts(
     view: LabelView, pose: np.ndarray, moves: np.ndarray | None, friction: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `prediction.simulate_displacements`."""
+    """Simulate labelled contacts; returns what `simulate_displacements` returns."""
     contacts = apply_frame(read_motions(np.asarray(pose, np.float64), moves), view.frame)
-    ratio = view.known.values.skin_to_gel
-    return simulate_displacements(view.known.sensor, contacts, view.side, friction, 0.0, ratio)
+    sensor, ratio = view.calibration.sensor, view.calibration.values.skin_to_gel
+    return simulate_displacements(sensor, contacts, view.side, friction, 0.0, ratio)
 
 
 def _make_observation(pins: np.ndarray, lattice: Lattice, size: int) -> PinObservation:
-    """Pins (N, P, 2) px of whose images nothing else is known."""
-    unknown, count = np.full(pins.shape[:2], np.nan), len(pins)
-    zeros = np.zeros(count)
+    """Make an observation of pins (N, P, 2) px alone."""
+    unknown = np.full(pins.shape[:2], np.nan)
+    zeros = np.zeros(len(pins))
+    identified = np.ones(len(pins), bool)
     return PinObservation(
-        size,
-        lattice,
-        pins - lattice.centre,
-        unknown,
-        zeros,
-        np.ones(count, bool),
-        zeros,
-        zeros,
-        zeros,
+        size, lattice, pins - lattice.centre, unknown, zeros, identified, zeros, zeros, zeros
     )

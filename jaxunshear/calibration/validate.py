@@ -1,16 +1,15 @@
-"""How far the simulated pins follow the recorded ones; see `validation` for what is compared.
+"""Measure how far simulated pins follow recorded ones; see `validation` for the scores.
 
 results = validate(Path("recordings/edge"))
 results["rows"]  # [{"name": "r2.tap", "unit": "1", "value": 0.71, "contacts": 398}, ...]
 
-Some contacts of each folder show how its labels and images go together; others are compared.
+Some contacts of each folder align its labels with its images; others are compared.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.kernel_ridge import KernelRidge
@@ -18,12 +17,13 @@ from sklearn.model_selection import PredefinedSplit, cross_val_predict
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.calibration.alignment import STEPS, AlignmentProblem, find_frame, read_labels
-from jaxunshear.calibration.calibrate import IMAGES, MIN_LABELLED
+from jaxunshear.calibration.calibrate import IMAGES, SEED
 from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, Calibration
 from jaxunshear.calibration.labels import LabelFrame, LabelledMotions, apply_frame, read_motions
 from jaxunshear.calibration.pin_statistics import PinObservation, subtract_mean
 from jaxunshear.calibration.prediction import simulate_displacements
-from jaxunshear.calibration.sampling import Parts, sample_folders, split_folders
+from jaxunshear.calibration.recorded_groups import MIN_LABELLED
+from jaxunshear.calibration.sampling import FolderSplit, sample_folders, split_folders
 from jaxunshear.calibration.validation import (
     ComparedFolder,
     Row,
@@ -36,104 +36,106 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_text
 from jaxunshear.progress import Progress
 
-CONTACTS_PER_FOLDER = 400  # contacts of a folder
+CONTACTS_PER_FOLDER = 400
 CHUNK = 50  # contacts between two steps of the progress
-# what the shipped preset was fitted to, of IMAGES and seed 0
+# the recordings that the shipped preset was fitted to, with IMAGES and SEED of `calibrate`
 PRESET_RECORDINGS = ("edge_2d/shear/csv_train", "edge_2d/tap/csv_train")
-CEILING_NOTE = "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
+CEILING_NOTE = (
+    "ceiling: a regression from the labels of these contacts, which more of them raise: "
+    "from few it may lie below"
+)
 FOLDS = 5
 WIDTHS = (1.0, 1.5, 2.2, 3.3, 5.0)  # of the kernel, in standard deviations of the features
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+COLUMNS = ("contacts of", "contacts", "r2", "ceiling_r2", "residual_px", "residual_mm", "motion_px")
 
 LeftOut = list[dict[str, str]]  # image, why
 
 
 def validate(
     path: Path,
-    calibrated: Calibration = DEFAULT_CALIBRATION,
+    calibration: Calibration = DEFAULT_CALIBRATION,
     contacts_per_folder: int | None = CONTACTS_PER_FOLDER,
     seed: int = 0,
     out: Path | None = None,
     log: Callable[[str], None] = print,
     as_labelled: bool = False,
 ) -> Json:
-    """Compare simulated with recorded pins in contacts that the calibration has not seen.
+    """Compare simulated with recorded pins.
 
-    `contacts_per_folder` contacts of every folder at `path` are drawn at random (None: all). `as_labelled`: with
-    edge and tilt of the object where the labels have them.
+    Contacts that the calibration was fitted to are not compared. Raises `UserError` if nothing can
+    be compared.
 
-    Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`,
-    writes validate.txt and validate.png there, which show no recorded image. Raises `UserError`
-    where nothing can be compared.
+    Args:
+        calibration: The simulator's sensor, camera and friction.
+        contacts_per_folder: Most contacts of every folder, drawn at random; None for all.
+        out: The folder for validate.txt and validate.png, which show no recorded image.
+        as_labelled: Leave edge and tilt of the object where the labels have them.
+
+    Returns:
+        `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why).
     """
     path = Path(path)
-    notes = [f"{calibrated.name}; contacts drawn with seed {seed}"]
-    parts, more = split_folders(
-        path, contacts_per_folder, seed, _list_calibration_images(path, calibrated, notes)
-    )
-    notes += more
-    compared: list[ComparedFolder] = []
+    notes = [f"{calibration.name}; contacts drawn with seed {seed}"]
+    used = _list_calibration_images(path, calibration, notes)
+    splits, split_notes = split_folders(path, contacts_per_folder, seed, used)
+    notes += split_notes
+    folders: list[ComparedFolder] = []
     left_out: LeftOut = []
-    for part in parts:
-        found = _compare_folder(part, calibrated, as_labelled, notes, left_out)
-        compared += [] if found is None else [found]
-    if not compared:
+    for split in splits:
+        folder = _compare_folder(split, calibration, as_labelled, notes, left_out)
+        if folder is not None:
+            folders.append(folder)
+    if not folders:
         raise UserError(
             f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}"
         )
-    for why in sorted({one["why"] for one in left_out}):
-        names = [one["image"] for one in left_out if one["why"] == why]
-        some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
-        notes.append(f"{len(names)} left out, {why}: {some}")
-    notes.append(CEILING_NOTE)
-    rows = build_rows(compared)
+    notes += [*_note_left_out(left_out), CEILING_NOTE]
+    rows = build_rows(folders)
     text = format_table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
     if out is not None:
         from jaxunshear.calibration.validate_figure import validate_figure
 
         write_text(Path(out) / "validate.txt", text + "\n")
-        write_bytes(Path(out) / "validate.png", validate_figure(compared))
+        write_bytes(Path(out) / "validate.png", validate_figure(folders))
     return {"rows": rows, "notes": notes, "left_out": left_out}
 
 
+def _note_left_out(left_out: LeftOut) -> list[str]:
+    notes = []
+    for why in sorted({image["why"] for image in left_out}):
+        names = [image["image"] for image in left_out if image["why"] == why]
+        some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
+        notes.append(f"{len(names)} left out, {why}: {some}")
+    return notes
+
+
 def format_table(rows: list[Row]) -> str:
-    """Print a line for taps, slides and each ring of them."""
+    """Format a line for taps, slides and each ring of them."""
     from jaxunshear.text_table import format_text_table
 
     lines: dict[str, Json] = {}
     for row in rows:
         measure, _, part = str(row["name"]).partition(".")
-        lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})[measure] = row[
-            "value"
-        ]
-    columns = (
-        "contacts of",
-        "contacts",
-        "r2",
-        "ceiling_r2",
-        "residual_px",
-        "residual_mm",
-        "motion_px",
-    )
-    return format_text_table(list(lines.values()), columns)
+        line = lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})
+        line[measure] = row["value"]
+    return format_text_table(list(lines.values()), COLUMNS)
 
 
 def _list_calibration_images(
-    path: Path, calibrated: Calibration, notes: list[str]
+    path: Path, calibration: Calibration, notes: list[str]
 ) -> tuple[str, ...]:
-    """Names of the images that a calibration was fitted to."""
-    if calibrated.image_names is not None:
-        if not calibrated.image_names:
+    """List the images that a calibration was fitted to."""
+    if calibration.image_names is not None:
+        if not calibration.image_names:
             notes.append("the calibration does not name its images: some of them may be compared")
-        return calibrated.image_names
-    parts, _ = sample_folders(path, IMAGES, 0)
-    fitted = [
-        part
-        for part in parts
-        if any(f"/{known}".endswith(f"/{part.name}") for known in PRESET_RECORDINGS)
-    ]
-    return tuple(name for part in fitted for name in part.names)
+        return calibration.image_names
+    names: list[str] = []
+    for part in sample_folders(path, IMAGES, SEED)[0]:
+        if any(f"/{recording}".endswith(f"/{part.name}") for recording in PRESET_RECORDINGS):
+            names += part.names
+    return tuple(names)
 
 
 @dataclass(frozen=True)
@@ -145,160 +147,174 @@ class RecordedFolder:
     start: LabelFrame  # where the search for the frame begins
     mirrored: bool
     angle: float  # rad, of the camera, before the frame is found
-    observation: PinObservation  # compared contacts, as the camera has them
-    contacts: LabelledMotions  # of the same
-    images: tuple[str, ...]  # their names
-
-
-class FolderAlignment(NamedTuple):
-    """What a folder's labels do not give, read off images that are not compared."""
-
-    frame: LabelFrame
-    angle: float  # rad, of the camera
-
-    def note(self, matter: AlignmentProblem) -> str:
-        frame = self.frame
-        edge = f", edge {frame.across_mm:+.2f} mm from the labels' zero" if matter.side else ""
-        return (
-            f"aligned by {len(matter.contacts)} other contacts: surface at {frame.surface_mm:.2f} mm of the "
-            f"depth axis, tilted by {frame.tilt_x_deg:+.2f} and {frame.tilt_y_deg:+.2f} deg{edge}; "
-            f"camera turned by {np.degrees(self.angle):.1f} deg"
-        )
+    observation: PinObservation  # of the compared contacts, as the camera has them
+    contacts: LabelledMotions
+    images: tuple[str, ...]  # names
 
 
 def _compare_folder(
-    parts: Parts, known: Calibration, as_labelled: bool, notes: list[str], left_out: LeftOut
+    split: FolderSplit,
+    calibration: Calibration,
+    as_labelled: bool,
+    notes: list[str],
+    left_out: LeftOut,
 ) -> ComparedFolder | None:
-    """A folder aligned and compared, with notes and the images left out; None where it cannot be."""
-    folder = _read_folder(parts, known, left_out)
+    """Align and compare a folder; None if that is impossible.
+
+    Adds to the notes and to the images left out.
+    """
+    folder = _read_folder(split, calibration, left_out)
     if isinstance(folder, str):
-        notes.append(f"{parts.scored.name}: {folder}")
+        notes.append(f"{split.scored.name}: {folder}")
         return None
-    matter = folder.problem
-    frame = find_frame(matter, folder.start, ("surface_mm",) if as_labelled else tuple(STEPS))
-    aligned = FolderAlignment(frame, folder.angle - matter.measure_rotation(frame))
-    notes.append(f"{folder.name}: {aligned.note(matter)}")
+    problem = folder.problem
+    frame = find_frame(problem, folder.start, ("surface_mm",) if as_labelled else tuple(STEPS))
+    angle = folder.angle - problem.measure_rotation(frame)
+    notes.append(f"{folder.name}: {_describe_alignment(problem, frame, angle)}")
     contacts = apply_frame(folder.contacts, frame)
-    moved, converged = _solve_contacts(folder.name, contacts, matter.side, known)
-    left_out += _lost(folder.images, ~converged, "out of the simulator's reach, or not converged")
-    kept = np.flatnonzero(converged)
-    if len(kept) < MIN_LABELLED:
+    displacement, converged = _simulate_contacts(folder.name, contacts, problem.side, calibration)
+    left_out += _list_left_out(
+        folder.images, ~converged, "out of the simulator's reach, or not converged"
+    )
+    rows = np.flatnonzero(converged)
+    if len(rows) < MIN_LABELLED:
         notes.append(f"{folder.name}: too few contacts converged")
         return None
-    seen = folder.observation.rotate(folder.mirrored, aligned.angle).take(kept)
-    return _compared(folder.name, seen, contacts.take(kept), moved[kept], known)
+    observation = folder.observation.rotate(folder.mirrored, angle).take(rows)
+    return _compare_contacts(
+        folder.name, observation, contacts.take(rows), displacement[rows], calibration
+    )
 
 
-def _read_folder(parts: Parts, known: Calibration, left_out: LeftOut) -> RecordedFolder | str:
-    """A folder's labelled contacts, or why it has none that can be compared."""
-    align, scored = parts.align, parts.scored
-    seen = align.observe(known.sensor)
-    rows = np.flatnonzero(align.labelled_rows & seen.identified)
+def _describe_alignment(problem: AlignmentProblem, frame: LabelFrame, angle: float) -> str:
+    edge = f", edge {frame.across_mm:+.2f} mm from the labels' zero" if problem.side else ""
+    return (
+        f"aligned by {len(problem.contacts)} other contacts: "
+        f"surface at {frame.surface_mm:.2f} mm of the depth axis, "
+        f"tilted by {frame.tilt_x_deg:+.2f} and {frame.tilt_y_deg:+.2f} deg{edge}; "
+        f"camera turned by {np.degrees(angle):.1f} deg"
+    )
+
+
+def _read_folder(
+    split: FolderSplit, calibration: Calibration, left_out: LeftOut
+) -> RecordedFolder | str:
+    """Read a folder's labelled contacts, or say why it has none that can be compared."""
+    align, scored = split.align, split.scored
+    values, sensor = calibration.values, calibration.sensor
+    observation = align.observe(sensor)
+    rows = np.flatnonzero(align.labelled_rows & observation.identified)
     if len(rows) < MIN_LABELLED:
         return (
             f"{len(rows)} images to align by are labelled and followed, fewer than {MIN_LABELLED}"
         )
     assert align.poses is not None  # else none would be labelled
     moves = None if align.moves is None else align.moves[rows]
-    reading = read_labels(seen.take(rows), align.poses[rows], moves, known.values, known.sensor)
+    reading = read_labels(observation.take(rows), align.poses[rows], moves, values, sensor)
     if reading is None:
         return "its labels do not go with its images"
-    turned = seen.take(rows).rotate(reading.mirrored, reading.angle)
-    compared, labelled = scored.observe(known.sensor), scored.labelled_rows
-    left_out += _lost(scored.names, ~labelled, "its label cannot be read")
-    left_out += _lost(scored.names, labelled & ~compared.identified, "its pins cannot be followed")
-    kept = np.flatnonzero(labelled & compared.identified)
-    if len(kept) < MIN_LABELLED:
-        return f"{len(kept)} contacts are labelled and followed, fewer than {MIN_LABELLED}"
+    rotated = observation.take(rows).rotate(reading.mirrored, reading.angle)
+    compared, labelled = scored.observe(sensor), scored.labelled_rows
+    left_out += _list_left_out(scored.names, ~labelled, "its label cannot be read")
+    left_out += _list_left_out(
+        scored.names, labelled & ~compared.identified, "its pins cannot be followed"
+    )
+    rows = np.flatnonzero(labelled & compared.identified)
+    if len(rows) < MIN_LABELLED:
+        return f"{len(rows)} contacts are labelled and followed, fewer than {MIN_LABELLED}"
     assert scored.poses is not None  # else none would be labelled
+    moves = None if scored.moves is None else reading.sign * scored.moves[rows]
     return RecordedFolder(
         scored.name,
-        AlignmentProblem(turned, reading.contacts, reading.side, known.values, known.sensor),
+        AlignmentProblem(rotated, reading.contacts, reading.side, values, sensor),
         LabelFrame(reading.surface_mm),
         reading.mirrored,
         reading.angle,
-        compared.take(kept),
-        read_motions(
-            scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]
-        ),
-        tuple(scored.names[i] for i in kept),
+        compared.take(rows),
+        read_motions(scored.poses[rows], moves),
+        tuple(scored.names[row] for row in rows),
     )
 
 
-def _compared(
+def _compare_contacts(
     name: str,
-    seen: PinObservation,
+    observation: PinObservation,
     contacts: LabelledMotions,
-    moved: np.ndarray,
-    known: Calibration,
+    displacement: np.ndarray,
+    calibration: Calibration,
 ) -> ComparedFolder:
-    flat, place = fit_positions(known.values, known.sensor, seen.size, seen.positions, moved)
-    scale = 128 / seen.size
-    recorded, simulated = centre_motions(seen.positions * scale, place * scale)
+    values, sensor, size = calibration.values, calibration.sensor, observation.size
+    flat, positions = fit_positions(values, sensor, size, observation.positions, displacement)
+    scale = 128 / size
+    recorded, simulated = centre_motions(observation.positions * scale, positions * scale)
     return ComparedFolder(
         name,
         recorded,
         simulated,
-        explained_by_labels(contacts, recorded),
-        seen.lattice.ring,
-        np.nanmean(seen.positions, axis=0) * scale,
-        compute_mm_per_px(known.values, known.sensor, 128, flat),
+        predict_from_labels(contacts, recorded),
+        observation.lattice.ring,
+        np.nanmean(observation.positions, axis=0) * scale,
+        compute_mm_per_px(values, sensor, 128, flat),
         np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,
     )
 
 
-def _solve_contacts(
-    name: str, contacts: LabelledMotions, side: int, known: Calibration
+def _simulate_contacts(
+    name: str, contacts: LabelledMotions, side: int, calibration: Calibration
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `simulate_displacements`, some contacts at a time."""
-    values, parts = known.values, []
+    """Do what `simulate_displacements` does, in chunks with progress."""
+    sensor, friction = calibration.sensor, calibration.friction
+    ratio = calibration.values.skin_to_gel
+    displacements, converged = [], []
     with Progress(f"contacts of {name}", len(contacts), unit="contacts") as progress:
         for begin in range(0, len(contacts), CHUNK):
-            some = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
-            parts.append(
-                simulate_displacements(
-                    known.sensor, some, side, values.friction, 0.0, values.skin_to_gel
-                )
-            )
-            progress.advance(len(some))
-    return np.concatenate([moved for moved, _ in parts]), np.concatenate(
-        [fine for _, fine in parts]
-    )
+            chunk = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
+            solved = simulate_displacements(sensor, chunk, side, friction, 0.0, ratio)
+            displacements.append(solved[0])
+            converged.append(solved[1])
+            progress.advance(len(chunk))
+    return np.concatenate(displacements), np.concatenate(converged)
 
 
-def _lost(names: tuple[str, ...], lost: np.ndarray, why: str) -> LeftOut:
-    return [{"image": names[i], "why": why} for i in np.flatnonzero(lost)]
+def _list_left_out(names: tuple[str, ...], left_out: np.ndarray, why: str) -> LeftOut:
+    return [{"image": names[i], "why": why} for i in np.flatnonzero(left_out)]
 
 
-def explained_by_labels(contacts: LabelledMotions, motion: np.ndarray) -> np.ndarray:
+def predict_from_labels(contacts: LabelledMotions, motion: np.ndarray) -> np.ndarray:
     """Predict motions (N, P, 2) px, each from the labels of contacts of other folds.
 
-    Kernel ridge regression, with the width and the ridge that do best over all folds. What is left
-    over is what no simulator of the labelled motion can explain: the robot's errors, the camera's
-    pixels, and for few contacts what the regression has not learnt yet.
+    Kernel ridge regression, with the width and the ridge that do best over all folds. Its residual
+    is what no simulator of the labelled motion can explain: the robot's errors, the camera's
+    pixels, and, for few contacts, what the regression could not learn from them.
     """
-    x, y = _features(contacts), np.nan_to_num(subtract_mean(motion)).reshape(len(motion), -1)
+    x, y = _compute_features(contacts), np.nan_to_num(subtract_mean(motion))
+    y = y.reshape(len(motion), -1)
     folds = PredefinedSplit(np.random.default_rng(0).permutation(len(x)) % FOLDS)
-    best, error = np.zeros_like(y), np.inf
+    best, best_error = np.zeros_like(y), np.inf
     for width, ridge in product(WIDTHS, RIDGES):
         model = KernelRidge(alpha=ridge, kernel="rbf", gamma=1 / (2 * width**2 * x.shape[1]))
         predicted = cross_val_predict(model, x, y, cv=folds)
-        off = np.sum((predicted - y) ** 2)
-        if off < error:
-            best, error = predicted, off
+        error = np.sum((predicted - y) ** 2)
+        if error < best_error:
+            best, best_error = predicted, error
     return best.reshape(motion.shape)
 
 
-def _features(contacts: LabelledMotions) -> np.ndarray:
-    """Place and depth, heading, tilt, slide and turn as the sensor feels them: (N, F) of unit spread."""
+def _compute_features(contacts: LabelledMotions) -> np.ndarray:
+    """Compute features (N, F) of unit spread in the sensor frame.
+
+    They are position and depth, heading, tilt, slide and rotation.
+    """
     count, yaw = len(contacts), contacts.yaw
     end, slide = contacts.tip[:, 1], contacts.tip[:, 1] - contacts.tip[:, 0]
-    own = np.column_stack([rotate_2d(slide[:, :2], -yaw), slide[:, 2]])
+    sensor_slide = np.column_stack([rotate_2d(slide[:, :2], -yaw), slide[:, 2]])
     turn = contacts.turn
     axis = turn[count:].inv().apply([0, 0, 1.0])  # the object's normal in the sensor's frame
     twist = (turn[:count].inv() * turn[count:]).as_rotvec()
-    place = end[:, [0, 2]] if contacts.across else end[:, [2]]
-    columns = np.column_stack([place, np.cos(yaw), np.sin(yaw), axis[:, :2], own, twist])
+    position = end[:, [0, 2]] if contacts.across else end[:, [2]]
+    columns = np.column_stack(
+        [position, np.cos(yaw), np.sin(yaw), axis[:, :2], sensor_slide, twist]
+    )
     spread = columns.std(axis=0)
-    varied = spread > 1e-6
-    return (columns[:, varied] - columns[:, varied].mean(axis=0)) / spread[varied]
+    varies = spread > 1e-6
+    return (columns[:, varies] - columns[:, varies].mean(axis=0)) / spread[varies]

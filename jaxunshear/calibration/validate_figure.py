@@ -1,4 +1,4 @@
-"""Where on the dome the simulator goes wrong: maps of recorded motion and of what is left, pin by pin, of taps and of slides."""
+"""Maps of recorded motion and of the simulator's error on the dome, pin by pin."""
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,31 +11,32 @@ from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE, encode_png
 
 PIN = 22  # points squared
-AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
+AXIS_PX = 4.0  # length of a line over the residual that it shows
 
 
-def validate_figure(parts: list[ComparedFolder]) -> bytes:
-    """A PNG of compared folders; it shows no recorded image."""
-    mine = split_by_kind(parts)
+def validate_figure(folders: list[ComparedFolder]) -> bytes:
+    """Draw a PNG of compared folders; it shows no recorded image."""
+    by_kind = split_by_kind(folders)
     with rc_context(STYLE):
-        figure = Figure(figsize=(13, 4.2 * len(mine)), layout="constrained", dpi=110)
-        panels = figure.subplots(len(mine), 3, squeeze=False, width_ratios=(1, 1, 0.9))
-        for row, (kind, chosen) in zip(panels, mine.items(), strict=True):
-            most = max(float(np.nanmax(compute_rms(part.recorded, axis=0))) for part in chosen)
-            for part in chosen:
-                heat = _map(row[0], part, compute_rms(part.recorded, axis=0), most)
-                _map(row[1], part, compute_rms(part.recorded - part.simulated, axis=0), most)
+        figure = Figure(figsize=(13, 4.2 * len(by_kind)), layout="constrained", dpi=110)
+        panels = figure.subplots(len(by_kind), 3, squeeze=False, width_ratios=(1, 1, 0.9))
+        for row, (kind, parts) in zip(panels, by_kind.items(), strict=True):
+            most = max(float(np.nanmax(compute_rms(part.recorded, axis=0))) for part in parts)
+            for part in parts:
+                heat = _draw_map(row[0], part, compute_rms(part.recorded, axis=0), most)
+                residual = part.recorded - part.simulated
+                _draw_map(row[1], part, compute_rms(residual, axis=0), most)
                 _draw_residual_axes(row[1], part)
             figure.colorbar(
                 heat, ax=list(row[:2]), label="px of 128, rms over contacts", shrink=0.8
             )
             row[0].set_title(f"{kind}s: recorded motion, each pin less its mean")
             row[1].set_title(f"{kind}s: left over; lines: its main direction, x {AXIS_PX:g}")
-            _rings(row[2], kind, chosen)
+            _plot_rings(row[2], kind, parts)
         return encode_png(figure)
 
 
-def _map(axes: Axes, part: ComparedFolder, values: np.ndarray, most: float) -> PathCollection:
+def _draw_map(axes: Axes, part: ComparedFolder, values: np.ndarray, most: float) -> PathCollection:
     axes.set(xticks=[], yticks=[], aspect="equal")
     axes.grid(False)
     for side in axes.spines.values():
@@ -45,31 +46,27 @@ def _map(axes: Axes, part: ComparedFolder, values: np.ndarray, most: float) -> P
 
 
 def _draw_residual_axes(axes: Axes, part: ComparedFolder) -> None:
-    off = np.nan_to_num(part.recorded - part.simulated)
-    spread = np.einsum("npi,npj->pij", off, off) / max(1, len(off))
+    residual = np.nan_to_num(part.recorded - part.simulated)
+    spread = np.einsum("npi,npj->pij", residual, residual) / max(1, len(residual))
     size, direction = np.linalg.eigh(spread)
     half = 0.5 * AXIS_PX * np.sqrt(np.maximum(size[:, 1], 0))[:, None] * direction[..., 1]
-    axes.add_collection(
-        LineCollection(
-            list(np.stack([part.rest - half, part.rest + half], 1)), colors=INK, linewidths=0.7
-        )
-    )
+    lines = list(np.stack([part.rest - half, part.rest + half], 1))
+    axes.add_collection(LineCollection(lines, colors=INK, linewidths=0.7))
 
 
-def _rings(axes: Axes, kind: str, parts: list[ComparedFolder]) -> None:
-    shells = np.unique(parts[0].shell)
+def _plot_rings(axes: Axes, kind: str, parts: list[ComparedFolder]) -> None:
+    rings = np.unique(parts[0].ring)
     for label, field, colour in (
         ("simulated", "simulated", COLOURS[DISENTANGLED]),
         ("regression from labels", "ceiling", FAINT),
     ):
-        scores = [
-            compute_r2(
-                np.concatenate([part.ring(shell).recorded.ravel() for part in parts]),
-                np.concatenate([getattr(part.ring(shell), field).ravel() for part in parts]),
-            )
-            for shell in shells
-        ]
-        axes.plot(shells, scores, "o-", markersize=3, color=colour, label=label)
+        scores = []
+        for ring in rings:
+            pins = [part.select_ring(ring) for part in parts]
+            recorded = np.concatenate([part.recorded.ravel() for part in pins])
+            predicted = np.concatenate([getattr(part, field).ravel() for part in pins])
+            scores.append(compute_r2(recorded, predicted))
+        axes.plot(rings, scores, "o-", markersize=3, color=colour, label=label)
     axes.set(
         xlabel="ring (0: apex)",
         title=f"{kind}s: share of the motion explained, R2",

@@ -55,10 +55,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     for found in reconstruct(
         folder, experiment, [load_trajectories(out / f"{name}.npz") for name in names]
     ):
-        name = str(found.course.stimulus)
+        name = str(found.task.stimulus)
         rows += found.scores
         for maker, (file, text) in PICTURES.items():
-            shown = {way: solid for (by, way), solid in found.solids.items() if by == maker}
+            shown = {way: solid for (by, way), solid in found.objects.items() if by == maker}
             write_bytes(out / f"{name}-{file}.png", plot_objects(name, shown, text))
         columns = (
             "name",

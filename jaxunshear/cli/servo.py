@@ -49,9 +49,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
     ways = tuple(arguments.ways.split(",")) if arguments.ways else None
     rows: list[TrajectoryScore] = []
     for found in servo(*model, courses, ways, out):
-        name = str(found.course.stimulus)
+        name = str(found.task.stimulus)
         rows += found.scores
-        write_bytes(out / f"{name}.png", plot_trajectories(found.walks, found.line, name))
+        write_bytes(out / f"{name}.png", plot_trajectories(found.trajectories, found.contour, name))
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
         print(format_text_table([vars(row) for row in found.scores], columns))
     print(out)

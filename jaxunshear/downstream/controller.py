@@ -1,7 +1,10 @@
-"""The paper's controller (appendix C): proportional and integral, towards a pose normal to the edge, with a step along it.
+"""The paper's controller (appendix C): proportional and integral.
 
->>> move, turn, memory = control(ControllerGains(), ControllerState(jnp.zeros(1), jnp.zeros(1)), edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
->>> move, turn                                    # ([[-0.8, 0.5]] mm and [6.] deg, in the sensor frame)
+It steers towards a pose normal to the edge, with a constant step along it.
+
+>>> zero = ControllerState(jnp.zeros(1), jnp.zeros(1))
+>>> control(ControllerGains(), zero, edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
+    # move [[-0.8, 0.5]] mm and turn [6.] deg, in the sensor frame
 """
 
 from dataclasses import dataclass
@@ -13,7 +16,10 @@ from jax import Array
 
 @dataclass(frozen=True)
 class ControllerGains:
-    """Of appendix C; it names no limits: ours keep one wrong answer from throwing the sensor off the object."""
+    """Gains of appendix C, and limits of our own.
+
+    The limits keep one wrong prediction from moving the sensor off the object.
+    """
 
     proportional: float = 0.5
     integral_mm: float = 0.3
@@ -30,32 +36,44 @@ class ControllerState(NamedTuple):
     turn_deg: Array  # (B,)
 
 
-def control(
-    gains: ControllerGains, memory: ControllerState, edge_mm: Array, edge_deg: Array
-) -> tuple[Array, Array, ControllerState]:
-    """What to do about an edge seen at `edge_mm` (B,), negative inside, whose outward normal points to `edge_deg` (B,).
+class Command(NamedTuple):
+    """The next motion in the sensor frame.
 
-    Returns the move (B, 2) in mm and the turn (B,) in deg, both in the sensor frame: x across the edge, outwards, y along it,
-    counter-clockwise around the object. Where a limit is met its sum does not grow further (anti-windup).
+    x points across the edge, outwards, and y along it, counter-clockwise around the object.
+    """
+
+    move: Array  # (B, 2) mm
+    turn: Array  # (B,) deg
+    state: ControllerState
+
+
+def control(
+    gains: ControllerGains, state: ControllerState, edge_mm: Array, edge_deg: Array
+) -> Command:
+    """Compute the next motion from the perceived edge.
+
+    An error sum does not grow further while its correction is at a limit (anti-windup).
+
+    Args:
+        edge_mm: (B,) distance of the edge, negative inside.
+        edge_deg: (B,) direction of its outward normal.
     """
     across, normal_mm = _compute_correction(
-        -edge_mm, memory.normal_mm, gains.proportional, gains.integral_mm, gains.limit_mm
+        -edge_mm, state.normal_mm, gains.proportional, gains.integral_mm, gains.limit_mm
     )
     turn, turn_deg = _compute_correction(
-        edge_deg, memory.turn_deg, gains.proportional, gains.integral_deg, gains.limit_deg
+        edge_deg, state.turn_deg, gains.proportional, gains.integral_deg, gains.limit_deg
     )
-    return (
-        jnp.stack([across, jnp.full_like(across, gains.step_mm)], -1),
-        turn,
-        ControllerState(normal_mm, turn_deg),
-    )
+    move = jnp.stack([across, jnp.full_like(across, gains.step_mm)], -1)
+    return Command(move, turn, ControllerState(normal_mm, turn_deg))
 
 
 def _compute_correction(
     error: Array, total: Array, proportional: float, integral: float, limit: float
 ) -> tuple[Array, Array]:
-    grown = total + error
-    wanted = proportional * error + integral * grown
-    held = jnp.clip(wanted, -limit, limit)
-    winding = (wanted != held) & (jnp.sign(error) == jnp.sign(wanted))
-    return held, jnp.where(winding, total, grown)
+    """Compute a limited correction, and the new sum of errors."""
+    new_total = total + error
+    unlimited = proportional * error + integral * new_total
+    correction = jnp.clip(unlimited, -limit, limit)
+    winding_up = (unlimited != correction) & (jnp.sign(error) == jnp.sign(unlimited))
+    return correction, jnp.where(winding_up, total, new_total)

@@ -1,7 +1,8 @@
-"""How well the contact geometry of taps, sheared and unsheared images agrees with how far the simulator's skin was pressed in.
+"""Score contact geometry against how far the simulator's skin was pressed in.
 
-The truth stands where a camera sees it: at the places of the tap's pins. There a geometry is read off its cubic surface, through its
-heights where the image's pins are.
+The geometry is that of taps, of sheared and of unsheared images. The true indentation is known at
+the pins of the tap, where a camera sees it. An estimated geometry is interpolated to there, by the
+cubic surface through its heights at the image's pins.
 """
 
 import time
@@ -38,21 +39,24 @@ from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 
 SEED = 0
-UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
+UNTOUCHED = "untouched"  # images without contact: what a method estimates of nothing
 
 
 class Geometry(NamedTuple):
-    """Heights of N contacts by kind of image and way, at the tap's pins; NaN rows where pins were not identified for sure."""
+    """Heights of N contacts by kind of image and method, at the tap's pins.
+
+    Rows are NaN if the pins of the image were not identified.
+    """
 
     height_mm: dict[tuple[str, str], np.ndarray]  # (N, P)
-    ms: dict[tuple[str, str], float]  # an image, from image to heights, networks included
+    ms: dict[tuple[str, str], float]  # per image, from image to heights, networks included
 
 
 @dataclass(frozen=True)
 class GeometryResult:
-    """Contacts that no network has seen, their heights, and how well these agree with the truth."""
+    """Contacts that no network was trained on, their heights, and how well these are true."""
 
-    lattice: Lattice  # where pins stand untouched
+    lattice: Lattice  # rest positions
     contacts: SimulatedContacts
     geometry: Geometry
     methods: Mapping[str, HeightEstimator]  # from pins to heights
@@ -61,110 +65,118 @@ class GeometryResult:
 
 
 def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> GeometryResult:
-    """Contact geometry by the networks of a finished run in `folder`, of about `count` fresh contacts; scales are fitted to other taps.
-    Raises UserError."""
+    """Score contact geometry by the networks of a run, over about `count` new contacts.
+
+    Scales are fitted to other taps. Raises UserError if `folder` has no network that unshears.
+    """
     if count < 3:
         raise UserError(f"--contacts {count}: use at least 3")
     paired, _ = require_simulated(experiment, "geometry")
     networks = load_unshearers(folder, experiment, list_unshearing_networks(folder))
     if not networks:
         raise UserError(
-            f"{folder} holds no trained network that unshears: train one first, or name another --model"
+            f"{folder} holds no trained network that unshears: "
+            "train one first, or name another --model"
         )
     lattice = compute_model_lattice(experiment)
-    ways = make_height_estimators(
-        lattice, simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, seed=1)
-    )
+    taps = simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, seed=1)
+    estimators = make_height_estimators(lattice, taps)
     contacts = simulate_contacts(experiment, count)
-    found = estimate_geometry(
-        lattice,
-        contacts,
-        render_untouched_images(experiment, len(contacts.stimulus)),
-        ways,
-        networks,
-    )
-    scales = {name: way.mm_per_unit for name, way in ways.items()}
-    table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
-    return GeometryResult(lattice, contacts, found, ways, networks, table)
+    untouched = render_untouched_images(experiment, len(contacts.stimulus))
+    geometry = estimate_geometry(lattice, contacts, untouched, estimators, networks)
+    scales = {name: estimator.mm_per_unit for name, estimator in estimators.items()}
+    rows = _score(paired.names, contacts, geometry)
+    table = GeometryScores(rows, scales, contacts.dropped)
+    return GeometryResult(lattice, contacts, geometry, estimators, networks, table)
 
 
 def estimate_geometry(
     lattice: Lattice,
     contacts: SimulatedContacts,
     untouched: np.ndarray,
-    ways: Mapping[str, HeightEstimator],
+    estimators: Mapping[str, HeightEstimator],
     networks: Mapping[str, Unshear],
 ) -> Geometry:
-    """Heights of taps, sheared images, what each network makes of these, and images (N, S, S) of the sensor that touches nothing."""
-    height: dict[tuple[str, str], np.ndarray] = {}
-    ms: dict[tuple[str, str], float] = {}
+    """Estimate heights of taps, of sheared images, and of what each network makes of these.
+
+    `untouched` are images (N, S, S) of the sensor that touches nothing.
+    """
+    geometry = Geometry({}, {})
     images = {
         "tap": contacts.tap,
         "sheared": contacts.sheared,
         **dict.fromkeys(networks, contacts.sheared),
+        UNTOUCHED: untouched,
     }
-    for kind, given in (images | {UNTOUCHED: untouched}).items():
+    for kind, batch in images.items():
         if kind in networks:
-            networks[kind](given[:1])  # compiles
-        began = time.perf_counter()
-        motion = networks[kind](given) if kind in networks else measure_motions(lattice, given)
-        spent = time.perf_counter() - began
-        sure = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
-        felt = np.full((len(ways), *motion.shape[:2]), np.nan)
-        for row, (name, way) in enumerate(ways.items()):
-            began = time.perf_counter()
-            if len(sure):
-                felt[row, sure] = way(motion[sure])
-            ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
-        for one in sure:
-            felt[:, one] = interpolate_heights(
-                lattice.rest + motion[one], felt[:, one].T, contacts.tap_pins[one]
+            networks[kind](batch[:1])  # compiles
+        start = time.perf_counter()
+        motion = networks[kind](batch) if kind in networks else measure_motions(lattice, batch)
+        motion_s = time.perf_counter() - start
+        identified = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
+        heights = np.full((len(estimators), *motion.shape[:2]), np.nan)
+        for row, (name, estimator) in enumerate(estimators.items()):
+            start = time.perf_counter()
+            if len(identified):
+                heights[row, identified] = estimator(motion[identified])
+            spent_s = motion_s + time.perf_counter() - start
+            geometry.ms[kind, name] = 1e3 * spent_s / len(batch)
+        for contact in identified:
+            heights[:, contact] = interpolate_heights(
+                lattice.rest + motion[contact], heights[:, contact].T, contacts.tap_pins[contact]
             ).T
-        height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
-    return Geometry(height, ms)
+        for row, name in enumerate(estimators):
+            geometry.height_mm[kind, name] = heights[row]
+    return geometry
 
 
-def _scores(
+def _score(
     names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> list[GeometryScore]:
-    """For each stimulus, kind and way, and for all stimuli."""
+    """Score each stimulus, and all together, for each kind of image and method."""
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
     for group, inside in groups.items():
-        for (kind, way), height in geometry.height_mm.items():
+        for (kind, method), height in geometry.height_mm.items():
             matched = inside & ~np.isnan(height[:, 0])
             row = GeometryScore(
-                name=f"{group}/{kind}/{way}",
+                name=f"{group}/{kind}/{method}",
                 stimulus=group,
                 kind=kind,
-                way=way,
+                way=method,
                 contacts=int(inside.sum()),
                 unmatched=int((inside & ~matched).sum()),
-                ms_per_image=geometry.ms[kind, way],
+                ms_per_image=geometry.ms[kind, method],
             )
             if matched.any():
-                row = replace(
-                    row,
-                    **_agreement(kind, height[matched], contacts.indentation_mm[matched], matched),
+                scores = _score_heights(
+                    kind, height[matched], contacts.indentation_mm[matched], matched
                 )
+                row = replace(row, **scores)
             rows.append(row)
     return rows
 
 
-def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndarray) -> Json:
-    """Fields of a score: of heights (M, P) mm of the `matched` ones of N contacts; the untouched sensor has no true height."""
-    each = {"correlation": compute_correlation(height, true)}
+def _score_heights(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndarray) -> Json:
+    """Compute fields of a score from heights (M, P) mm of the `matched` of N contacts.
+
+    The untouched sensor has no true height, so its largest one is reported.
+    """
+    values = {"correlation": compute_correlation(height, true)}
     if kind != UNTOUCHED:
-        each["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
-    spans = compute_intervals(each, np.flatnonzero(matched), SEED)
-    found: Json = {name: float(values.mean()) for name, values in each.items()}
-    found |= {f"{name}_interval": span for name, span in spans.items()}
-    return found | ({"largest_mm": float(np.abs(height).max())} if kind == UNTOUCHED else {})
+        values["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
+    fields: Json = {name: float(contacts.mean()) for name, contacts in values.items()}
+    intervals = compute_intervals(values, np.flatnonzero(matched), SEED)
+    fields |= {f"{name}_interval": interval for name, interval in intervals.items()}
+    if kind == UNTOUCHED:
+        fields["largest_mm"] = float(np.abs(height).max())
+    return fields
 
 
 def compute_correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Pearson's, row by row, (N,) of (N, P); 0 where a row is flat."""
-    a, b = (x - x.mean(axis=-1, keepdims=True) for x in (a, b))
+    """Compute Pearson's correlation row by row, (N,) of (N, P); 0 for a flat row."""
+    a, b = a - a.mean(axis=-1, keepdims=True), b - b.mean(axis=-1, keepdims=True)
     scale = np.sqrt(np.sum(a**2, axis=-1) * np.sum(b**2, axis=-1))
     return np.divide(np.sum(a * b, axis=-1), scale, out=np.zeros(len(a)), where=scale > 0)

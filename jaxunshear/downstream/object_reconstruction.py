@@ -1,4 +1,4 @@
-"""`jaxunshear reconstruct`: the shapes that walks around objects enclose, against the true ones."""
+"""Reconstruct objects from trajectories around them, and score their shapes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -44,172 +44,174 @@ STEPS_PER_IMAGE = 4  # steps, 2 mm: an image shows the skin of 12 mm around its 
 
 
 class ReconstructedObject(NamedTuple):
-    """One walk's object."""
+    """The object of one trajectory."""
 
     fused: HeightMap
     shape: np.ndarray  # (K, K) bool
     true: np.ndarray  # (K, K) bool
-    likeness: ShapeScore
-    unmatched: int  # steps whose pins were not identified for sure
-    level: (
-        float | None
-    )  # of the fused values, over which the object lies; none where it is what their ridge surrounds
-    height_rms_mm: float | None  # of the felt top from the object's, where values are heights
-
-
-def make_estimators_for(
-    experiment: Experiment, known: SimulatedContacts
-) -> dict[str, ShapeEstimator]:
-    """The ways to an object by name, from taps whose poses and indentations are known."""
-    paired, _ = require_simulated(experiment, "reconstruct")
-    lattice = perception.compute_model_lattice(experiment)
-    xy = transform_to_target(known.pose[:, :3], compute_skin_positions(experiment.sensor))
-    distance = np.zeros(xy.shape[:2])
-    for index, touched in enumerate(paired.stimuli):
-        rows = known.stimulus == index
-        distance[rows] = compute_distances(make_stimulus(touched), xy[rows])
-    return make_shape_estimators(
-        experiment.sensor,
-        lattice,
-        measure_tap_motions(lattice, known),
-        known.indentation_mm,
-        distance,
-    )
-
-
-def reconstruct_objects(
-    experiment: Experiment,
-    lattice: Lattice,
-    trajectories: tuple[ServoTask, Trajectories],
-    walk: int,
-    line: Contour,
-    unshear: Unshear | None,
-    estimators: Mapping[str, ShapeEstimator],
-) -> dict[str, ReconstructedObject]:
-    """By maker, the object of one walk from every fourth of its images, unsheared or (None) as they are."""
-    course, walks = trajectories
-    there = np.flatnonzero(~np.isnan(walks.perceived[walk, :, 0]))[::STEPS_PER_IMAGE]
-    images = unpack_bits(walks.images[walk, there], experiment.paired.preprocess.size)
-    motion = measure_motions(lattice, images) if unshear is None else unshear(images)
-    full = (
-        float(np.abs(line.points).max()) + CELL_MM
-    )  # also what a walk that ended early has not felt
-    found = {}
-    for name, maker in estimators.items():
-        fused = fuse_heights(
-            walks.point[walk, there],
-            maker.locate_values(motion),
-            maker.estimate_values(motion),
-            full,
-        )
-        shape = maker.extract_shape(fused)
-        true = compute_distances(make_stimulus(course.stimulus), fused.xy) < 0
-        off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
-        rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
-        unmatched = int(np.isnan(motion[:, 0, 0]).sum())
-        found[name] = ReconstructedObject(
-            fused, shape, true, score_shape(fused, shape, true, line), unmatched, maker.level, rms
-        )
-    return found
+    score: ShapeScore
+    unmatched: int  # steps whose pins were not identified
+    level: float | None  # the object is where the fused values are higher; None for a ridge
+    height_rms_mm: float | None  # error of the estimated top, if values are heights
 
 
 @dataclass(frozen=True)
 class ReconstructionResult:
-    """What walks around one object make of it, by maker and way of perceiving."""
+    """Reconstructions of one object, by estimator and method of perception."""
 
-    course: ServoTask
-    solids: Mapping[tuple[str, str], ReconstructedObject]  # of the walk of middling likeness
+    task: ServoTask
+    objects: Mapping[tuple[str, str], ReconstructedObject]  # of the trajectory of median IoU
     scores: tuple[ObjectScore, ...]
+
+
+class _Target(NamedTuple):
+    """What the trajectories of one task are compared with."""
+
+    task: ServoTask
+    trajectories: Trajectories
+    contour: Contour
+    lattice: Lattice
+    image_px: int
 
 
 def reconstruct(
     folder: Path, experiment: Experiment, trajectories: Sequence[tuple[ServoTask, Trajectories]]
 ) -> Iterator[ReconstructionResult]:
-    """Objects from finished walks by networks of the run in `folder`, each when it is done.
+    """Reconstruct objects from finished trajectories by networks of the run in `folder`.
 
-    Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
-    pose code, by the disentangled one. Raises UserError, for walks that are of others before anything is simulated.
+    Images are unsheared by the network that the trajectory perceived by. If it used the true pose,
+    they are unsheared by the disentangled network. Results come one by one. Raises UserError for
+    trajectories of other networks or unfinished ones, before anything is simulated.
     """
     paired, _ = require_simulated(experiment, "reconstruct")
-    for course, walks in trajectories:
-        ways = tuple(dict.fromkeys(walks.method.tolist()))
-        if (walks.end == WALKING).any():
+    for task, task_trajectories in trajectories:
+        methods = task_trajectories.list_methods()
+        if (task_trajectories.end == WALKING).any():
             raise UserError(
-                f"walks around {course.stimulus} are not finished: run the same `jaxunshear servo` command again"
+                f"walks around {task.stimulus} are not finished: "
+                "run the same `jaxunshear servo` command again"
             )
-        if str(walks.provenance) != compute_servo_digest(
-            experiment.sensor, paired, perception.compute_network_digests(folder, ways)
+        digests = perception.compute_network_digests(folder, methods)
+        if str(task_trajectories.provenance) != compute_servo_digest(
+            experiment.sensor, paired, digests
         ):
             raise UserError(
-                f"walks around {course.stimulus} are of another model or sensor, or of an earlier simulator: name theirs with "
-                "--model, or walk again"
+                f"walks around {task.stimulus} are of another model or sensor, "
+                "or of an earlier simulator: name theirs with --model, or walk again"
             )
     networks = perception.load_unshearers(
         folder, experiment, perception.list_unshearing_networks(folder)
     )
 
     @cache
-    def makers(depth: float) -> dict[str, ShapeEstimator]:
-        return make_estimators_for(
-            experiment, simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, 1, depth)
-        )
+    def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
+        taps = simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
+        return _make_estimators(experiment, taps)
 
-    return (_objects(experiment, each, networks, makers(each[0].depth_mm)) for each in trajectories)
+    def reconstruct_task(task: ServoTask, trajectories: Trajectories) -> ReconstructionResult:
+        contour = trace_contour(make_stimulus(task.stimulus))
+        lattice = perception.compute_model_lattice(experiment)
+        target = _Target(task, trajectories, contour, lattice, paired.preprocess.size)
+        return _reconstruct_task(target, networks, make_estimators(task.depth_mm))
+
+    return (reconstruct_task(*each) for each in trajectories)
 
 
-def _objects(
-    experiment: Experiment,
-    walked: tuple[ServoTask, Trajectories],
-    networks: Mapping[str, Unshear],
-    makers: Mapping[str, ShapeEstimator],
-) -> ReconstructionResult:
-    course, walks = walked
-    line = trace_contour(make_stimulus(course.stimulus))
+def _make_estimators(experiment: Experiment, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
+    """Make the shape estimators by name, from taps of known poses and indentations."""
+    paired, _ = require_simulated(experiment, "reconstruct")
     lattice = perception.compute_model_lattice(experiment)
+    xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(experiment.sensor))
+    distance = np.zeros(xy.shape[:2])
+    for index, stimulus in enumerate(paired.stimuli):
+        rows = taps.stimulus == index
+        distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
+    motion = measure_tap_motions(lattice, taps)
+    return make_shape_estimators(experiment.sensor, lattice, motion, taps.indentation_mm, distance)
+
+
+def _reconstruct_task(
+    target: _Target, networks: Mapping[str, Unshear], estimators: Mapping[str, ShapeEstimator]
+) -> ReconstructionResult:
+    task, trajectories = target.task, target.trajectories
     typical: dict[tuple[str, str], ReconstructedObject] = {}
     scores = []
-    with Progress(f"reconstruct {course.stimulus}", len(walks.method), "walks") as progress:
-        for way in dict.fromkeys(walks.method.tolist()):
-            unshear = networks.get(perception.find_unshearing_network(way))
-            rows, made = np.flatnonzero(walks.method == way), []
-            for walk in rows:
-                made.append(
-                    reconstruct_objects(
-                        experiment, lattice, walked, int(walk), line, unshear, makers
-                    )
-                )
+    with Progress(f"reconstruct {task.stimulus}", len(trajectories.method), "walks") as progress:
+        for method in trajectories.list_methods():
+            unshear = networks.get(perception.find_unshearing_network(method))
+            rows = np.flatnonzero(trajectories.method == method)
+            by_row = []
+            for row in rows:
+                by_row.append(_reconstruct_trajectory(target, int(row), unshear, estimators))
                 progress.advance()
-            for maker in makers:
-                mine = [each[maker] for each in made]
-                order = np.argsort([each.likeness.iou for each in mine])
-                typical[maker, way] = mine[order[len(order) // 2]]
-                scores.append(_score(str(course.stimulus), maker, way, walks, rows, mine))
-    return ReconstructionResult(course, typical, tuple(scores))
+            closed = int(np.sum(trajectories.end[rows] == CLOSED))
+            for estimator in estimators:
+                objects = [each[estimator] for each in by_row]
+                order = np.argsort([each.score.iou for each in objects])
+                typical[estimator, method] = objects[order[len(order) // 2]]
+                scores.append(
+                    _score_objects(str(task.stimulus), estimator, method, objects, closed)
+                )
+    return ReconstructionResult(task, typical, tuple(scores))
 
 
-def _score(
-    stimulus: str,
-    maker: str,
-    way: str,
-    walks: Trajectories,
-    rows: np.ndarray,
-    solids: list[ReconstructedObject],
+def _reconstruct_trajectory(
+    target: _Target,
+    row: int,
+    unshear: Unshear | None,
+    estimators: Mapping[str, ShapeEstimator],
+) -> dict[str, ReconstructedObject]:
+    """Reconstruct the object of one trajectory by each estimator, from some of its images.
+
+    The images are unsheared, or used as they are if `unshear` is None.
+    """
+    task, trajectories, contour, lattice, image_px = target
+    perceived = ~np.isnan(trajectories.perceived[row, :, 0])
+    steps = np.flatnonzero(perceived)[::STEPS_PER_IMAGE]
+    images = unpack_bits(trajectories.images[row, steps], image_px)
+    motion = measure_motions(lattice, images) if unshear is None else unshear(images)
+    unmatched = int(np.isnan(motion[:, 0, 0]).sum())
+    # also cover what a trajectory that ended early has not touched
+    cover_mm = float(np.abs(contour.points).max()) + CELL_MM
+    objects = {}
+    for name, estimator in estimators.items():
+        fused = fuse_heights(
+            trajectories.point[row, steps],
+            estimator.locate_values(motion),
+            estimator.estimate_values(motion),
+            cover_mm,
+        )
+        shape = estimator.extract_shape(fused)
+        true = compute_distances(make_stimulus(task.stimulus), fused.xy) < 0
+        height_rms_mm = None
+        if estimator.in_mm:
+            error = (fused.value - task.depth_mm)[true & ~np.isnan(fused.value)]
+            height_rms_mm = float(np.sqrt(np.mean(error**2))) if len(error) else None
+        score = score_shape(fused, shape, true, contour)
+        objects[name] = ReconstructedObject(
+            fused, shape, true, score, unmatched, estimator.level, height_rms_mm
+        )
+    return objects
+
+
+def _score_objects(
+    stimulus: str, estimator: str, method: str, objects: list[ReconstructedObject], closed: int
 ) -> ObjectScore:
-    iou, mean_mm, hausdorff_mm, iou_felt = np.array([each.likeness for each in solids]).T
-    heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
+    iou, mean_mm, hausdorff_mm, iou_touched = np.array([each.score for each in objects]).T
+    heights = [each.height_rms_mm for each in objects if each.height_rms_mm is not None]
     return ObjectScore(
-        name=f"{stimulus}/{maker}/{way}",
+        name=f"{stimulus}/{estimator}/{method}",
         stimulus=stimulus,
-        object=maker,
-        way=way,
-        walks=len(rows),
-        closed=int(np.sum(walks.end[rows] == CLOSED)),
+        object=estimator,
+        way=method,
+        walks=len(objects),
+        closed=closed,
         iou=float(iou.mean()),
         walk_iou=iou.tolist(),
-        iou_felt=float(iou_felt.mean()),
+        iou_felt=float(iou_touched.mean()),
         mean_mm=float(mean_mm.mean()),
         hausdorff_mm=float(hausdorff_mm.mean()),
         height_rms_mm=float(np.mean(heights)) if heights else None,
-        level=solids[0].level,
-        unmatched=int(sum(each.unmatched for each in solids)),
+        level=objects[0].level,
+        unmatched=int(sum(each.unmatched for each in objects)),
     )

@@ -1,8 +1,10 @@
-"""Complete objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
+"""Fuse contact geometries along a trajectory to a complete object (paper section 4.4).
 
-Each step gives, of the skin around the sensor's axis, how high it stands or how its cells have grown. Put where the sensor was,
-averaged over all steps that touched a cell, this makes a band along the outline, which is interpolated to a map of the entire object.
-The object is where the map is above a level; or, of growth, which is greatest over an edge, what the ridge of the map surrounds.
+Each step gives, for the skin around the sensor's axis, how high it stands or how its cells have
+grown. These values are placed where the sensor was and averaged over all steps that touched a cell.
+The result is a band along the outline, which is interpolated to a map of the object. The object is
+where the map is above a level. Growth is greatest over an edge, so for growth the object is what
+the ridge of the map surrounds.
 
 Read `fuse_heights`, then `interpolate_map` and `extract_ridge_shape`.
 """
@@ -24,49 +26,58 @@ from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells
-DEEP_FRACTION = 0.75  # of the deepest hollow of a map: what is as deep is the inside
-MIN_PINS_PER_CELL = 0.02  # pins a cell, blurred, for it to count as touched
+DEEP_FRACTION = 0.75  # of the deepest hollow of a map; hollows as deep are the inside
+MIN_PINS_PER_CELL = 0.02  # blurred pins per cell, for it to count as touched
 
 
 class HeightMap(NamedTuple):
-    """Mean height on a square grid, rows along y; NaN where nothing was touched."""
+    """Mean height on a square grid, rows along y; NaN if nothing was touched."""
 
     line: np.ndarray  # (K,) mm, target frame: of its columns along x, and of its rows along y
     value: np.ndarray  # (K, K)
 
     @property
     def xy(self) -> np.ndarray:
-        """(K, K, 2) mm, where each value is."""
+        """(K, K, 2) mm, the position of each value."""
         return np.stack(np.meshgrid(self.line, self.line), -1)
 
 
 def compute_skin_positions(sensor: Sensor) -> np.ndarray:
-    """(P, 2) mm in the sensor frame: the outer face of the undeformed skin above each pin, seen from above."""
+    """Compute where the undeformed skin is above each pin: (P, 2) mm, sensor frame.
+
+    Positions are on the outer face, projected along the sensor's axis.
+    """
     centre = np.array([0, 0, sensor.dome_radius_mm])
     outward = compute_pin_tips(sensor) - centre
     return sensor.dome_radius_mm * outward[:, :2] / np.linalg.norm(outward, axis=-1, keepdims=True)
 
 
-def transform_to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Places (P, 2) or (T, P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
-    return point[:, None, :2] + rotate_2d(place, np.radians(point[:, 2])[:, None])
+def transform_to_target(point: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Transform positions (P, 2) or (T, P, 2) mm to the target frame: (T, P, 2) mm.
+
+    They are in the sensor frame at points (T, 3): x, y mm and yaw deg.
+    """
+    return point[:, None, :2] + rotate_2d(positions, np.radians(point[:, 2])[:, None])
 
 
 def fuse_heights(
-    point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float
+    point: np.ndarray, positions: np.ndarray, value: np.ndarray, cover_mm: float
 ) -> HeightMap:
-    """Values (T, Q) of skin at (T, Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid
-    around them that reaches at least `cover_mm` from the origin.
+    """Average values of the skin along a trajectory on a grid around them.
 
-    Rows with a NaN (an image whose pins were not identified) are left out.
+    Rows with a NaN (images whose pins were not identified) are left out.
+
+    Args:
+        point: (T, 3) x, y mm and yaw deg of the sensor.
+        positions: (T, Q, 2) mm of the values, from the axis of the sensor.
+        value: (T, Q).
+        cover_mm: How far the grid reaches from the origin at least.
     """
     followed = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
-    put = place[followed]
-    x, y = np.moveaxis(transform_to_target(point[followed], put), -1, 0)
-    reach = max(
-        cover_mm,
-        np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM,
-    )
+    positions = positions[followed]
+    x, y = np.moveaxis(transform_to_target(point[followed], positions), -1, 0)
+    touched_mm = np.abs(point[followed, :2]).max(initial=0.0) + np.abs(positions).max(initial=0.0)
+    reach = max(cover_mm, touched_mm + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def accumulate(weights: np.ndarray) -> np.ndarray:
@@ -75,17 +86,18 @@ def fuse_heights(
 
     total = accumulate(np.ones_like(x))
     touched = total > MIN_PINS_PER_CELL
-    mean = np.divide(
-        accumulate(value[followed]), total, out=np.full(total.shape, np.nan), where=touched
-    )
+    unknown = np.full(total.shape, np.nan)
+    mean = np.divide(accumulate(value[followed]), total, out=unknown, where=touched)
     return HeightMap((edges[1:] + edges[:-1]) / 2, mean)
 
 
 def extract_ridge_shape(fused: HeightMap) -> np.ndarray:
-    """(K, K) bool: what the ridge of the heights surrounds, for heights that are greatest over an edge and lie lower on both sides of it.
+    """Extract what the ridge of a map surrounds, (K, K) bool.
 
-    Of the map's hollows, which water would fill before it ran off at the border, the deepest are the inside; from there and from the
-    border a watershed climbs to the ridge. Nothing is a hollow where no ridge closes.
+    It is for heights that are greatest over an edge and lower on both sides of it. The inside are
+    the deepest hollows of the map: those that water would fill before it ran off at the border. A
+    watershed rises from there and from the border to the ridge. There is no hollow if no ridge
+    closes.
     """
     heights = np.pad(interpolate_map(fused), 1, constant_values=np.nan)
     if np.isnan(heights).all():
@@ -99,38 +111,42 @@ def extract_ridge_shape(fused: HeightMap) -> np.ndarray:
 
 
 def interpolate_map(fused: HeightMap) -> np.ndarray:
-    """(K, K): what was felt, and between it linear over the cells that were not, from the felt ones beside them; NaN outside of all
-    that was felt."""
-    felt = ~np.isnan(fused.value)
-    rim = felt & ndimage.binary_dilation(~felt, np.ones((3, 3)), border_value=True)
-    if np.count_nonzero(rim) < 3 or felt.all():
-        return np.where(felt.all(), fused.value, np.nan)
+    """Interpolate (K, K) linearly between the touched cells; NaN outside of all of them."""
+    touched = ~np.isnan(fused.value)
+    rim = touched & ndimage.binary_dilation(~touched, np.ones((3, 3)), border_value=True)
+    if np.count_nonzero(rim) < 3 or touched.all():
+        return np.where(touched.all(), fused.value, np.nan)
     full, xy = fused.value.copy(), fused.xy
-    full[~felt] = LinearNDInterpolator(xy[rim], fused.value[rim])(xy[~felt])
+    full[~touched] = LinearNDInterpolator(xy[rim], fused.value[rim])(xy[~touched])
     return full
 
 
 class ShapeScore(NamedTuple):
-    iou: float  # area shared over area of either
+    iou: float
     mean_mm: float  # between the outlines, both ways
     hausdorff_mm: float  # the largest distance of a point of one from the other
-    iou_touched: float  # over the cells that were touched alone
+    iou_touched: float  # over the touched cells alone
 
 
-def score_shape(fused: HeightMap, shape: np.ndarray, true: np.ndarray, line: Contour) -> ShapeScore:
-    """Of a shape (K, K) with the true one (K, K), whose outline is `line`. Infinite distances where the shape is empty."""
-    felt = ~np.isnan(fused.value)
-    iou, iou_felt = _iou(shape, true), _iou(shape & felt, true & felt)
+def score_shape(
+    fused: HeightMap, shape: np.ndarray, true: np.ndarray, contour: Contour
+) -> ShapeScore:
+    """Compare a shape (K, K) with the true one (K, K), whose outline is `contour`.
+
+    Distances of an empty shape are infinite.
+    """
+    touched = ~np.isnan(fused.value)
+    iou, iou_touched = _compute_iou(shape, true), _compute_iou(shape & touched, true & touched)
     curves = find_contours(np.pad(shape, 1).astype(float), 0.5)
     if not curves:
-        return ShapeScore(iou, float("inf"), float("inf"), iou_felt)
+        return ShapeScore(iou, float("inf"), float("inf"), iou_touched)
     outline = fused.line[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
-    there, back = measure_contour_distances(line, outline), cKDTree(outline).query(line.points)[0]
-    return ShapeScore(
-        iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt
-    )
+    to_true = measure_contour_distances(contour, outline)
+    from_true = cKDTree(outline).query(contour.points)[0]
+    mean_mm = float((to_true.mean() + from_true.mean()) / 2)
+    return ShapeScore(iou, mean_mm, float(max(to_true.max(), from_true.max())), iou_touched)
 
 
-def _iou(shape: np.ndarray, true: np.ndarray) -> float:
-    either = np.count_nonzero(shape | true)
-    return float(np.count_nonzero(shape & true) / either) if either else 0.0
+def _compute_iou(shape: np.ndarray, true: np.ndarray) -> float:
+    union = np.count_nonzero(shape | true)
+    return float(np.count_nonzero(shape & true) / union) if union else 0.0

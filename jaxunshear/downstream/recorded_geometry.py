@@ -1,4 +1,4 @@
-"""Contact geometry of recordings, as they are and unsheared: for inspection, as no truth is known."""
+"""Contact geometry of recordings, as they are and unsheared: the truth is not known."""
 
 from collections.abc import Mapping
 from itertools import islice
@@ -25,23 +25,27 @@ def estimate_recorded_heights(
     path: Path,
     experiment: Experiment,
     lattice: Lattice,
-    way: HeightEstimator,
+    estimator: HeightEstimator,
     networks: Mapping[str, Unshear],
 ) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows of images that are not understood."""
-    _, names, images = zip(
-        *islice(read_recordings(path, experiment.paired.preprocess).iterate_frames(), SHOWN_IMAGES),
-        strict=True,
+    """Estimate heights (N, P) mm of the first images at `path`, by kind; return names first.
+
+    Rows are NaN for images that are not the sensor's.
+    """
+    names, images = [], []
+    recordings = read_recordings(path, experiment.paired.preprocess)
+    for _, name, image in islice(recordings.iterate_frames(), SHOWN_IMAGES):
+        names.append(name)
+        images.append(image)
+    batch = np.stack(images)
+    # networks over images render pins for any input, so the recorded image decides
+    expected = measure_sensor_appearance(lattice.rest, batch.shape[-1])
+    plausible = np.array(
+        [not explain_rejection(True, compute_plausibility(image, expected)) for image in batch]
     )
-    stack = np.stack(images)
-    motions = {"as recorded": measure_motions(lattice, stack)} | {
-        name: unshear(stack) for name, unshear in networks.items()
-    }
-    # networks over images draw pins whatever they are given
-    expected = measure_sensor_appearance(lattice.rest, stack.shape[-1])
-    known = np.array(
-        [not explain_rejection(True, compute_plausibility(image, expected)) for image in stack]
-    )
-    return list(names), {
-        kind: np.where(known[:, None], way(motion), np.nan) for kind, motion in motions.items()
-    }
+    motions = {"as recorded": measure_motions(lattice, batch)}
+    motions |= {name: unshear(batch) for name, unshear in networks.items()}
+    heights = {}
+    for kind, motion in motions.items():
+        heights[kind] = np.where(plausible[:, None], estimator(motion), np.nan)
+    return names, heights

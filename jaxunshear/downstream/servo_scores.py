@@ -1,8 +1,8 @@
-"""Walks around objects by the networks of a run, and what they are worth: how much of the outline, how close to it, how they ended.
+"""Follow contours by the networks of a run, and score the trajectories.
 
 >>> model = load_model("standard")
->>> (found,) = servo(model.folder, model.experiment, [ServoTask("disk", starts=1)], ("disentangled",))
->>> found.scores[0].mean_mm, found.walks.point           # mm from the edge; where the sensor went
+>>> (result,) = servo(model.folder, model.experiment, [ServoTask("disk", starts=1)], ("sheared",))
+>>> result.scores[0].mean_mm, result.trajectories.point    # mm from the edge; the sensor's poses
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,12 +24,12 @@ from jaxunshear.simulator.stimuli import get_closed_stimulus
 
 @dataclass(frozen=True)
 class ServoResult:
-    """All walks around one object, and what they are worth."""
+    """All trajectories around one object, and their scores."""
 
-    course: ServoTask
-    walks: Trajectories
-    line: Contour
-    scores: tuple[TrajectoryScore, ...]  # by way of perceiving
+    task: ServoTask
+    trajectories: Trajectories
+    contour: Contour
+    scores: tuple[TrajectoryScore, ...]  # by method of perception
 
 
 def servo(
@@ -39,93 +39,107 @@ def servo(
     methods: tuple[str, ...] | None = None,
     out: Path | None = None,
 ) -> Iterator[ServoResult]:
-    """Walks around objects by the networks of a finished run in `folder`, each object when it is done.
+    """Follow contours by the networks of a finished run in `folder`; results come one by one.
 
-    `methods` to perceive are names of `perception.METHODS`, and `perception.TRUE_POSE`; None: all that the networks allow. Walks are kept as
-    <out>/<object>.npz, and go on from there. Raises UserError, before anything is simulated, where that cannot be asked for.
+    Raises UserError, before anything is simulated, if the tasks or methods are impossible.
+
+    Args:
+        tasks: The objects, and how they are followed.
+        methods: Names of `perception.METHODS`, and `perception.TRUE_POSE`; None for all that the
+            networks allow.
+        out: A folder in which trajectories are saved as <object>.npz, and from which they continue.
     """
     paired, _ = require_simulated(experiment, "servo")
-    for course in tasks:
-        _check(course, experiment.sensor)
+    for task in tasks:
+        _check_task(task, experiment.sensor)
     if methods is None:
-        known = perception.list_methods(folder)
-        if not known:
+        available = perception.list_methods(folder)
+        if not available:
             raise UserError(
-                f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE_POSE}"
+                f"{folder} holds no trained networks to perceive by: "
+                f"train them first, or ask for --ways {perception.TRUE_POSE}"
             )
-        methods = (perception.TRUE_POSE, *known)
-    found = perception.make_edge_estimators(
-        folder, experiment, tuple(way for way in methods if way != perception.TRUE_POSE)
-    )
-    perceive, digests = (
-        {way: found.get(way) for way in methods},
-        perception.compute_network_digests(folder, methods),
-    )
+        methods = (perception.TRUE_POSE, *available)
+    networks = tuple(method for method in methods if method != perception.TRUE_POSE)
+    estimators = perception.make_edge_estimators(folder, experiment, networks)
+    perceive = {method: estimators.get(method) for method in methods}
+    digests = perception.compute_network_digests(folder, methods)
 
-    def run_task(course: ServoTask) -> ServoResult:
-        file = out / f"{course.stimulus}.npz" if out else None
-        walks, line = follow_contour(course, experiment.sensor, paired, perceive, file, digests)
-        return ServoResult(
-            course, walks, line, score_trajectories(walks, line, str(course.stimulus))
+    def run_task(task: ServoTask) -> ServoResult:
+        file = out / f"{task.stimulus}.npz" if out else None
+        trajectories, contour = follow_contour(
+            task, experiment.sensor, paired, perceive, file, digests
         )
+        scores = score_trajectories(trajectories, contour, str(task.stimulus))
+        return ServoResult(task, trajectories, contour, scores)
 
     return map(run_task, tasks)
 
 
-def _check(course: ServoTask, sensor: Sensor) -> None:
-    """Raises UserError for what no walk can start with."""
-    get_closed_stimulus(course.stimulus)
-    if course.starts < 1:
-        raise UserError(f"--starts {course.starts}: use at least 1")
-    if course.seed < 0:
-        raise UserError(f"--seed {course.seed}: use 0 or more")
+def _check_task(task: ServoTask, sensor: Sensor) -> None:
+    get_closed_stimulus(task.stimulus)
+    if task.starts < 1:
+        raise UserError(f"--starts {task.starts}: use at least 1")
+    if task.seed < 0:
+        raise UserError(f"--seed {task.seed}: use 0 or more")
     deepest = compute_max_depth_mm(sensor)
-    if not 0 < course.depth_mm <= deepest:
-        raise UserError(f"--depth {course.depth_mm:g}: use more than 0, up to {deepest:.1f} mm")
+    if not 0 < task.depth_mm <= deepest:
+        raise UserError(f"--depth {task.depth_mm:g}: use more than 0, up to {deepest:.1f} mm")
 
 
 def score_trajectories(
-    walks: Trajectories, line: Contour, stimulus: str
+    trajectories: Trajectories, contour: Contour, stimulus: str
 ) -> tuple[TrajectoryScore, ...]:
-    """For each way of perceiving."""
-    rows = []
-    for way in dict.fromkeys(walks.method.tolist()):
-        mine = np.flatnonzero(walks.method == way)
-        tracks = [
-            measure_contour_distances(line, walks.point[w, ~np.isnan(walks.point[w, :, 0]), :2])
-            for w in mine
-        ]
-        edge = np.concatenate([compute_perceived_edge(walks, int(w)) for w in mine])
-        apart, seen = np.concatenate(tracks), measure_contour_distances(line, edge)
-        ends = {ENDS[end]: int(np.sum(walks.end[mine] == end)) for end in range(CLOSED, LATE + 1)}
-        taken = np.sum(~np.isnan(walks.point[mine, :, 0]))
-        row = TrajectoryScore(
-            name=f"{stimulus}/{way}",
-            stimulus=stimulus,
-            way=way,
-            starts=len(mine),
-            completed=float(np.mean(np.clip(walks.way_mm[mine] / line.length, 0, 1))),
-            closed=ends[ENDS[CLOSED]],
-            mean_mm=float(apart.mean()),
-            walk_mm=[float(track.mean()) for track in tracks],
-            p95_mm=float(np.percentile(apart, 95)),
-            largest_mm=float(apart.max()),
-            seen_mean_mm=float(seen.mean()) if len(seen) else None,
-            ends={name: count for name, count in ends.items() if count},
-            unsolved=int(walks.failed_contacts[mine].sum()),
-            steps=int(taken),
-            unfollowed=int(taken - np.sum(~np.isnan(walks.perceived[mine, :, 0]))),
-            perceive_ms=float(1e3 * walks.perceive_s[mine].sum() / max(taken, 1)),
-        )
-        rows.append(row)
-    return tuple(rows)
+    """Score the trajectories of each method of perception."""
+    return tuple(
+        _score_method(trajectories, contour, stimulus, method)
+        for method in trajectories.list_methods()
+    )
 
 
-def compute_perceived_edge(walks: Trajectories, walk: int) -> np.ndarray:
-    """(T, 2) mm, target frame: where walk `walk` perceived the edge, step by step."""
-    point, seen = walks.point[walk], walks.perceived[walk]
-    there = ~np.isnan(point[:, 0]) & ~np.isnan(seen[:, 0])
-    x, y, yaw = point[there].T
-    distance, direction = seen[there].T
+def _score_method(
+    trajectories: Trajectories, contour: Contour, stimulus: str, method: str
+) -> TrajectoryScore:
+    rows = np.flatnonzero(trajectories.method == method)
+    distances, perceived_edges = [], []
+    for row in rows:
+        point = trajectories.point[row]
+        xy = point[~np.isnan(point[:, 0]), :2]
+        distances.append(measure_contour_distances(contour, xy))
+        perceived_edges.append(compute_perceived_edge(trajectories, int(row)))
+    distance = np.concatenate(distances)
+    edge_distance = measure_contour_distances(contour, np.concatenate(perceived_edges))
+    ends = {
+        ENDS[end]: int(np.sum(trajectories.end[rows] == end)) for end in range(CLOSED, LATE + 1)
+    }
+    steps = np.sum(~np.isnan(trajectories.point[rows, :, 0]))
+    followed = np.sum(~np.isnan(trajectories.perceived[rows, :, 0]))
+    completed = np.clip(trajectories.way_mm[rows] / contour.length, 0, 1)
+    return TrajectoryScore(
+        name=f"{stimulus}/{method}",
+        stimulus=stimulus,
+        way=method,
+        starts=len(rows),
+        completed=float(np.mean(completed)),
+        closed=ends[ENDS[CLOSED]],
+        mean_mm=float(distance.mean()),
+        walk_mm=[float(each.mean()) for each in distances],
+        p95_mm=float(np.percentile(distance, 95)),
+        largest_mm=float(distance.max()),
+        seen_mean_mm=float(edge_distance.mean()) if len(edge_distance) else None,
+        ends={name: count for name, count in ends.items() if count},
+        unsolved=int(trajectories.failed_contacts[rows].sum()),
+        steps=int(steps),
+        unfollowed=int(steps - followed),
+        perceive_ms=float(1e3 * trajectories.perceive_s[rows].sum() / max(steps, 1)),
+    )
+
+
+def compute_perceived_edge(trajectories: Trajectories, row: int) -> np.ndarray:
+    """Compute where one trajectory perceived the edge at each step: (T, 2) mm, target frame."""
+    point, perceived = trajectories.point[row], trajectories.perceived[row]
+    known = ~np.isnan(point[:, 0]) & ~np.isnan(perceived[:, 0])
+    x, y, yaw = point[known].T
+    distance, direction = perceived[known].T
     angle = np.radians(yaw + direction)
     return np.stack([x - distance * np.cos(angle), y - distance * np.sin(angle)], -1)

@@ -1,11 +1,13 @@
-"""Ways from a walk's pins to the object: what each pin shows, where it is put, and what shape is made of all of it.
+"""Methods from the pins of a trajectory to the object.
 
-Both fuse the surfaces that a walk felt, each a height of the pins near the sensor's axis:
+A method says what each pin shows, where that is placed, and what shape is made of all of it. Both
+fuse the surfaces along a trajectory, each from the heights of the pins near the sensor's axis:
 
-voronoi   the paper's: the growth of the pins' cells, where the pins are. Cells grow most over an edge: what the ridge of the map surrounds
-          is the object. It learns from nothing.
-skin      where the skin's outer face stands, by the inverse of `geometry.py` and the dome's own shape; above one level, `find_separating_level`,
-          lies the object. Inverse and level are from 300 taps of known poses.
+voronoi   the paper's: the growth of the pins' cells, where the pins are. Cells grow most over an
+          edge, so the object is what the ridge of the map surrounds. It is not trained.
+skin      the position of the skin's outer face, by the inverse of `geometry.py` and the dome's own
+          shape. The object is above one level, `find_separating_level`. Inverse and level are
+          fitted to 300 taps of known poses.
 """
 
 from collections.abc import Callable
@@ -29,18 +31,15 @@ from jaxunshear.perception.lattice import Lattice
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 VORONOI, SKIN = "voronoi", "skin"
-NEAR_MM = (
-    6.0  # pins from the sensor's axis: farther out the dome curves away from what lies under it
-)
+NEAR_MM = 6.0  # from the sensor's axis; farther out the dome curves away from what is under it
 
 
 class ShapeEstimator(NamedTuple):
-    estimate_values: Callable[
-        [np.ndarray], np.ndarray
-    ]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
+    # motions (T, P, 2) px -> (T, Q); NaN rows stay
+    estimate_values: Callable[[np.ndarray], np.ndarray]
     locate_values: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
     extract_shape: Callable[[HeightMap], np.ndarray]  # -> (K, K) bool
-    level: float | None  # of the value, over which the object lies; none for a ridge
+    level: float | None  # the object is where the value is higher; None for a ridge
     in_mm: bool  # whether the value is a height in mm above the sensor's apex
 
 
@@ -51,8 +50,14 @@ def make_shape_estimators(
     indentation_mm: np.ndarray,
     distance: np.ndarray,
 ) -> dict[str, ShapeEstimator]:
-    """By name; from motions (N, P, 2) px, NaN where unknown, of taps at the depth of the walk, how far the skin above each pin is pressed
-    in (N, P), and how far outside the object it lies (N, P) mm."""
+    """Make both methods by name, from taps at the depth of the trajectory.
+
+    Args:
+        lattice: Its rest positions.
+        motion: (N, P, 2) px, NaN if unknown.
+        indentation_mm: (N, P) of the skin above each pin.
+        distance: (N, P) mm of that skin from the object's edge, negative over the object.
+    """
     rest = compute_skin_positions(sensor)
     followed = ~np.isnan(motion[:, 0, 0])
     motion, distance = motion[followed], distance[followed]
@@ -63,32 +68,36 @@ def make_shape_estimators(
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
     undeformed = sensor.dome_radius_mm * (1 - towards_axis)
 
-    def growth(motion: np.ndarray) -> np.ndarray:
-        found = np.full((len(motion), np.count_nonzero(near)), np.nan)
-        sure = ~np.isnan(motion[:, 0, 0])
-        if sure.any():
-            found[sure] = compute_relative_growth(lattice, motion[sure])[:, near]
-        return found
+    def estimate_growth(motion: np.ndarray) -> np.ndarray:
+        growth = np.full((len(motion), np.count_nonzero(near)), np.nan)
+        identified = ~np.isnan(motion[:, 0, 0])
+        if identified.any():
+            growth[identified] = compute_relative_growth(lattice, motion[identified])[:, near]
+        return growth
 
-    def stands(motion: np.ndarray) -> np.ndarray:
+    def estimate_skin_height(motion: np.ndarray) -> np.ndarray:
         return undeformed + towards_axis * estimate_indentation(inverse, motion)[:, near]
 
-    def displace_pins(motion: np.ndarray) -> np.ndarray:
+    def displace_skin(motion: np.ndarray) -> np.ndarray:
         return rest[near] + motion[:, near] / px_per_mm
 
-    def above(fused: HeightMap) -> np.ndarray:
+    level = find_separating_level(estimate_skin_height(motion), distance[:, near] < 0)
+
+    def extract_above_level(fused: HeightMap) -> np.ndarray:
         return np.nan_to_num(interpolate_map(fused), nan=-np.inf) > level
 
-    level = find_separating_level(stands(motion), distance[:, near] < 0)
     return {
-        VORONOI: ShapeEstimator(growth, displace_pins, extract_ridge_shape, None, in_mm=False),
-        SKIN: ShapeEstimator(stands, displace_pins, above, level, in_mm=True),
+        VORONOI: ShapeEstimator(estimate_growth, displace_skin, extract_ridge_shape, None, False),
+        SKIN: ShapeEstimator(estimate_skin_height, displace_skin, extract_above_level, level, True),
     }
 
 
 def find_separating_level(values: np.ndarray, over: np.ndarray) -> float:
-    """The level that as large a share of the skin beside the object exceeds as of the skin `over` it falls short of."""
+    """Find the level that separates values `over` the object from others.
+
+    The share of values below it over the object equals the share of others above it.
+    """
     levels = np.quantile(values, np.linspace(0, 1, 1001))
-    short = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)
-    beyond = 1 - np.searchsorted(np.sort(values[~over]), levels) / np.sum(~over)
-    return float(levels[np.argmin(np.abs(short - beyond))])
+    below = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)
+    above = 1 - np.searchsorted(np.sort(values[~over]), levels) / np.sum(~over)
+    return float(levels[np.argmin(np.abs(below - above))])

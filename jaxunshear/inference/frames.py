@@ -1,6 +1,7 @@
-"""Frames of a folder, and whether the folder is of the sensor that a model learnt from."""
+"""The frames of a folder, and whether they are of a model's sensor."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,42 +11,45 @@ from jaxunshear.inference.perceiver import Perceiver
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import NO_MINIMUM, invert_image, judge_images
 
-SAMPLED_FRAMES = 20  # frames that a folder is judged by
-Frames = Iterator[tuple[int, str, np.ndarray]]  # row, name, image (S, S) uint8 of {0, 255}
+SAMPLED_FRAMES = 20  # frames by which a folder is judged
+
+
+class Frame(NamedTuple):
+    row: int  # of the recordings
+    name: str
+    image: np.ndarray  # (S, S) uint8 of {0, 255}
 
 
 def open_frames(
-    recordings: Recordings, network: Perceiver, force: bool
-) -> tuple[Perceiver, Frames]:
-    """Give the frames that can be read, negatives turned, and the network that is to answer them.
+    recordings: Recordings, perceiver: Perceiver, force: bool
+) -> tuple[Perceiver, Iterator[Frame]]:
+    """Open the readable frames; return the perceiver with the rule that these images need.
 
-    Raises UserError at once where hardly any is of the model's sensor. With `force` all are answered as they are, but for those that
-    networks over pins find no pins in.
+    Negatives are inverted. Raises UserError at once if hardly any frame is of the model's sensor.
+    With `force` all frames are used as they are, except those without pins for pin networks.
     """
+    frames = (Frame(*frame) for frame in recordings.iterate_frames(perceiver.view))
     if force:
-        return network._replace(min_plausibility=NO_MINIMUM), recordings.iterate_frames(
-            network.view
+        return perceiver._replace(min_plausibility=NO_MINIMUM), frames
+    verdict = judge_images(_sample_images(recordings, perceiver), perceiver.expected)
+    if verdict.inverted:
+        recordings.notes.append(f"{verdict.reason}: they are turned")
+        # inverted dark pins are less like the sensor's than light pins
+        return perceiver._replace(min_plausibility=NO_MINIMUM), (
+            frame._replace(image=invert_image(frame.image)) for frame in frames
         )
-    found = judge_images(_sample(recordings, network), network.expected)
-    if found.inverted:
-        recordings.notes.append(f"{found.reason}: they are turned")
-        frames = recordings.iterate_frames(network.view)
-        # what dark pins leave when they are turned looks less like the sensor than light pins do
-        return network._replace(min_plausibility=NO_MINIMUM), (
-            (row, name, invert_image(image)) for row, name, image in frames
-        )
-    if not found.ok:
-        raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
-    return network, recordings.iterate_frames(network.view)
+    if not verdict.ok:
+        raise UserError(f"{recordings.path}: {verdict.reason}; --force answers all the same")
+    return perceiver, frames
 
 
-def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
-    """(N, S, S): up to SAMPLED frames, evenly spaced."""
+def _sample_images(recordings: Recordings, perceiver: Perceiver) -> np.ndarray:
+    """Read (N, S, S) from up to SAMPLED_FRAMES files, evenly spaced."""
     files, problem, images = recordings.files, "", []
     for file in files[:: -(-len(files) // SAMPLED_FRAMES)]:
-        view = network.view or recordings.find_common_view(file.parent)
+        view = perceiver.view or recordings.find_common_view(file.parent)
         try:
-            images.append(prepare_frame(network.preprocess, read_image(file), view))
+            images.append(prepare_frame(perceiver.preprocess, read_image(file), view))
         except UserError as error:
             problem = f"{file.name}: {error}"
     if not images:

@@ -1,15 +1,17 @@
-"""A finished run at work on recordings: unshears them and determines their poses. Imports JAX only once the paths are known good.
+"""Run a trained model on recordings: unshear the images and predict their poses.
+
+JAX is imported only after the paths were checked.
 
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from jaxunshear.inference.inference_stats import (
     count_rows,
     make_row,
 )
-from jaxunshear.inference.suitability import learnt_note
+from jaxunshear.inference.suitability import describe_training
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.png import encode_png, to_uint8
@@ -34,77 +36,92 @@ from jaxunshear.serialization import format_csv
 
 if TYPE_CHECKING:
     from jaxunshear.data.recordings import Recordings
-    from jaxunshear.inference.frames import Frames
+    from jaxunshear.inference.frames import Frame
     from jaxunshear.inference.perceiver import Perceiver, Predictions
 
 BATCH = 32
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 FRAMES = (
-    "x_mm and yaw_deg are relative to the simulated stimulus' target point, edge_mm (negative inside) and edge_deg "
-    "give the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
+    "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
+    "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "
+    "recorded_* are the labels that came with the images, in their own work frame."
 )
-OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
+OWN_FRAME = (
+    "Poses have the names, the frame and the units of the recorded labels "
+    "that the networks learnt from."
+)
+
+
+class _Source(NamedTuple):
+    """Recordings, and the perceiver of their frames."""
+
+    recordings: "Recordings"
+    perceiver: "Perceiver"
+    frames: "Iterator[Frame]"
+
+
+class _Batch(NamedTuple):
+    rows: list[int]
+    names: list[str]
+    predictions: "Predictions"
+    seconds: float  # of the networks, for the full BATCH
 
 
 def unshear_recordings(
     path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
-    """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`. One that is
-    not understood gets no image and no pose, but a row that says why.
+    """Unshear every image at `path`; write PNGs, `poses.csv` and `NOTE.txt` to `out`.
 
-    `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
-    was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
-    Raises `UserError` where the model or every image cannot be read, where `out` lies among the recordings, or where the images are not
-    of the model's sensor, unless `force`d.
+    An image that is rejected gets no PNG and no pose, but a row that says why. The time per image
+    is that of a full batch over BATCH. Raises `UserError` if the model or every image cannot be
+    read, if `out` lies among the recordings, or if the images are not of the model's sensor.
+
+    Args:
+        path: An image, or a folder of recordings.
+        model: The folder of a finished run, or the name of released weights.
+        out: The folder for the results.
+        force: Use images that are not of the model's sensor.
+        like: A folder of contacts of the same sensor and camera, if `path` holds too few to
+            estimate the rest positions.
     """
     model = find_model_folder(model)
-    experiment = _settings_for(path, model)
+    experiment = _load_settings(path, model)
     check_not_among(path, out, "--out")
-    network = _perceiver(
-        model,
-        experiment,
-        uses_pins(experiment) or isinstance(experiment.paired, Recorded),
-        like or path,
-    )
-    recordings, network, frames = _read(path, network, force)
-    targets = _targets(recordings.names)
-    left_out = RejectedImages(recordings)
+    with_sheared_poses = uses_pins(experiment) or isinstance(experiment.paired, Recorded)
+    perceiver = _load_perceiver(model, experiment, with_sheared_poses, like or path)
+    source = _open_source(path, perceiver, force)
+    recordings = source.recordings
+    files = _list_png_files(recordings.names)
+    rejected = RejectedImages(recordings)
+    errors = LabelErrors(perceiver.targets, recordings)
     table: list[Json] = []
     seconds: list[float] = []
-    errors = LabelErrors(network.targets, recordings)
-    for rows, names, answers, spent in _answers(recordings, network, frames, "unshear"):
-        if answers.unsheared is None:
+    for batch in _predict_batches(source, "unshear"):
+        unsheared = batch.predictions.unsheared
+        if unsheared is None:
             raise UserError(
-                f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`"
+                f"{model} has no network that unshears: it learnt poses alone; "
+                "use `jaxunshear pose`"
             )
-        seconds.append(spent / BATCH)
-        errors.add(rows, answers)
-        for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            why = left_out.add(name, answers.rejection[i])
-            if why:  # a picture that is there would pass for its answer
-                (out / targets[row]).unlink(missing_ok=True)
+        seconds.append(batch.seconds / BATCH)
+        errors.add(batch.rows, batch.predictions)
+        for i, (row, name) in enumerate(zip(batch.rows, batch.names, strict=True)):
+            reason = rejected.add(name, batch.predictions.rejection[i])
+            if reason:  # an image of an earlier run would appear to be the result
+                (out / files[row]).unlink(missing_ok=True)
             else:
-                write_bytes(out / targets[row], encode_png(to_uint8(answers.unsheared[i])))
-            image = {"name": name, "image": "" if why else targets[row]}
-            poses = {
-                quantity: _format_cell(values[i])
-                for quantity, values in answers.poses.get("unsheared", {}).items()
-            }
-            table.append(image | poses | _format_labels(recordings, row) | {"left_out": why})
+                write_bytes(out / files[row], encode_png(to_uint8(unsheared[i])))
+            cells: Json = {"name": name, "image": "" if reason else files[row]}
+            cells |= _format_poses(batch.predictions.poses.get("unsheared", {}), i)
+            table.append(cells | _format_labels(recordings, row) | {"left_out": reason})
     write_text(out / "poses.csv", format_csv(table))
     notes = list(recordings.notes)
-    if not network.targets:
+    if not perceiver.targets:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    note, frame = (
-        learnt_note(experiment),
-        OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
-    )
-    write_text(out / "NOTE.txt", "\n".join([note, frame, f"Networks: {model.name}", *notes]) + "\n")
-    used = len(table) - left_out.count
+    _write_note(out / "NOTE.txt", model, experiment, notes)
+    used = len(table) - rejected.count
     print(f"{used} images unsheared, {len(recordings) - used} left out; see {out / 'poses.csv'}")
-    left_out.report(print)
-    errors.report(print)
-    _print_summary([*notes, note], print)
+    _report(rejected, errors, [*notes, describe_training(experiment)], print)
     return _add_provenance(
         [
             *count_rows("unshear", used, recordings),
@@ -117,101 +134,109 @@ def unshear_recordings(
 def predict_recordings(
     path: Path, model: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
-    """Prints, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
+    """Print the predicted poses of every image at `path`, as recorded and unsheared.
 
-    Notes and errors against the labels go to stderr, so that the CSV can be piped on. Returns the same as rows. Raises as
-    `unshear_recordings`.
+    They are printed as CSV. Notes and errors against the labels go to stderr, so that the CSV can
+    be piped. Arguments and exceptions are those of `unshear_recordings`.
     """
     model = find_model_folder(model)
-    experiment = _settings_for(path, model)
-    network = _perceiver(model, experiment, True, like or path)
-    if not network.targets:
+    experiment = _load_settings(path, model)
+    perceiver = _load_perceiver(model, experiment, True, like or path)
+    if not perceiver.targets:
         raise UserError(
-            f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
+            f"{model / 'posenet'} holds no trained model (no checkpoints): "
+            "train first, or name another folder"
         )
-    recordings, network, frames = _read(path, network, force)
-    left_out = RejectedImages(recordings)
+    source = _open_source(path, perceiver, force)
+    recordings = source.recordings
+    rejected = RejectedImages(recordings)
+    errors = LabelErrors(perceiver.targets, recordings)
     table: list[Json] = []
     measured: list[Measurement] = []
-    errors = LabelErrors(network.targets, recordings)
-    for rows, names, answers, _ in _answers(recordings, network, frames, "pose"):
-        errors.add(rows, answers)
-        for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            line: Json = {"name": name}
-            why = left_out.add(name, answers.rejection[i])
-            for way, poses in answers.poses.items():
-                for quantity, values in poses.items():
-                    line[f"{way}_{quantity}"] = _format_cell(values[i])
-                    if not why:
-                        unit = quantity.split("_")[-1]
-                        measured.append(
-                            make_row(f"{name}.{way}.{quantity}", float(values[i]), unit)
-                        )
-            table.append(line | _format_labels(recordings, row) | {"left_out": why})
+    for batch in _predict_batches(source, "pose"):
+        errors.add(batch.rows, batch.predictions)
+        for i, (row, name) in enumerate(zip(batch.rows, batch.names, strict=True)):
+            reason = rejected.add(name, batch.predictions.rejection[i])
+            cells: Json = {"name": name}
+            for kind, poses in batch.predictions.poses.items():
+                cells |= _format_poses(poses, i, f"{kind}_")
+                if not reason:
+                    measured += _list_pose_rows(f"{name}.{kind}", poses, i)
+            table.append(cells | _format_labels(recordings, row) | {"left_out": reason})
     print(format_csv(table).rstrip("\n"))
-    note = partial(print, file=sys.stderr)
-    used = len(table) - left_out.count
-    note(f"poses of {used} images, {len(recordings) - used} left out")
-    left_out.report(note)
-    errors.report(note)
-    _print_summary([*recordings.notes, learnt_note(experiment)], note)
+    log = partial(print, file=sys.stderr)
+    used = len(table) - rejected.count
+    log(f"poses of {used} images, {len(recordings) - used} left out")
+    _report(rejected, errors, [*recordings.notes, describe_training(experiment)], log)
     return _add_provenance([*measured, *count_rows("pose", used, recordings), *errors.rows()])
 
 
-def _perceiver(model: Path, experiment: Experiment, recorded_too: bool, like: Path) -> "Perceiver":
-    from jaxunshear.inference.perceiver import find_pin_frame, load_perceiver
-
-    return load_perceiver(model, experiment, recorded_too, find_pin_frame(like, experiment))
-
-
-def _settings_for(path: Path, model: Path) -> Experiment:
+def _load_settings(path: Path, model: Path) -> Experiment:
     if not path.exists():
         raise UserError(f"{path} does not exist: name an image or a folder of recordings")
     return load_settings(model)
 
 
-def _read(path: Path, network: "Perceiver", force: bool) -> "tuple[Recordings, Perceiver, Frames]":
+def _load_perceiver(
+    model: Path, experiment: Experiment, with_sheared_poses: bool, like: Path
+) -> "Perceiver":
+    from jaxunshear.inference.perceiver import find_pin_frame, load_perceiver
+
+    return load_perceiver(model, experiment, with_sheared_poses, find_pin_frame(like, experiment))
+
+
+def _open_source(path: Path, perceiver: "Perceiver", force: bool) -> _Source:
     from jaxunshear.data.recordings import read_recordings
     from jaxunshear.inference.frames import open_frames
 
-    recordings = read_recordings(path, network.preprocess)
-    return recordings, *open_frames(recordings, network, force)
+    recordings = read_recordings(path, perceiver.preprocess)
+    return _Source(recordings, *open_frames(recordings, perceiver, force))
 
 
-def _targets(names: tuple[str, ...]) -> list[str]:
-    """Where each image goes: its own name as PNG; `a.jpg` beside `a.png` keeps its full name."""
-    targets: list[str] = []
-    taken: set[str] = set()
+def _list_png_files(names: tuple[str, ...]) -> list[str]:
+    """List the PNG file of each image; `a.jpg` beside `a.png` keeps its full name."""
+    files: list[str] = []
     for name in names:
-        target = str(PurePosixPath(name).with_suffix(".png"))
-        target = f"{name}.png" if target in taken else target
-        taken.add(target)
-        targets.append(target)
-    return targets
+        file = str(PurePosixPath(name).with_suffix(".png"))
+        files.append(f"{name}.png" if file in files else file)
+    return files
 
 
-def _answers(
-    recordings: "Recordings", network: "Perceiver", frames: "Frames", label: str
-) -> "Iterator[tuple[list[int], list[str], Predictions, float]]":
-    """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
+def _predict_batches(source: _Source, label: str) -> Iterator[_Batch]:
+    recordings, perceiver, frames = source
     size = recordings.preprocess.size
-    network.predict(np.zeros((BATCH, size, size), np.uint8))
+    perceiver.predict(np.zeros((BATCH, size, size), np.uint8))  # compiles
     with Progress(label, len(recordings)) as progress:
-        seen = 0
+        done = 0
         while batch := list(islice(frames, BATCH)):
-            rows, names, images = zip(*batch, strict=True)
-            padded = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
-            padded[: len(images)] = images
+            images = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
+            images[: len(batch)] = [frame.image for frame in batch]
             start = time.perf_counter()
-            answers = network.predict(padded)
-            yield list(rows), list(names), answers, time.perf_counter() - start
-            progress.advance(rows[-1] + 1 - seen)
-            seen = rows[-1] + 1
-        progress.advance(len(recordings) - seen)  # left out at the end
+            predictions = perceiver.predict(images)
+            seconds = time.perf_counter() - start
+            rows, names = [frame.row for frame in batch], [frame.name for frame in batch]
+            yield _Batch(rows, names, predictions, seconds)
+            progress.advance(rows[-1] + 1 - done)
+            done = rows[-1] + 1
+        progress.advance(len(recordings) - done)  # images at the end that cannot be read
+
+
+def _format_poses(poses: Mapping[str, np.ndarray], i: int, prefix: str = "") -> dict[str, str]:
+    cells = {}
+    for quantity, values in poses.items():
+        cells[f"{prefix}{quantity}"] = f"{values[i]:.4f}" if np.isfinite(values[i]) else ""
+    return cells
+
+
+def _list_pose_rows(name: str, poses: Mapping[str, np.ndarray], i: int) -> list[Measurement]:
+    return [
+        make_row(f"{name}.{quantity}", float(values[i]), quantity.split("_")[-1])
+        for quantity, values in poses.items()
+    ]
 
 
 def _format_labels(recordings: "Recordings", row: int) -> dict[str, str]:
-    """The labels that came with an image; empty cells where this one has none."""
+    """Format the labels of an image; cells are empty if it has none."""
     cells = {}
     for kind, values in (("pose", recordings.poses), ("move", recordings.moves)):
         if values is not None:
@@ -220,11 +245,15 @@ def _format_labels(recordings: "Recordings", row: int) -> dict[str, str]:
     return cells
 
 
-def _format_cell(value: float) -> str:
-    return f"{value:.4f}" if np.isfinite(value) else ""
+def _write_note(file: Path, model: Path, experiment: Experiment, notes: list[str]) -> None:
+    pose_frame = OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
+    lines = [describe_training(experiment), pose_frame, f"Networks: {model.name}", *notes]
+    write_text(file, "\n".join(lines) + "\n")
 
 
-def _print_summary(notes: list[str], log: Log) -> None:
+def _report(rejected: RejectedImages, errors: LabelErrors, notes: list[str], log: Log) -> None:
+    rejected.report(log)
+    errors.report(log)
     for note in (*notes[:9], *notes[9:][-1:]):
         log(f"note: {note}")
     if len(notes) > 10:

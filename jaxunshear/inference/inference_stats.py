@@ -1,4 +1,4 @@
-"""What is counted while a folder is answered: images that are left out, and errors against the labels that came with the others."""
+"""Counts of rejected images, and errors of predictions against the labels of a folder."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def count_rows(command: str, used: int, recordings: "Recordings") -> list[Measur
 
 
 class RejectedImages:
-    """Images that were read and not understood: counted by reason, and noted."""
+    """Images that were read and rejected: counted by reason, and noted."""
 
     def __init__(self, recordings: "Recordings") -> None:
         self._notes = recordings.notes
@@ -38,12 +38,13 @@ class RejectedImages:
     def count(self) -> int:
         return self._reasons.total()
 
-    def add(self, name: str, doubt: str) -> str:
-        """Count an image if there is a `doubt`, which is returned."""
-        if doubt:
-            self._reasons[str(doubt)] += 1
-            self._notes.append(f"left out {name}: {doubt}")
-        return str(doubt)
+    def add(self, name: str, reason: str) -> str:
+        """Count an image if there is a `reason` to reject it, which is returned."""
+        reason = str(reason)
+        if reason:
+            self._reasons[reason] += 1
+            self._notes.append(f"left out {name}: {reason}")
+        return reason
 
     def report(self, log: Log) -> None:
         for reason, count in self._reasons.items():
@@ -51,7 +52,7 @@ class RejectedImages:
 
 
 class LabelErrors:
-    """Errors of what a model reads against the labels that came with the images, where these are of the same names."""
+    """Errors of predicted poses, if the labels have all the names of the poses."""
 
     def __init__(self, names: tuple[str, ...], recordings: "Recordings") -> None:
         labels = {"pose": recordings.poses, "move": recordings.moves}
@@ -61,27 +62,27 @@ class LabelErrors:
             if name in names and (values := labels[field]) is not None
         }
         self._true = true if len(true) == len(names) else None
-        self._found: dict[str, list[np.ndarray]] = {}
+        self._errors: dict[str, list[np.ndarray]] = {}
 
-    def add(self, rows: list[int], answers: "Predictions") -> None:
+    def add(self, rows: list[int], predictions: "Predictions") -> None:
         if self._true is None:
             return
         from jaxunshear.metrics.pose_error import compute_pose_errors
 
         true = {name: values[rows] for name, values in self._true.items()}
-        for way, poses in answers.poses.items():
-            for name, error in compute_pose_errors(
-                {n: v[: len(rows)] for n, v in poses.items()}, true
-            ).items():
-                self._found.setdefault(f"{way}.{name}", []).append(error[np.isfinite(error)])
+        for kind, poses in predictions.poses.items():
+            predicted = {name: values[: len(rows)] for name, values in poses.items()}
+            for name, error in compute_pose_errors(predicted, true).items():
+                finite = error[np.isfinite(error)]
+                self._errors.setdefault(f"{kind}.{name}", []).append(finite)
 
     def means(self) -> dict[str, float]:
-        found = {name: np.concatenate(parts) for name, parts in self._found.items()}
-        return {
-            name: float(errors.mean(dtype=np.float64))
-            for name, errors in found.items()
-            if len(errors)
-        }
+        means = {}
+        for name, batches in self._errors.items():
+            errors = np.concatenate(batches)
+            if len(errors):
+                means[name] = float(errors.mean(dtype=np.float64))
+        return means
 
     def rows(self) -> list[Measurement]:
         return [
@@ -90,9 +91,9 @@ class LabelErrors:
         ]
 
     def report(self, log: Log) -> None:
-        by_way: dict[str, list[str]] = {}
+        by_kind: dict[str, list[str]] = {}
         for name, value in self.means().items():
-            way, target = name.split(".")
-            by_way.setdefault(way, []).append(f"{target} {value:.3f}")
-        for way, parts in by_way.items():
-            log(f"mean error against the labels, {way}: {', '.join(parts)}")
+            kind, target = name.split(".")
+            by_kind.setdefault(kind, []).append(f"{target} {value:.3f}")
+        for kind, parts in by_kind.items():
+            log(f"mean error against the labels, {kind}: {', '.join(parts)}")

@@ -52,7 +52,7 @@ def plot_objects(stimulus: str, solids: dict[str, ReconstructedObject], shown: s
         picture[solid.shape & ~solid.true] = (0.25, 0.59, 1.0)
         below.imshow(picture, origin="lower", extent=extent)
         below.set_title(
-            f"IoU {solid.likeness.iou:.2f}, outline {solid.likeness.mean_mm:.2f} mm off",
+            f"IoU {solid.score.iou:.2f}, outline {solid.score.mean_mm:.2f} mm off",
             fontsize=HEAD,
         )
         felt = np.argwhere(felt_there)

@@ -1,4 +1,4 @@
-"""A recording that was simulated: what the fit must find is known."""
+"""A simulated recording, of which the true calibration is known."""
 
 import csv
 from dataclasses import replace
@@ -15,7 +15,7 @@ from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.simulator.simulate import follow
 
-# A small dome has few nodes and elements, and few pins are soon found.
+# A small dome has few nodes and elements, and few pins are detected quickly.
 SMALL = Sensor(
     name="small",
     rings=6,
@@ -40,7 +40,7 @@ class Truth(NamedTuple):
 def write_recording(
     folder: Path, images: np.ndarray, poses: np.ndarray | None, moves: np.ndarray | None
 ) -> None:
-    """The older layout: images/, targets.csv, meta.json."""
+    """Write the older layout: images/, targets.csv, meta.json."""
     (folder / "images").mkdir(parents=True)
     for i, image in enumerate(images):
         Image.fromarray(image).save(folder / "images" / f"image_{i + 1}.png")
@@ -49,17 +49,19 @@ def write_recording(
         return
     with open(folder / "targets.csv", "w", newline="") as stream:
         write = csv.writer(stream).writerow
-        names = [f"pose_{i}" for i in range(1, 7)] + (
-            [f"move_{i}" for i in range(1, 7)] if moves is not None else []
-        )
+        labels = {"pose": poses} if moves is None else {"pose": poses, "move": moves}
+        names = [f"{kind}_{i}" for kind in labels for i in range(1, 7)]
         write(["sensor_image", *names])
-        for i, pose in enumerate(poses):
-            write([f"image_{i + 1}.png", *pose, *(moves[i] if moves is not None else [])])
+        for i, row in enumerate(np.concatenate(list(labels.values()), axis=1)):
+            write([f"image_{i + 1}.png", *row])
 
 
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Truth:
-    """Presses and slides on a flat top, with a tilt and a turned camera, of a sensor unlike SMALL and GUESS."""
+    """Record presses and slides on a flat top, with a tilt and a rotated camera.
+
+    Sensor and camera differ from SMALL and GUESS.
+    """
     sensor = replace(SMALL, pin_radius_mm=0.36)
     camera = replace(GUESS, mm_across=13.4, housing=1.2)  # the housing begins within the mask
     friction = 0.35

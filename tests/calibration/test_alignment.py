@@ -1,4 +1,4 @@
-"""How an object lies is found again from pins; and a frame does to contacts what it says."""
+"""The frame of an object is recovered from pins, and changes contacts as it says."""
 
 import numpy as np
 import pytest
@@ -30,8 +30,11 @@ def _contacts(count=24):
     return read_motions(poses, moves)
 
 
-def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
-    """In place of the simulator: pins follow depth, distance and tilt smoothly, each in its own way; one contact is never solved."""
+def _displace_smoothly(sensor, contacts, side, friction, surface_mm, ratio):
+    """Replace the simulator: pins follow depth, distance and tilt smoothly.
+
+    One contact is never solved.
+    """
     end = make_paths(contacts, sensor, surface_mm, side, friction).points[:, -1]
     tips = compute_pin_tips(make_probe_sensor(sensor, ratio)) / 20
     yaw = np.radians(end[:, 2])
@@ -48,31 +51,36 @@ def _like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
 
 
 def _recorded(contacts):
-    moved, _ = _like_a_skin(SENSOR, apply_frame(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel)
-    place = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
-    shell = np.repeat(np.arange(11), [1] + [6 * k for k in range(1, 11)])
-    count = np.zeros(len(place))
-    lattice = make_lattice(place.mean(axis=0), shell)
+    moved, _ = _displace_smoothly(
+        SENSOR, apply_frame(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel
+    )
+    positions = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
+    ring = np.repeat(np.arange(11), [1] + [6 * k for k in range(1, 11)])
+    count = np.zeros(len(positions))
+    lattice = make_lattice(positions.mean(axis=0), ring)
     return PinObservation(
-        128, lattice, place, place[..., 0], count, count == 0, count, count, count
+        128, lattice, positions, positions[..., 0], count, count == 0, count, count, count
     )
 
 
 def test_a_frame_is_found_again():
     contacts = _contacts()
-    matter = AlignmentProblem(_recorded(contacts), contacts, 1, VALUES, SENSOR, _like_a_skin)
-    found = find_frame(matter, LabelFrame(2.2))
-    assert np.allclose(found, TRUE, atol=0.1)
-    reported = find_frame(matter, LabelFrame(2.2), ("surface_mm",))
-    assert reported[1:] == (0, 0, 0) and reported.surface_mm != 2.2
-    assert abs(matter.measure_rotation(found)) < 0.01
+    problem = AlignmentProblem(_recorded(contacts), contacts, 1, VALUES, SENSOR, _displace_smoothly)
+    frame = find_frame(problem, LabelFrame(2.2))
+    assert np.allclose(frame, TRUE, atol=0.1)
+    surface_only = find_frame(problem, LabelFrame(2.2), ("surface_mm",))
+    assert surface_only[1:] == (0, 0, 0) and surface_only.surface_mm != 2.2
+    assert abs(problem.measure_rotation(frame)) < 0.01
 
 
 def test_a_surface_without_an_edge_has_no_place_across():
     contacts = _contacts()
-    of_an_edge = lambda *words: _like_a_skin(words[0], words[1], 1, *words[3:])  # noqa: E731
-    matter = AlignmentProblem(_recorded(contacts), contacts, 0, VALUES, SENSOR, of_an_edge)
-    assert find_frame(matter, LabelFrame(2.0)).across_mm == 0
+
+    def displace_at_edge(sensor, contacts, side, *values):
+        return _displace_smoothly(sensor, contacts, 1, *values)
+
+    problem = AlignmentProblem(_recorded(contacts), contacts, 0, VALUES, SENSOR, displace_at_edge)
+    assert find_frame(problem, LabelFrame(2.0)).across_mm == 0
 
 
 def test_a_shifted_frame_shifts_depth_and_edge():
@@ -86,7 +94,10 @@ def test_a_shifted_frame_shifts_depth_and_edge():
 
 
 def test_a_tilted_top_is_deeper_on_one_side():
-    """The top turned about y by a small angle: tips at +x come to lie lower, by x times the angle, and all sensors lean by it."""
+    """Rotate the top about y by a small angle.
+
+    Tips at +x become lower by x times the angle, and all sensors tilt by it.
+    """
     contacts = _contacts()
     tilted = apply_frame(contacts, LabelFrame(0.0, 0.0, 0.0, 2.0))
     lower = contacts.tip[..., 2] - tilted.tip[..., 2]

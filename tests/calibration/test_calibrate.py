@@ -1,4 +1,4 @@
-"""Known sensors are found again from images; what images do not show is said, and what is no recording is refused."""
+"""Known sensors are recovered from images; anything else is reported or refused."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from jaxunshear.simulator.camera import compute_outer_fraction
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 
-def _quiet(text: str) -> None:
+def _discard(text: str) -> None:
     pass
 
 
@@ -24,7 +24,7 @@ def _quiet(text: str) -> None:
 def results(simulated, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     return calibrate(
-        simulated.folder, out, SMALL, GUESS, fixed=("pin_spacing_mm", "distance_mm"), log=_quiet
+        simulated.folder, out, SMALL, GUESS, fixed=("pin_spacing_mm", "distance_mm"), log=_discard
     ), out
 
 
@@ -33,16 +33,14 @@ def _parameters(results):
 
 
 def test_known_values_are_found(results, simulated):
-    found = _parameters(results[0])
-    assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
-    assert found["pin_radius_mm"]["after"] == pytest.approx(
+    parameters = _parameters(results[0])
+    assert parameters["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
+    assert parameters["pin_radius_mm"]["after"] == pytest.approx(
         simulated.sensor.pin_radius_mm, rel=0.05
     )
-    assert found["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
-    preset, camera = (
-        results[0]["preset"],
-        simulated.camera,
-    )  # a ratio to the outermost pins, whose place is fitted too
+    assert parameters["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
+    preset, camera = results[0]["preset"], simulated.camera
+    # a ratio to the outermost pins, whose position is fitted, too
     edge = preset["camera"]["housing"] * compute_outer_fraction(
         Camera(**preset["camera"]), Sensor(**preset["sensor"])
     )
@@ -50,7 +48,7 @@ def test_known_values_are_found(results, simulated):
         camera.housing * compute_outer_fraction(camera, simulated.sensor), rel=0.005
     )
     for name in ("mm_across", "friction", "skin_to_gel"):
-        assert found[name]["determined"], name
+        assert parameters[name]["determined"], name
     surface = next(note for note in results[0]["notes"] if "contact begins" in note)
     least, most = (float(word) for word in surface.split() if word.replace(".", "").isdigit())
     assert least - 0.1 < SURFACE_MM < most + 0.1
@@ -68,10 +66,8 @@ def test_after_is_nearer_than_before(results):
         row = rows[name]
         assert abs(row["after"] - row["real"]) < 0.5 * abs(row["before"] - row["real"]), name
         assert row["after"] == pytest.approx(row["real"], rel=0.02), name
-    slid = rows["central pins left behind, slide 0 to 1 mm"]
-    assert slid["images"] > 3 and slid["after"] == pytest.approx(
-        slid["real"], abs=0.1 * slid["real"]
-    )
+    lag = rows["central pins left behind, slide 0 to 1 mm"]
+    assert lag["images"] > 3 and lag["after"] == pytest.approx(lag["real"], abs=0.1 * lag["real"])
 
 
 def test_files(results):
@@ -89,14 +85,13 @@ def test_unlabelled_images_give_framing_and_pins_only(simulated, tmp_path):
     """And so do labels that belong to other images."""
     (tmp_path / "bare").mkdir()
     shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")
-    results = calibrate(tmp_path / "bare", None, SMALL, GUESS, images=12, log=_quiet)
-    found = _parameters(results)
-    assert found["mm_across"]["after"] == pytest.approx(
-        simulated.camera.mm_across, rel=0.05
-    )  # touches widen the rings
+    results = calibrate(tmp_path / "bare", None, SMALL, GUESS, images=12, log=_discard)
+    parameters = _parameters(results)
+    # touches widen the rings
+    assert parameters["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.05)
     assert (
-        found["friction"]["after"] == found["friction"]["before"]
-        and not found["friction"]["determined"]
+        parameters["friction"]["after"] == parameters["friction"]["before"]
+        and not parameters["friction"]["determined"]
     )
     assert any("framing and pin size only" in note for note in results["notes"])
     assert any("not fitted" in note and "friction" in note for note in results["notes"])
@@ -104,14 +99,14 @@ def test_unlabelled_images_give_framing_and_pins_only(simulated, tmp_path):
 
 def test_what_is_no_recording_is_refused(tmp_path):
     with pytest.raises(UserError, match="does not exist"):
-        calibrate(tmp_path / "none", log=_quiet)
+        calibrate(tmp_path / "none", log=_discard)
     few = np.zeros((3, 128, 128), np.uint8)
     few[:, 30:100:10, 30:100:10] = few[:, 31:100:10, 30:100:10] = few[:, 30:100:10, 31:100:10] = 255
     write_recording(tmp_path / "few", few, None, None)
     with pytest.raises(UserError, match="49 pins are found"):
-        calibrate(tmp_path / "few", log=_quiet)
+        calibrate(tmp_path / "few", log=_discard)
     with pytest.raises(UserError, match="cannot be held"):
-        calibrate(tmp_path / "few", fixed=("colour",), log=_quiet)
+        calibrate(tmp_path / "few", fixed=("colour",), log=_discard)
 
 
 def test_an_image_whose_slide_cannot_be_read_is_no_tap():
@@ -121,9 +116,8 @@ def test_an_image_whose_slide_cannot_be_read_is_no_tap():
         "one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves
     )
     np.testing.assert_array_equal(part.labelled_rows, np.arange(20) != 4)
-    unmoved = replace(
-        part, moves=np.full((20, 6), np.nan)
-    )  # no move is known: which are taps is not
+    # no move is known, so it is not known which images are taps
+    unmoved = replace(part, moves=np.full((20, 6), np.nan))
     assert unmoved.labelled_rows.all()
 
 

@@ -1,4 +1,4 @@
-"""What images leave open is reported as such: the interval is then the prior's."""
+"""The interval of a parameter that images leave open is that of its prior."""
 
 import numpy as np
 import pytest
@@ -9,17 +9,17 @@ PRIOR = np.array([0.3, 2.0])  # standard deviations
 
 
 @pytest.mark.parametrize(
-    ("slope", "known"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)]
+    ("slope", "determined"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)]
 )
 @pytest.mark.parametrize("noise", [0.15, 0.3])
-def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, known, noise):
+def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, determined, noise):
     generator = np.random.default_rng(1)
     residual = noise * generator.normal(size=(100, 5)) / np.sqrt(5)
     slopes = np.zeros((100, 5, 2))
     slopes[:, 1:, 0], slopes[:, 0, 1] = 1.0, slope * PRIOR_PX / PRIOR[1]
-    drawn = _bootstrap(slopes, lambda generator: residual, np.ones(100), np.zeros(2), PRIOR)
-    width = np.ptp(np.percentile(drawn, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
+    minima = _bootstrap(slopes, lambda generator: residual, np.ones(100), np.zeros(2), PRIOR)
+    width = np.ptp(np.percentile(minima, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
     assert width[0] < MAX_INTERVAL_SHARE / 4
-    assert (width[1] < MAX_INTERVAL_SHARE) == known
+    assert (width[1] < MAX_INTERVAL_SHARE) == determined
     if slope < 0.01:
         assert width[1] == pytest.approx(1, abs=0.15)

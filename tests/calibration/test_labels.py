@@ -1,4 +1,4 @@
-"""Labels become the motions they stand for."""
+"""Labels become the motions that they describe."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ MOVES = np.array([[1.0, 2.0, 0, 0, 0, 3.0], [-1.0, 0.5, 0, 4.0, -2.0, 0], [0, 0,
 
 
 def _work_to_scene() -> np.ndarray:
-    """x across the edge, z out of the object."""
+    """Rotate to x across the edge, z out of the object."""
     return np.array([[0, 1.0, 0], [1.0, 0, 0], [0, 0, -1.0]])
 
 

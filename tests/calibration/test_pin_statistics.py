@@ -16,7 +16,7 @@ from jaxunshear.calibration.pin_statistics import (
 )
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.calibration.rendering import render_images
-from jaxunshear.calibration.report import summaries_of
+from jaxunshear.calibration.report import summarise_group
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
@@ -26,7 +26,7 @@ from jaxunshear.simulator.pin_layout import compute_pin_tips
 
 @pytest.fixture(scope="module")
 def images():
-    """Two of undisturbed pins, 128 px."""
+    """Render two images of undisturbed pins, 128 px."""
     return render_images(
         Camera(frame_px=128), TACTIP_331, np.repeat(compute_pin_tips(TACTIP_331)[None], 2, axis=0)
     )
@@ -45,9 +45,11 @@ def test_known_lattice(images):
     )
     tips = compute_pin_tips(TACTIP_331)
     radius = np.linalg.norm(tips[:, :2], axis=-1) / (Camera().distance_mm - tips[:, 2])
-    ring = [radius[1 + 3 * k * (k - 1)] for k in range(1, 11)]
+    radii = [radius[1 + 3 * k * (k - 1)] for k in range(1, 11)]
     for k in range(1, 10):
-        assert means[f"ring {k} over outermost"] == pytest.approx(ring[k - 1] / ring[-1], abs=0.005)
+        assert means[f"ring {k} over outermost"] == pytest.approx(
+            radii[k - 1] / radii[-1], abs=0.005
+        )
 
 
 def test_shift_changes_nothing(images):
@@ -64,39 +66,35 @@ def test_size_changes_nothing(images):
 
 
 def test_a_turned_camera_changes_no_ring(images):
-    seen = observe_pins(images, TACTIP_331)
-    for turned in (seen.rotate(False, 0.7), seen.rotate(True, -1.2)):
-        for a, b in zip(summarise_pins(seen), summarise_pins(turned), strict=True):
+    observation = observe_pins(images, TACTIP_331)
+    for turned in (observation.rotate(False, 0.7), observation.rotate(True, -1.2)):
+        for a, b in zip(summarise_pins(observation), summarise_pins(turned), strict=True):
             np.testing.assert_allclose(a.values, b.values, atol=1e-9)
 
 
 def test_turned_is_a_turn_of_the_image(images):
-    """Seen by a mirrored camera and by one turned by a quarter: the places of the transposed and the rotated image."""
-    seen = observe_pins(images[:1], TACTIP_331)
+    """Compare with images that are transposed, and rotated by a quarter."""
+    observation = observe_pins(images[:1], TACTIP_331)
     quarter = observe_pins(np.rot90(images[:1], -1, axes=(1, 2)), TACTIP_331)
-    turned = seen.rotate(False, np.pi / 2)
-    off = np.min(
+    turned = observation.rotate(False, np.pi / 2)
+    distance = np.min(
         np.linalg.norm(quarter.positions[0][:, None] - turned.positions[0][None], axis=-1), axis=1
     )
-    assert off.max() < 0.1
+    assert distance.max() < 0.1
     transposed = observe_pins(np.swapaxes(images[:1], 1, 2), TACTIP_331)
-    flipped = seen.rotate(True, np.pi / 2)
-    off = np.min(
+    flipped = observation.rotate(True, np.pi / 2)
+    distance = np.min(
         np.linalg.norm(transposed.positions[0][:, None] - flipped.positions[0][None], axis=-1),
         axis=1,
     )
-    assert off.max() < 0.1
+    assert distance.max() < 0.1
 
 
 def test_diameters():
     rows, columns = np.indices((64, 64))
     image = np.zeros((64, 64), np.uint8)
-    for row, column, radius in (
-        (16, 16, 4.0),
-        (16, 44, 6.0),
-        (44, 20, 5.0),
-        (44, 30, 5.0),
-    ):  # the last two touch
+    discs = ((16, 16, 4.0), (16, 44, 6.0), (44, 20, 5.0), (44, 30, 5.0))  # the last two touch
+    for row, column, radius in discs:
         image[np.hypot(rows - row, columns - column) <= radius] = 255
     pins = np.array([[16, 16], [44, 16], [20, 44], [30, 44]], float)
     np.testing.assert_allclose(measure_pin_diameters(image, pins), [8, 12, 10, 10], rtol=0.04)
@@ -104,7 +102,7 @@ def test_diameters():
 
 
 def test_left_behind():
-    """A skin that stays where it was moves against the slide, whichever way the sensor is turned."""
+    """A skin that stays in place lags behind the slide, at every yaw of the sensor."""
     slide = np.array([[2.0, 0.0], [0.0, 1.5], [-1.0, 1.0]])
     yaw = np.radians([0, 90, 200])
     stays = -(slide @ [1, 1j]) * np.exp(-1j * yaw)  # in the sensor's frame
@@ -121,32 +119,34 @@ def test_central_pins_weigh_alike():
     motion = np.zeros((1, 4), complex)
     motion[0, 0], motion[0, 1] = 7, 0
     assert average_central_pins(motion)[0] == pytest.approx(1)
-    shell = np.repeat([0, 1], [1, 6])
+    ring = np.repeat([0, 1], [1, 6])
     place = np.zeros((2, 7, 2))
     place[1] = [3, -1]
-    np.testing.assert_allclose(np.diff(compute_ring_motion(shell, place), axis=0), 3 - 1j)
+    np.testing.assert_allclose(np.diff(compute_ring_motion(ring, place), axis=0), 3 - 1j)
 
 
 def test_missing_pins_move_no_ring(images):
-    """Hidden on one side, as the housing hides them after a slide."""
-    seen = observe_pins(images, TACTIP_331)
-    shell, place = seen.lattice.ring, seen.positions.copy()
+    """Hide pins on one side, as the housing does after a slide."""
+    observation = observe_pins(images, TACTIP_331)
+    ring, place = observation.lattice.ring, observation.positions.copy()
     place[0, -8:] = np.nan
-    full = compute_ring_motion(shell, seen.positions - seen.rest)
-    np.testing.assert_allclose(compute_ring_motion(shell, place - seen.rest), full, atol=0.05)
+    full = compute_ring_motion(ring, observation.positions - observation.rest)
+    np.testing.assert_allclose(compute_ring_motion(ring, place - observation.rest), full, atol=0.05)
     np.testing.assert_allclose(
-        compute_ring_radii(shell, place, seen.rest),
-        compute_ring_radii(shell, seen.positions, seen.rest),
+        compute_ring_radii(ring, place, observation.rest),
+        compute_ring_radii(ring, observation.positions, observation.rest),
         atol=0.05,
     )
 
 
 def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
-    seen = observe_pins(images, TACTIP_331)
+    observation = observe_pins(images, TACTIP_331)
     contacts = read_motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
     reported = {
         row.name: row.values
-        for row in summaries_of(RecordedGroup("one", seen, contacts), seen, np.array([True, False]))
+        for row in summarise_group(
+            RecordedGroup("one", observation, contacts), observation, np.array([True, False])
+        )
     }
     assert all(np.isnan(values[1]) for values in reported.values())
     assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331
@@ -162,6 +162,6 @@ def test_real_pins_can_be_followed(real_recordings):
     from jaxunshear.calibration.sampling import sample_folders
 
     parts, _ = sample_folders(real_recordings / "surface_3d_sample", 24, 0)
-    seen = observe_pins(parts[0].images, TACTIP_331)
-    assert seen.identified.mean() > 0.9
-    assert np.abs(seen.pin_counts - 331).max() <= 5
+    observation = observe_pins(parts[0].images, TACTIP_331)
+    assert observation.identified.mean() > 0.9
+    assert np.abs(observation.pin_counts - 331).max() <= 5

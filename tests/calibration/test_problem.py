@@ -1,4 +1,4 @@
-"""Contacts that do not converge bend nobody's slope; unlabelled images say as much as their scatter lets them."""
+"""Contacts that do not converge have no slope; intervals follow the scatter of images."""
 
 from dataclasses import replace
 
@@ -21,20 +21,23 @@ RINGS = SMALL.rings
 
 @pytest.fixture(scope="module")
 def group():
-    seen = observe_pins(
+    observation = observe_pins(
         render_images(GUESS, SMALL, np.repeat(compute_pin_tips(SMALL)[None], COUNT, axis=0)), SMALL
     )
     poses = np.zeros((COUNT, 6))
     poses[:, 2] = 1.0 + 0.1 * np.arange(COUNT)
     return RecordedGroup(
-        "one", seen, read_motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1)))
+        "one", observation, read_motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1)))
     )
 
 
 def _problem(group, lost):
-    """All pins of contact i move by friction (i + 1) mm; `lost` says of a friction whether LOST finds no solution."""
+    """Make a problem in which all pins of contact i move by friction (i + 1) mm.
 
-    def displacements(sensor, contacts, side, friction, surface_mm, ratio):
+    `lost` says of a friction whether contact LOST has no solution.
+    """
+
+    def displace(sensor, contacts, side, friction, surface_mm, ratio):
         pins = 1 + 3 * PROBE_RINGS * (PROBE_RINGS + 1)
         moved = np.zeros((COUNT, pins, 3), np.float32)
         moved[..., 0] = friction * (1 + np.arange(COUNT)[:, None])
@@ -50,25 +53,25 @@ def _problem(group, lost):
         compute_modulus_ratio(SMALL),
         (0.0,),
     )
-    held = ("mm_across", "distance_mm", "pin_spacing_mm")
-    made = Problem([group], SMALL, start, held, lambda contacts: None, displacements)
-    return made, made.to_parameters(start)
+    fixed = ("mm_across", "distance_mm", "pin_spacing_mm")
+    problem = Problem([group], SMALL, start, fixed, lambda contacts: None, displace)
+    return problem, problem.to_parameters(start)
 
 
 @pytest.mark.parametrize("at_start", [False, True])
 def test_a_lost_contact_has_no_slope_and_moves_no_other(group, at_start):
-    """Lost at a higher friction only, or at the start only."""
-    made, x = _problem(group, lambda friction: False)
-    friction = made.names.index("friction")
-    plain = made.compute_jacobian(x)[..., friction]
-    made, x = _problem(group, lambda friction: (friction > FRICTION + 1e-6) != at_start)
-    slopes = made.compute_jacobian(x)[..., friction]
+    """Lose a contact at a higher friction only, or at the start only."""
+    problem, x = _problem(group, lambda friction: False)
+    friction = problem.names.index("friction")
+    plain = problem.compute_jacobian(x)[..., friction]
+    problem, x = _problem(group, lambda friction: (friction > FRICTION + 1e-6) != at_start)
+    slopes = problem.compute_jacobian(x)[..., friction]
     assert np.abs(plain).max() > 0.1 and not slopes[LOST].any()
     others = np.delete(np.arange(COUNT), LOST)
     assert slopes[others, :RINGS] == pytest.approx(plain[others, :RINGS], abs=1e-5)
     places = plain[others, RINGS:] - plain[others, RINGS:].mean(axis=0)
     assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
-    residual = made.compute_all_residuals(made.values(x))
+    residual = problem.compute_all_residuals(problem.to_values(x))
     assert (residual[LOST, 0] == UNSOLVED_RESIDUAL_PX and not residual[LOST, 1:].any()) == at_start
 
 
@@ -83,14 +86,14 @@ def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(gr
         (0.0,),
     )
     generator = np.random.default_rng(0)
-    found, half = [], []
+    scales, half = [], []
     for _ in range(12):
         widened = group.observation.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
-        seen = group.observation.take(np.zeros(20, int))._replace(place=widened)
-        fitted = fit([RecordedGroup("one", seen)], SMALL, start, fixed=("distance_mm",))
-        found.append(fitted.values.mm_across)
+        observation = group.observation.take(np.zeros(20, int))._replace(positions=widened)
+        fitted = fit([RecordedGroup("one", observation)], SMALL, start, fixed=("distance_mm",))
+        scales.append(fitted.values.mm_across)
         half.append((fitted.high["mm_across"] - fitted.low["mm_across"]) / 2)
-    assert 0.6 < np.mean(half) / (1.96 * np.std(found, ddof=1)) < 1.7
+    assert 0.6 < np.mean(half) / (1.96 * np.std(scales, ddof=1)) < 1.7
 
 
 @pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED, SMALL])
@@ -103,6 +106,6 @@ def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
         compute_modulus_ratio(sensor),
         (0.0,),
     )
-    made = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)
-    for bound in made.bounds():
-        check_sensor(made.values(bound).sensor(sensor))
+    problem = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)
+    for bound in problem.compute_bounds():
+        check_sensor(problem.to_values(bound).sensor(sensor))

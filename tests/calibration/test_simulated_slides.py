@@ -1,4 +1,4 @@
-"""Slides to recorded taps: of taps that were simulated, what must come out is known."""
+"""Slides are added to taps that were simulated, so the true slides are known."""
 
 import numpy as np
 import pytest
@@ -13,27 +13,28 @@ from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
-KNOWN = Calibration("small", SMALL, GUESS, 0.35)
+CALIBRATION = Calibration("small", SMALL, GUESS, 0.35)
 TURN = np.array([[0.0, 1.0], [1.0, 0.0]])  # a camera behind the pins: turned, and mirrored
 MIDDLE = 63.0
 COUNT = 40
 
 
-def _at(moved):
-    """Pins (N, P, 2) px in the images of that camera."""
+def _project(displacement):
+    """Project to pins (N, P, 2) px in the images of that camera."""
     return (
-        project_positions(KNOWN.values, SMALL, 128, compute_pin_lattice(SMALL), moved) @ TURN.T
+        project_positions(CALIBRATION.values, SMALL, 128, compute_pin_lattice(SMALL), displacement)
+        @ TURN.T
         + MIDDLE
     )
 
 
-def _moved(poses, moves, friction):
-    values = KNOWN.values
-    moved, converged = simulate_displacements(
+def _displace(poses, moves, friction):
+    values = CALIBRATION.values
+    displacement, converged = simulate_displacements(
         SMALL, read_motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel
     )
     assert converged.all()
-    return moved
+    return displacement
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +44,20 @@ def taps():
     poses[:, 1] = generator.uniform(-2, 1, COUNT)  # an edge
     poses[:, 2] = generator.uniform(0.5, 1.4, COUNT) - SURFACE_MM
     poses[:, 5] = generator.uniform(-180, 180, COUNT)
-    return RecordedTaps(_at(_moved(poses, None, KNOWN.friction)), poses)
+    return RecordedTaps(_project(_displace(poses, None, CALIBRATION.friction)), poses)
 
 
 @pytest.fixture(scope="module")
 def lattice(taps):
     return make_lattice(
-        _at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], compute_rings(SMALL)
+        _project(np.zeros((1, *_displace(taps.pose[:1], None, 0.3).shape[1:])))[0],
+        compute_rings(SMALL),
     )
 
 
 @pytest.fixture(scope="module")
 def view(taps, lattice):
-    return fit_label_view(taps, lattice, 128, KNOWN)
+    return fit_label_view(taps, lattice, 128, CALIBRATION)
 
 
 @pytest.mark.long
@@ -65,22 +67,22 @@ def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
     move, friction = np.zeros((6, 6)), generator.uniform(0.2, 0.6, 6)
     move[:, :2], move[:, 5] = generator.uniform(-1, 1, (6, 2)), generator.uniform(-5, 5, 6)
     poses = taps.pose[:6]
-    motion, fine = simulate_shear(view, poses, move, friction)
-    true = _at(_moved(poses, move, friction)) - _at(_moved(poses, None, friction))
-    assert fine.all() and np.sqrt(np.mean(true**2)) > 0.2
+    motion, converged = simulate_shear(view, poses, move, friction)
+    true = _project(_displace(poses, move, friction)) - _project(_displace(poses, None, friction))
+    assert converged.all() and np.sqrt(np.mean(true**2)) > 0.2
     assert np.sqrt(np.mean((motion - true) ** 2)) < 0.15 * np.sqrt(np.mean(true**2))
 
 
 @pytest.mark.long
 def test_no_slide_drags_nothing(taps, view):
-    motion, fine = simulate_shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
-    assert fine.all() and not motion.any()
+    motion, converged = simulate_shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
+    assert converged.all() and not motion.any()
 
 
 @pytest.mark.long
 def test_what_gives_too_little_is_refused(taps, lattice):
     with pytest.raises(UserError, match="10 taps have a label and all pins"):
-        fit_label_view(RecordedTaps(taps.pins[:10], taps.pose[:10]), lattice, 128, KNOWN)
+        fit_label_view(RecordedTaps(taps.pins[:10], taps.pose[:10]), lattice, 128, CALIBRATION)
     shuffled = RecordedTaps(taps.pins[np.random.default_rng(2).permutation(COUNT)], taps.pose)
     with pytest.raises(UserError, match="do not go with their images"):
-        fit_label_view(shuffled, lattice, 128, KNOWN)
+        fit_label_view(shuffled, lattice, 128, CALIBRATION)

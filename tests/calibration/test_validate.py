@@ -1,4 +1,4 @@
-"""A recording that was simulated scores nearly one; what a calibration was fitted to is not compared; bad input is one line."""
+"""Simulated recordings score nearly one; images of the calibration are not compared."""
 
 import json
 from dataclasses import asdict, replace
@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from tests.calibration.conftest import write_recording
 
 
-def _quiet(text: str) -> None:
+def _discard(text: str) -> None:
     pass
 
 
@@ -29,9 +29,9 @@ def _value(results, name):
 
 @pytest.fixture(scope="module")
 def scored(simulated, tmp_path_factory):
-    known = Calibration("truth", simulated.sensor, simulated.camera, simulated.friction, ())
+    calibration = Calibration("truth", simulated.sensor, simulated.camera, simulated.friction, ())
     out = tmp_path_factory.mktemp("out")
-    return validate(simulated.folder, known, None, 0, out, _quiet), out
+    return validate(simulated.folder, calibration, None, 0, out, _discard), out
 
 
 def test_its_own_recording_scores_nearly_one(scored):
@@ -46,7 +46,7 @@ def test_its_own_recording_scores_nearly_one(scored):
 
 def test_another_friction_scores_less(scored, simulated):
     wrong = Calibration("wrong", simulated.sensor, simulated.camera, 3 * simulated.friction, ())
-    results = validate(simulated.folder, wrong, None, 0, None, _quiet)
+    results = validate(simulated.folder, wrong, None, 0, None, _discard)
     assert _value(results, "r2.slide") < _value(scored[0], "r2.slide") - 0.02
 
 
@@ -79,13 +79,8 @@ def test_images_of_the_calibration_are_not_compared(tmp_path):
 
 def test_names_from_higher_up_and_lower_down():
     used = ["tap/images/image_1.png"]
-    assert are_among(
-        ["edge/tap/images/image_1.png", "images/image_1.png", "tap/images/image_11.png"], used
-    ).tolist() == [
-        True,
-        True,
-        False,
-    ]
+    names = ["edge/tap/images/image_1.png", "images/image_1.png", "tap/images/image_11.png"]
+    assert are_among(names, used).tolist() == [True, True, False]
     assert not are_among(["tap/images/image_2.png", "other/images/image_1.png"], used).any()
 
 
@@ -96,13 +91,8 @@ def test_what_the_preset_was_fitted_to(tmp_path):
     used = _list_calibration_images(tmp_path / "edge_2d", DEFAULT_CALIBRATION, notes)
     assert len(used) == 6 and not any("other" in name for name in used)
     assert _list_calibration_images(tmp_path / "new" / "train", DEFAULT_CALIBRATION, notes) == ()
-    assert (
-        _list_calibration_images(
-            tmp_path / "edge_2d", replace(DEFAULT_CALIBRATION, image_names=("x.png",)), notes
-        )
-        == ("x.png",)
-        and not notes
-    )
+    other = replace(DEFAULT_CALIBRATION, image_names=("x.png",))
+    assert _list_calibration_images(tmp_path / "edge_2d", other, notes) == ("x.png",) and not notes
 
 
 def test_a_calibration_is_read(tmp_path):
@@ -113,14 +103,10 @@ def test_a_calibration_is_read(tmp_path):
     }
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps({"preset": preset, "image_names": ["a/b.png"]}))
-    found = read_calibration(file)
-    assert (found.sensor, found.camera, found.friction, found.image_names) == (
-        DEFAULT_CALIBRATION.sensor,
-        Camera(),
-        0.5,
-        ("a/b.png",),
-    )
-    assert found.values.skin_to_gel == pytest.approx(1 / 0.00702)
+    calibration = read_calibration(file)
+    assert calibration.sensor == DEFAULT_CALIBRATION.sensor and calibration.camera == Camera()
+    assert calibration.friction == 0.5 and calibration.image_names == ("a/b.png",)
+    assert calibration.values.skin_to_gel == pytest.approx(1 / 0.00702)
 
 
 @pytest.mark.parametrize(

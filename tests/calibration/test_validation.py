@@ -1,4 +1,4 @@
-"""Scores of known motions: what a simulator that is right gets, what noise costs, and where a pin stands."""
+"""Scores of known motions: of a perfect simulator, with noise, and of located pins."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from jaxunshear.calibration.prediction import (
     make_probe_sensor,
     predict_positions,
 )
-from jaxunshear.calibration.validate import explained_by_labels
+from jaxunshear.calibration.validate import predict_from_labels
 from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import (
     ComparedFolder,
@@ -32,8 +32,8 @@ VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ra
 NOISE_PX = 0.3
 
 
-def _moved(count: int = 30) -> np.ndarray:
-    """Smooth displacements (N, Q, 3) mm of the probe's pins."""
+def _displace(count: int = 30) -> np.ndarray:
+    """Make smooth displacements (N, Q, 3) mm of the probe's pins."""
     rng = np.random.default_rng(0)
     tips = compute_pin_tips(make_probe_sensor(SENSOR, VALUES.skin_to_gel)) / 20
     basis = np.concatenate(
@@ -42,15 +42,15 @@ def _moved(count: int = 30) -> np.ndarray:
     return np.einsum("qk,nkx->nqx", basis, rng.normal(0, 0.3, (count, basis.shape[1], 3)))
 
 
-def _compared(noise_px: float = 0.0, count: int = 30) -> ComparedFolder:
-    place, rest = predict_positions(VALUES, SENSOR, 128, _moved(count))
-    recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
-    one, other = centre_motions(recorded, place)
+def _compare(noise_px: float = 0.0, count: int = 30) -> ComparedFolder:
+    positions, rest = predict_positions(VALUES, SENSOR, 128, _displace(count))
+    noise = noise_px * np.random.default_rng(1).standard_normal(positions.shape)
+    recorded, simulated = centre_motions(positions + noise, positions)
     return ComparedFolder(
         "a",
-        one,
-        other,
-        one,
+        recorded,
+        simulated,
+        recorded,
         compute_rings(SENSOR),
         rest,
         np.ones(len(rest)),
@@ -68,15 +68,15 @@ def test_pins_stand_where_the_camera_sees_them():
 
 
 def test_places_on_the_lattice_are_those_of_the_calibration():
-    moved = _moved()
+    moved = _displace()
     here = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
     assert np.abs(here - predict_positions(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
     assert np.isfinite(compute_interpolation(SENSOR)).all()
 
 
 def test_rings_with_phases_of_their_own_are_followed():
-    """Pins that stand between the simulated ones: their mean place, which contacts shift, says where."""
-    moved = _moved()
+    """Locate pins between the simulated ones from their mean position, which contacts shift."""
+    moved = _displace()
     turn = 0.3 + 0.05 * compute_rings(SENSOR)
     flat = compute_pin_lattice(SENSOR)
     flat = np.stack(
@@ -95,7 +95,7 @@ def test_rings_with_phases_of_their_own_are_followed():
 
 
 def test_the_same_motions_score_one():
-    rows = build_rows([_compared()])
+    rows = build_rows([_compare()])
     for kind in ("tap", "slide"):
         assert _value(rows, f"r2.{kind}") == pytest.approx(1, abs=1e-9)
         assert _value(rows, f"residual_px.{kind}") < 1e-4
@@ -103,8 +103,8 @@ def test_the_same_motions_score_one():
 
 
 def test_noise_costs_what_it_should():
-    clean, count = _compared(), 400
-    noisy = _compared(NOISE_PX, count)
+    clean, count = _compare(), 400
+    noisy = _compare(NOISE_PX, count)
     rows = build_rows([noisy])
     left = NOISE_PX * np.sqrt(2 * (1 - 1 / count))
     assert _value(rows, "residual_px.slide") == pytest.approx(left, rel=0.02)
@@ -114,20 +114,20 @@ def test_noise_costs_what_it_should():
 
 
 def test_an_offset_of_a_pin_costs_nothing_and_a_missing_one_is_left_out():
-    place, _ = predict_positions(VALUES, SENSOR, 128, _moved())
+    place, _ = predict_positions(VALUES, SENSOR, 128, _displace())
     recorded = place + np.random.default_rng(2).normal(0, 3, place.shape[1:])
     recorded[:5, 7] = np.nan
     assert compute_r2(*centre_motions(recorded, place)) == pytest.approx(1, abs=1e-9)
 
 
 def test_half_the_motion_explains_three_quarters():
-    one = _compared().recorded
-    assert compute_r2(one, 0.5 * one) == pytest.approx(0.75)
-    assert np.isnan(compute_r2(0 * one, one))
+    motion = _compare().recorded
+    assert compute_r2(motion, 0.5 * motion) == pytest.approx(0.75)
+    assert np.isnan(compute_r2(0 * motion, motion))
 
 
 def test_rows_of_taps_and_slides_and_by_ring():
-    names = {row["name"] for row in build_rows([_compared(NOISE_PX)])}
+    names = {row["name"] for row in build_rows([_compare(NOISE_PX)])}
     assert {
         "r2.tap",
         "r2.slide",
@@ -139,7 +139,7 @@ def test_rows_of_taps_and_slides_and_by_ring():
 
 
 def test_scale_at_the_height_of_a_pin():
-    """A step of 0.01 mm along the middle's tangent, seen."""
+    """Move the apex pin by 0.01 mm, and compare with its motion in the image."""
     flat = np.array([[0.0, 0.0]])
     moved = np.zeros((1, len(compute_pin_tips(make_probe_sensor(SENSOR, 1.0))), 3))
     step = moved.copy()
@@ -166,10 +166,10 @@ def test_labels_that_give_all_and_nothing():
     ]
     reported = reported - reported.mean(axis=0)
     contacts = read_motions(poses, moves)
-    assert compute_r2(reported, explained_by_labels(contacts, reported)) > 0.9
+    assert compute_r2(reported, predict_from_labels(contacts, reported)) > 0.9
     noise = rng.standard_normal((200, 3, 2))
-    assert compute_r2(noise, explained_by_labels(contacts, noise)) < 0.05
+    assert compute_r2(noise, predict_from_labels(contacts, noise)) < 0.05
 
 
 def test_the_figure_is_a_png():
-    assert validate_figure([_compared(NOISE_PX)]).startswith(b"\x89PNG")
+    assert validate_figure([_compare(NOISE_PX)]).startswith(b"\x89PNG")

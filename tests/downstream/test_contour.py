@@ -1,4 +1,4 @@
-"""Outlines by arc length: closed forms of length, sense and place."""
+"""Outlines by arc length: closed forms of length, orientation and position."""
 
 import numpy as np
 import pytest
@@ -13,45 +13,47 @@ from jaxunshear.simulator.stimuli import STIMULI, Stimulus, compute_signed_dista
 
 
 def test_a_disk_s_outline():
-    line = trace_contour(STIMULI["disk"])
-    assert line.length == pytest.approx(2 * np.pi * 50, rel=1e-4)
-    np.testing.assert_allclose(line.points[0], [0, 0], atol=0.06)  # the target
+    contour = trace_contour(STIMULI["disk"])
+    assert contour.length == pytest.approx(2 * np.pi * 50, rel=1e-4)
+    np.testing.assert_allclose(contour.points[0], [0, 0], atol=0.06)  # the target
     middle = np.array([-50.0, 0.0])
-    np.testing.assert_allclose(np.linalg.norm(line.points - middle, axis=-1), 50, atol=0.01)
-    np.testing.assert_allclose(line.normal, (line.points - middle) / 50, atol=2e-3)
-    np.testing.assert_allclose(
-        line.points[line.at(np.pi / 2 * 50)], [-50, 50], atol=0.1
-    )  # counter-clockwise
+    np.testing.assert_allclose(np.linalg.norm(contour.points - middle, axis=-1), 50, atol=0.01)
+    np.testing.assert_allclose(contour.normal, (contour.points - middle) / 50, atol=2e-3)
+    # counter-clockwise
+    np.testing.assert_allclose(contour.points[contour.at(np.pi / 2 * 50)], [-50, 50], atol=0.1)
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param("flower", marks=pytest.mark.long), "leaf", "spiral_1"]
 )
 def test_outlines_lie_on_the_edge_and_close(name):
-    line = trace_contour(STIMULI[name])
+    contour = trace_contour(STIMULI[name])
     assert (
-        np.abs(compute_signed_distance(STIMULI[name], line.points.astype(np.float32))).max() < 0.02
+        np.abs(compute_signed_distance(STIMULI[name], contour.points.astype(np.float32))).max()
+        < 0.02
     )
-    gaps = np.linalg.norm(np.diff(np.concatenate([line.points, line.points[:1]]), axis=0), axis=-1)
+    gaps = np.linalg.norm(
+        np.diff(np.concatenate([contour.points, contour.points[:1]]), axis=0), axis=-1
+    )
     assert gaps.max() < 0.2
-    x, y = line.points.T
+    x, y = contour.points.T
     area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
     assert area > 0
 
 
 def test_off_and_advance():
-    line = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    contour = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     angle = np.radians([10.0, 90.0])
     xy = np.stack([22 * np.cos(angle) - 20, 22 * np.sin(angle)], -1)
-    np.testing.assert_allclose(measure_contour_distances(line, xy), 2, atol=0.01)
-    arc = update_arc_positions(line, np.array([3.0, 31.0]), xy, 3.0)
+    np.testing.assert_allclose(measure_contour_distances(contour, xy), 2, atol=0.01)
+    arc = update_arc_positions(contour, np.array([3.0, 31.0]), xy, 3.0)
     np.testing.assert_allclose(arc, 20 * angle, atol=0.1)
 
 
 def test_arcs_go_round_and_round():
-    line = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
+    contour = trace_contour(Stimulus("small", make_disk(20.0), (20.0, 0.0, 0.0), 20.0))
     arc, xy = np.array([0.0]), None
     for angle in np.radians(np.arange(0, 721, 5.0)):
         xy = np.array([[20 * np.cos(angle) - 20, 20 * np.sin(angle)]])
-        arc = update_arc_positions(line, arc, xy, 3.0)
-    assert arc[0] == pytest.approx(2 * line.length, abs=0.2)
+        arc = update_arc_positions(contour, arc, xy, 3.0)
+    assert arc[0] == pytest.approx(2 * contour.length, abs=0.2)

@@ -1,4 +1,4 @@
-"""The controller of appendix C: its law, its limits, and that it brings a sensor to the edge."""
+"""The controller of appendix C: its law, its limits, and its motion to an edge."""
 
 import jax
 import jax.numpy as jnp
@@ -10,18 +10,18 @@ from jaxunshear.downstream.controller import ControllerGains, ControllerState, c
 WIDE = ControllerGains(limit_mm=100.0, limit_deg=1000.0)
 
 
-def at_rest(count):
+def make_zero_state(count):
     return ControllerState(jnp.zeros(count), jnp.zeros(count))
 
 
 def run(gains, errors, jit):
     call = jax.jit(control, static_argnums=0) if jit else control
-    memory, moves, turns = at_rest(1), [], []
+    state, moves, turns = make_zero_state(1), [], []
     for edge_mm, edge_deg in errors:
-        move, turn, memory = call(gains, memory, jnp.array([edge_mm]), jnp.array([edge_deg]))
+        move, turn, state = call(gains, state, jnp.array([edge_mm]), jnp.array([edge_deg]))
         moves.append(np.asarray(move[0]))
         turns.append(float(turn[0]))
-    return np.array(moves), np.array(turns), memory
+    return np.array(moves), np.array(turns), state
 
 
 @pytest.mark.parametrize("jit", [False, True])
@@ -36,30 +36,35 @@ def test_the_law_is_that_of_the_paper(jit):
 
 def test_corrections_keep_within_their_limits_and_do_not_wind_up():
     gains = ControllerGains()
-    moves, turns, memory = run(gains, [(5.0, 90.0)] * 50, True)
+    moves, turns, state = run(gains, [(5.0, 90.0)] * 50, True)
     assert np.abs(moves[:, 0]).max() <= gains.limit_mm and np.abs(turns).max() <= gains.limit_deg
-    assert abs(float(memory.normal_mm[0])) <= 5.0 and abs(float(memory.turn_deg[0])) <= 90.0
+    assert abs(float(state.normal_mm[0])) <= 5.0 and abs(float(state.turn_deg[0])) <= 90.0
     back, _, _ = run(gains, [(5.0, 0.0)] * 50 + [(-1.0, 0.0)], True)
     assert back[-1, 0] > 0  # turns round at once: the sum has not run away
 
 
 @pytest.mark.parametrize("start", [(-2.0, -30.0), (2.0, 30.0), (0.0, 45.0)])
 def test_a_straight_edge_is_found_and_kept(start):
-    """Along x = 0 with the object on the left: the sensor's own place and yaw are all the plant there is."""
+    """Follow x = 0 with the object on the left.
+
+    The plant is the sensor's own position and yaw.
+    """
     call = jax.jit(control, static_argnums=0)
-    (x, yaw), memory, off = start, at_rest(1), []
+    (x, yaw), state, errors = start, make_zero_state(1), []
     for _ in range(120):
-        move, turn, memory = call(ControllerGains(), memory, jnp.array([x]), jnp.array([-yaw]))
+        move, turn, state = call(ControllerGains(), state, jnp.array([x]), jnp.array([-yaw]))
         angle = np.radians(yaw)
         x += float(np.cos(angle) * move[0, 0] - np.sin(angle) * move[0, 1])
         yaw += float(turn[0])
-        off.append((abs(x), abs(yaw)))
-    assert np.all(np.array(off[-20:]) < [0.02, 0.2])
+        errors.append((abs(x), abs(yaw)))
+    assert np.all(np.array(errors[-20:]) < [0.02, 0.2])
 
 
 def test_every_walk_is_on_its_own():
     both, turns, _ = control(
-        ControllerGains(), at_rest(2), jnp.array([1.0, -2.0]), jnp.array([3.0, 0.0])
+        ControllerGains(), make_zero_state(2), jnp.array([1.0, -2.0]), jnp.array([3.0, 0.0])
     )
-    alone, turn, _ = control(ControllerGains(), at_rest(1), jnp.array([-2.0]), jnp.array([0.0]))
+    alone, turn, _ = control(
+        ControllerGains(), make_zero_state(1), jnp.array([-2.0]), jnp.array([0.0])
+    )
     assert jnp.array_equal(both[1], alone[0]) and turns[1] == turn[0]

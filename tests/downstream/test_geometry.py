@@ -1,7 +1,4 @@
-"""Voronoi heights: flat at rest, exact under uniform stretch, and high where pins are drawn apart.
-
-The inverse of the skin: closed forms, and what must stay exactly zero.
-"""
+"""Heights from pins: Voronoi cells, and the inverse of the skin."""
 
 import numpy as np
 import pytest
@@ -32,7 +29,7 @@ def lattice(request):
 
 
 def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
-    """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
+    """Reject noise, of which networks over images draw pins, too."""
     flat = compute_pin_lattice(TACTIP_127)
     untouched = make_lattice(
         flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, compute_rings(TACTIP_127)
@@ -42,28 +39,28 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
         (tmp_path / name).mkdir()
         Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
-    drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
+    networks = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
     names, heights = estimate_recorded_heights(
-        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
+        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], networks
     )
     assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
-    for felt in heights.values():
-        assert np.abs(felt[0]).max() < 0.5 and np.isnan(felt[1]).all()
+    for height in heights.values():
+        assert np.abs(height[0]).max() < 0.5 and np.isnan(height[1]).all()
 
 
 def test_an_undeformed_sensor_is_flat(lattice):
-    assert (compute_relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
+    assert (compute_relative_growth(lattice, np.zeros_like(lattice.rest)) == 0).all()
 
 
 def test_the_same_shift_of_all_pins_changes_nothing(lattice):
     np.testing.assert_allclose(
-        compute_relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9
+        compute_relative_growth(lattice, np.full_like(lattice.rest, 3.3)), 0, atol=1e-9
     )
 
 
 def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
-    growth = compute_relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
-    inner = lattice.shell < lattice.shell.max()
+    growth = compute_relative_growth(lattice, 0.1 * (lattice.rest - lattice.centre))
+    inner = lattice.ring < lattice.ring.max()
     np.testing.assert_allclose(growth[inner], 1.1**2 - 1, rtol=1e-6)
     assert (growth[~inner] > 0).all()
 
@@ -79,7 +76,7 @@ def test_hexagons_have_their_closed_form():
 
 
 def test_heights_rise_where_pins_are_drawn_apart(lattice):
-    offset = lattice.place - lattice.middle
+    offset = lattice.rest - lattice.centre
     bell = np.exp(-np.sum(offset**2, axis=-1) / (2 * 12.0**2))
     growth = compute_relative_growth(lattice, 0.2 * offset * bell[:, None])
     assert compute_correlation(growth[None], bell[None])[0] > 0.8
@@ -87,7 +84,7 @@ def test_heights_rise_where_pins_are_drawn_apart(lattice):
 
 
 def test_missing_pins_follow_their_neighbours(lattice):
-    motion = 0.05 * (lattice.place - lattice.middle)
+    motion = 0.05 * (lattice.rest - lattice.centre)
     with_gaps = motion.copy()
     with_gaps[[3, 40, 90]] = np.nan
     np.testing.assert_allclose(
@@ -98,13 +95,13 @@ def test_missing_pins_follow_their_neighbours(lattice):
 
 
 def test_surface_passes_through_its_pins_and_is_smooth(lattice):
-    x, y = (lattice.place - lattice.middle).T / 40
+    x, y = (lattice.rest - lattice.centre).T / 40
     heights = 1 + x - 0.5 * y
-    drawn = interpolate_surface(lattice.place, heights, 41)
+    drawn = interpolate_surface(lattice.rest, heights, 41)
     assert drawn.shape == (41, 41) and np.isnan(drawn[0, 0])
-    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    low, high = lattice.rest.min(axis=0), lattice.rest.max(axis=0)
     gx, gy = np.meshgrid(*(np.linspace(low[i], high[i], 41) for i in (0, 1)))
-    plane = 1 + (gx - lattice.middle[0]) / 40 - 0.5 * (gy - lattice.middle[1]) / 40
+    plane = 1 + (gx - lattice.centre[0]) / 40 - 0.5 * (gy - lattice.centre[1]) / 40
     inside = ~np.isnan(drawn)
     np.testing.assert_allclose(drawn[inside], plane[inside], atol=1e-6)
 
@@ -116,51 +113,47 @@ def test_correlation_knows_its_extremes():
 
 
 def test_a_shift_of_all_pins_shows_where_they_are(lattice):
-    """The heights keep their values, but a camera sees them elsewhere: read at the places of before they are those of a neighbour."""
-    x = (lattice.place - lattice.middle)[:, 0]
+    """Move all pins by half a spacing: a camera sees the same heights elsewhere."""
+    x = (lattice.rest - lattice.centre)[:, 0]
     shift = np.array([0.5 * lattice.spacing, 0.0])
     heights = x / lattice.spacing
-    inner = lattice.shell < lattice.shell.max() - 1
-    still, moved = (
-        interpolate_heights(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift)
-    )
+    inner = lattice.ring < lattice.ring.max() - 1
+    still = interpolate_heights(lattice.rest, heights, lattice.rest)
+    moved = interpolate_heights(lattice.rest + shift, heights, lattice.rest)
     np.testing.assert_allclose(still, heights, atol=1e-6)
     np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
 
 
 def test_beyond_the_rim_the_nearest_height_counts(lattice):
-    both = np.stack([lattice.place[:, 0], lattice.shell.astype(float)], -1)
-    far = lattice.middle + np.array([[1e3, 0.0]])
-    found = interpolate_heights(lattice.place, both, far)
-    nearest = np.argmin(np.linalg.norm(lattice.place - far, axis=-1))
-    np.testing.assert_array_equal(found[0], both[nearest])
+    both = np.stack([lattice.rest[:, 0], lattice.ring.astype(float)], -1)
+    far = lattice.centre + np.array([[1e3, 0.0]])
+    beyond = interpolate_heights(lattice.rest, both, far)
+    nearest = np.argmin(np.linalg.norm(lattice.rest - far, axis=-1))
+    np.testing.assert_array_equal(beyond[0], both[nearest])
 
 
 def test_a_linear_skin_is_learnt(lattice):
     generator = np.random.default_rng(0)
-    pins = len(lattice.place)
+    pins = len(lattice.rest)
     shapes = generator.normal(size=(6, 2 * pins))
     rises = generator.normal(size=(6, pins))
     share = generator.normal(size=(200, 6))
     inverse = fit_inverse(
         lattice, (share[:150] @ shapes).reshape(150, pins, 2), share[:150] @ rises
     )
-    found = (share[150:] @ shapes) @ inverse
-    np.testing.assert_allclose(found, share[150:] @ rises, atol=0.02)
+    indentation = (share[150:] @ shapes) @ inverse
+    np.testing.assert_allclose(indentation, share[150:] @ rises, atol=0.02)
 
 
 def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):
-    pins = len(lattice.place)
+    pins = len(lattice.rest)
     first = np.zeros((2 * pins, pins))
     first[0] = 1.0
     motion = np.zeros((4, pins, 2))
     motion[:, 0, 0] = 0.9 * MIN_INDENTATION_MM, 1.1 * MIN_INDENTATION_MM, np.nan, 0.0
-    found = estimate_indentation(first, motion)
-    assert (
-        (found[[0, 3]] == 0).all()
-        and np.allclose(found[1], 1.1 * MIN_INDENTATION_MM)
-        and np.isnan(found[2]).all()
-    )
+    indentation = estimate_indentation(first, motion)
+    assert (indentation[[0, 3]] == 0).all() and np.isnan(indentation[2]).all()
+    assert np.allclose(indentation[1], 1.1 * MIN_INDENTATION_MM)
 
 
 def test_pins_of_another_sensor_are_refused():

@@ -1,4 +1,4 @@
-"""Networks over pins put to use: pins are followed in the image, the networks read them, and what is not followed is given as NaN."""
+"""Pin networks in use: pins are tracked in the image; results are NaN if they are not."""
 
 import json
 from functools import partial
@@ -37,12 +37,12 @@ PAIRED = EXPERIMENT.paired
 LATTICE = compute_rest_lattice(EXPERIMENT.sensor, PAIRED.camera, PAIRED.preprocess)
 TARGETS = make_range_targets((), PAIRED.ranges)
 NETS = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
-AWAY = 2.0  # px that all pins are moved by
+SHIFT_PX = 2.0
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    """Random networks: what they answer depends on the pins, and on nothing else."""
+    """Write random networks, whose outputs depend on the pins alone."""
     folder = tmp_path_factory.mktemp("pins")
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     for seed, (name, net) in enumerate(NETS.items()):
@@ -66,10 +66,13 @@ def model(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def seen():
-    """Images of pins that have moved, with one that the housing hides, and a black image; the places of the first."""
+def images_and_pins():
+    """Draw an image of shifted pins, of which one is hidden, and a black image.
+
+    Also returns the pins of the first.
+    """
     rim = int(np.argmax(LATTICE.rest[:, 0]))
-    pins = LATTICE.rest + np.array([AWAY, 0.0])
+    pins = LATTICE.rest + np.array([SHIFT_PX, 0.0])
     pins[rim] = np.nan
     drawn = np.asarray(
         draw_dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size)
@@ -77,38 +80,41 @@ def seen():
     return np.concatenate([drawn, 0 * drawn]).astype(np.uint8) * 255, pins
 
 
-def test_pins_are_followed_and_what_is_not_is_nan(seen):
-    images, pins = seen
+def test_pins_are_followed_and_what_is_not_is_nan(images_and_pins):
+    images, pins = images_and_pins
     for alone in (False, True):
-        found = track_images(LATTICE, images, alone)
-        assert found.identified.tolist() == [True, False]
+        tracked = track_images(LATTICE, images, alone)
+        assert tracked.identified.tolist() == [True, False]
         assert (
-            np.isnan(found.motion[1]).all() and (np.isnan(found.motion[0]) == np.isnan(pins)).all()
+            np.isnan(tracked.motion[1]).all()
+            and (np.isnan(tracked.motion[0]) == np.isnan(pins)).all()
         )
-        off = np.linalg.norm(LATTICE.rest + found.motion[0] - pins, axis=-1)
-        assert np.nanmax(off) < 0.5
+        distance = np.linalg.norm(LATTICE.rest + tracked.motion[0] - pins, axis=-1)
+        assert np.nanmax(distance) < 0.5
     motion = measure_motions(LATTICE, images)
-    np.testing.assert_array_equal(motion[0][np.isfinite(pins)], found.motion[0][np.isfinite(pins)])
-    np.testing.assert_allclose(motion[0][np.isnan(pins[:, 0])], [[AWAY, 0]], atol=0.3)
+    np.testing.assert_array_equal(
+        motion[0][np.isfinite(pins)], tracked.motion[0][np.isfinite(pins)]
+    )
+    np.testing.assert_allclose(motion[0][np.isnan(pins[:, 0])], [[SHIFT_PX, 0]], atol=0.3)
     assert np.isnan(motion[1]).all()
 
 
-def by_hand(model, name, pins):
+def run_network(model, name, pins):
     net, variables = NETS[name], checkpoint.load_best(model / name)
     run = pin_networks.predict if name == "posenet" else pin_networks.unshear
     return np.asarray(jax.jit(partial(run, net))(variables, jnp.asarray(pins, jnp.float32)))
 
 
-def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
-    images, _ = seen
+def test_a_robot_gets_what_the_networks_read_of_its_pins(model, images_and_pins):
+    images, _ = images_and_pins
     assert list_methods(model) == ("sheared", "disentangled") and list_unshearing_networks(
         model
     ) == ("disentangled",)
     pins = LATTICE.rest + track_images(LATTICE, images[:1]).motion
-    after = by_hand(model, "disentangled", pins)
+    after = run_network(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
         edge_mm, edge_deg = make_edge_estimators(model, EXPERIMENT, (way,))[way](images)
-        expected = posenet.unscale_outputs(by_hand(model, "posenet", given), TARGETS)
+        expected = posenet.unscale_outputs(run_network(model, "posenet", given), TARGETS)
         assert edge_mm[0] == pytest.approx(float(expected["edge_mm"][0]), abs=1e-4)
         assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()
@@ -120,19 +126,17 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
 
 
 def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
-    unknown = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
+    blind = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
     steps = 4 * 0.5 / trace_contour(STIMULI["disk"]).length
-    course = servo.ServoTask("disk", starts=1, depth_mm=2.0, max_outline_lengths=steps)
-    walks, line = servo.follow_contour(
-        course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz"
+    task = servo.ServoTask("disk", starts=1, depth_mm=2.0, max_outline_lengths=steps)
+    trajectories, contour = servo.follow_contour(
+        task, EXPERIMENT.sensor, PAIRED, blind, tmp_path / "disk.npz"
     )
-    steps = np.diff(walks.point[0], axis=0)
-    np.testing.assert_allclose(
-        np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5
-    )
+    steps = np.diff(trajectories.point[0], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps[:, :2], axis=-1), task.gains.step_mm, rtol=1e-5)
     np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
-    row = score_trajectories(walks, line, "disk")[0]
-    assert row.steps == row.unfollowed == int(walks.steps) and row.seen_mean_mm is None
+    row = score_trajectories(trajectories, contour, "disk")[0]
+    assert row.steps == row.unfollowed == int(trajectories.steps) and row.seen_mean_mm is None
 
 
 @pytest.mark.long
@@ -155,8 +159,9 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
 
 def test_frames_are_the_same_however_many_are_rendered_at_once():
     tips = np.repeat(compute_pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
-    given = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
-    (few, pins), (many, same) = render_images(*given, 1), render_images(*given)
-    np.testing.assert_array_equal(few, many)
-    np.testing.assert_array_equal(pins, same)
-    assert (few[0] != few[1]).any()  # each with noise of its own
+    arguments = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
+    one_by_one, together = render_images(*arguments, 1), render_images(*arguments)
+    np.testing.assert_array_equal(one_by_one[0], together[0])
+    np.testing.assert_array_equal(one_by_one[1], together[1])
+    images = together[0]
+    assert (images[0] != images[1]).any()  # each with noise of its own

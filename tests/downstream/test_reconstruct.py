@@ -1,4 +1,4 @@
-"""Complete objects out of heights that are known: the shape comes back, and what was not felt is not made up."""
+"""Complete objects from known heights: the shape returns, and gaps stay gaps."""
 
 import numpy as np
 import pytest
@@ -16,67 +16,65 @@ from jaxunshear.downstream.reconstruct import (
 )
 from jaxunshear.simulator.stimuli import STIMULI, compute_signed_distance
 
-PLACE = np.array(
-    [place for place in compute_skin_positions(TACTIP_331) if np.linalg.norm(place) < 6]
-)
+SKIN = np.array([xy for xy in compute_skin_positions(TACTIP_331) if np.linalg.norm(xy) < 6])
 
 
-def walked(name, share=1.0):
-    """A perfect walk around an object, with heights of 1 over it and -1 beside it."""
-    line = trace_contour(STIMULI[name])
-    steps = line.at(np.arange(0, share * line.length, 0.5))
-    yaw = np.degrees(np.arctan2(line.normal[steps, 1], line.normal[steps, 0]))
-    point = np.column_stack([line.points[steps], yaw])
-    return line, point, np.where(inside(name, transform_to_target(point, PLACE)), 1.0, -1.0)
+def follow_perfectly(name, share=1.0):
+    """Follow an object perfectly, with heights of 1 over it and -1 beside it."""
+    contour = trace_contour(STIMULI[name])
+    steps = contour.at(np.arange(0, share * contour.length, 0.5))
+    yaw = np.degrees(np.arctan2(contour.normal[steps, 1], contour.normal[steps, 0]))
+    point = np.column_stack([contour.points[steps], yaw])
+    return contour, point, np.where(is_inside(name, transform_to_target(point, SKIN)), 1.0, -1.0)
 
 
-def felt(point, value, cover_mm=0.0):
-    return fuse_heights(point, np.broadcast_to(PLACE, (len(point), *PLACE.shape)), value, cover_mm)
+def fuse(point, value, cover_mm=0.0):
+    return fuse_heights(point, np.broadcast_to(SKIN, (len(point), *SKIN.shape)), value, cover_mm)
 
 
-def above(fused):
+def extract_above(fused):
     return np.nan_to_num(interpolate_map(fused), nan=-np.inf) > 0
 
 
-def inside(name, xy):
+def is_inside(name, xy):
     return np.asarray(compute_signed_distance(STIMULI[name], xy.astype(np.float32))) < 0
 
 
-def truth(name, fused):
-    return inside(name, fused.xy)
+def find_truth(name, fused):
+    return is_inside(name, fused.xy)
 
 
 @pytest.mark.parametrize("name", ["disk", "spiral_2"])
 def test_perfect_heights_give_the_shape_back(name):
-    line, point, height = walked(name)
-    fused = felt(point, height)
-    got = score_shape(fused, above(fused), truth(name, fused), line)
-    assert got.iou > 0.94 and got.mean_mm < 0.5 and got.hausdorff_mm < 3
+    contour, point, height = follow_perfectly(name)
+    fused = fuse(point, height)
+    score = score_shape(fused, extract_above(fused), find_truth(name, fused), contour)
+    assert score.iou > 0.94 and score.mean_mm < 0.5 and score.hausdorff_mm < 3
 
 
 def test_what_a_walk_did_not_reach_still_counts():
-    line, point, height = walked("disk", share=0.05)
-    reach = np.abs(line.points).max()
-    fused = felt(point, height, reach)
+    contour, point, height = follow_perfectly("disk", share=0.05)
+    reach = np.abs(contour.points).max()
+    fused = fuse(point, height, reach)
     assert fused.line[-1] >= reach - 0.5
-    assert score_shape(fused, above(fused), truth("disk", fused), line).iou < 0.05
+    assert score_shape(fused, extract_above(fused), find_truth("disk", fused), contour).iou < 0.05
 
 
 def test_nothing_felt_is_reported():
-    line, point, height = walked("disk")
-    fused = felt(point, -np.abs(height))
-    got = score_shape(fused, above(fused), truth("disk", fused), line)
-    assert got.iou == 0 and np.isinf(got.hausdorff_mm)
+    contour, point, height = follow_perfectly("disk")
+    fused = fuse(point, -np.abs(height))
+    score = score_shape(fused, extract_above(fused), find_truth("disk", fused), contour)
+    assert score.iou == 0 and np.isinf(score.hausdorff_mm)
 
 
 def test_steps_without_pins_are_left_out():
-    _, point, height = walked("disk")
+    _, point, height = follow_perfectly("disk")
     broken, wrong = height.copy(), height.copy()
     broken[::3] = np.nan
     wrong[::3] = 100
     some = np.arange(len(height)) % 3 != 0
     np.testing.assert_array_equal(
-        felt(point, broken).value, felt(np.where(some[:, None], point, np.nan), wrong).value
+        fuse(point, broken).value, fuse(np.where(some[:, None], point, np.nan), wrong).value
     )
 
 
@@ -88,13 +86,15 @@ def test_a_turned_sensor_feels_the_same_place():
 
 @pytest.mark.parametrize("name", ["disk", "clover"])
 def test_heights_are_interpolated_to_the_full_object(name):
-    line, point, _ = walked(name)
-    xy = transform_to_target(point, PLACE)
-    height = np.where(inside(name, xy), 3.0, 1.0)
-    fused = felt(point, height)
+    contour, point, _ = follow_perfectly(name)
+    xy = transform_to_target(point, SKIN)
+    height = np.where(is_inside(name, xy), 3.0, 1.0)
+    fused = fuse(point, height)
     full = interpolate_map(fused)
-    got = score_shape(fused, np.nan_to_num(full, nan=-np.inf) > 2, truth(name, fused), line)
-    assert got.iou > 0.94 and got.iou_touched > 0.9
+    score = score_shape(
+        fused, np.nan_to_num(full, nan=-np.inf) > 2, find_truth(name, fused), contour
+    )
+    assert score.iou > 0.94 and score.iou_touched > 0.9
     known = ~np.isnan(fused.value)
     np.testing.assert_array_equal(full[known], fused.value[known])
     assert np.count_nonzero(~np.isnan(full)) > np.count_nonzero(known)
@@ -104,14 +104,14 @@ def test_heights_are_interpolated_to_the_full_object(name):
     ("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)]
 )
 def test_what_a_closed_ridge_surrounds_is_the_object(name, share):
-    """Heights as of cells that grow over an edge: greatest on it, lower inside, lower still outside."""
-    line, point, _ = walked(name, share)
-    off = np.asarray(
-        compute_signed_distance(STIMULI[name], transform_to_target(point, PLACE).astype(np.float32))
+    """Use heights like the growth of cells: greatest on the edge, least outside."""
+    contour, point, _ = follow_perfectly(name, share)
+    distance = np.asarray(
+        compute_signed_distance(STIMULI[name], transform_to_target(point, SKIN).astype(np.float32))
     )
-    fused = felt(point, np.exp(-(off**2) / 8) + 0.5 / (1 + np.exp(2 * off)))
-    got = score_shape(fused, extract_ridge_shape(fused), truth(name, fused), line)
-    assert got.iou > 0.95 if share == 1 else got.iou < 0.6
+    fused = fuse(point, np.exp(-(distance**2) / 8) + 0.5 / (1 + np.exp(2 * distance)))
+    score = score_shape(fused, extract_ridge_shape(fused), find_truth(name, fused), contour)
+    assert score.iou > 0.95 if share == 1 else score.iou < 0.6
 
 
 def test_a_height_without_a_hollow_is_no_ridge():

@@ -1,4 +1,4 @@
-"""From pins to objects: where a level is set, and that what is not known stays so."""
+"""Estimators from pins to objects: the level, and gaps."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,8 @@ def test_a_level_lies_between_what_does_not_overlap():
 
 
 @pytest.fixture
-def makers():
-    """Made-up taps: skin is pressed in on one side of an edge, and draws its pins apart there."""
+def estimators():
+    """Make estimators of made-up taps: skin over an edge is pressed in, and spreads its pins."""
     generator = np.random.default_rng(1)
     place, pins = compute_skin_positions(TACTIP_331), len(LATTICE.rest)
     angle, aside = generator.uniform(0, 2 * np.pi, 60), generator.uniform(-3, 3, 60)
@@ -46,24 +46,25 @@ def makers():
     return make_shape_estimators(TACTIP_331, LATTICE, motion, pressed, distance), motion
 
 
-def test_makers_agree_on_what_they_are_given(makers):
-    made, motion = makers
-    assert list(made) == [VORONOI, SKIN] and [each.in_mm for each in made.values()] == [False, True]
+def test_makers_agree_on_what_they_are_given(estimators):
+    by_name, motion = estimators
+    assert list(by_name) == [VORONOI, SKIN]
+    assert not by_name[VORONOI].in_mm and by_name[SKIN].in_mm
     gaps = motion[:3].copy()
     gaps[1] = np.nan
-    for maker in made.values():
-        value, place = maker.value(gaps), maker.place(gaps)
+    for estimator in by_name.values():
+        value, place = estimator.estimate_values(gaps), estimator.locate_values(gaps)
         assert place.shape == (*value.shape, 2)
         assert np.isnan(value[1]).all() and not np.isnan(value[[0, 2]]).any()
 
 
-def test_untouched_skin_stands_as_the_dome_does(makers):
-    maker = makers[0][SKIN]
+def test_untouched_skin_stands_as_the_dome_does(estimators):
+    estimator = estimators[0][SKIN]
     still = np.zeros((1, *LATTICE.rest.shape))
-    off = np.linalg.norm(maker.place(still)[0], axis=-1)
+    distance = np.linalg.norm(estimator.locate_values(still)[0], axis=-1)
     radius = TACTIP_331.dome_radius_mm
     np.testing.assert_allclose(
-        maker.value(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9
+        estimator.estimate_values(still)[0], radius - np.sqrt(radius**2 - distance**2), atol=1e-9
     )
 
 

@@ -1,4 +1,4 @@
-"""Recordings go through the networks of a run: every readable image comes out, in its place, with its poses."""
+"""Recordings go through the networks of a run: every readable image gets its results."""
 
 import csv
 import itertools
@@ -30,15 +30,15 @@ from jaxunshear.training.trainer import get_compile_options
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
-SEEN = Preprocess(size=SIZE)
+PREPROCESS = Preprocess(size=SIZE)
 TARGETS = targets.make_range_targets((), Ranges())
 EXPERIMENT = Experiment(
     "small",
     "none",
     unshear=NET,
     posenet=POSENET,
-    paired=PairedData(preprocess=SEEN),
-    pose=PoseData(preprocess=SEEN),
+    paired=PairedData(preprocess=PREPROCESS),
+    pose=PoseData(preprocess=PREPROCESS),
 )
 
 
@@ -48,7 +48,7 @@ def init(module, net, seed):
     return fresh(jax.random.key(seed))
 
 
-def trained(folder, kind, net, variables):
+def write_network(folder, kind, net, variables):
     settings = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
     checkpoint.write_settings(folder, json.loads(json.dumps(settings)))
     checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
@@ -57,34 +57,34 @@ def trained(folder, kind, net, variables):
 
 @pytest.fixture(scope="module")
 def variables():
-    """Random ones, far from the first ones, whose answers hardly depend on the image."""
+    """Draw variables far from the initial ones, whose outputs hardly depend on the image."""
     rng = np.random.default_rng(0)
 
-    def shaken(variables):
+    def add_noise(variables):
         params = jax.tree.map(
             lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"]
         )
         return {**variables, "params": params}
 
     return {
-        "disentangled": shaken(init(unshearnet, NET, 0)),
-        "posenet": shaken(init(posenet, POSENET, 1)),
+        "disentangled": add_noise(init(unshearnet, NET, 0)),
+        "posenet": add_noise(init(posenet, POSENET, 1)),
     }
 
 
 @pytest.fixture
 def model(tmp_path, variables):
-    """The folder of a finished run."""
+    """Write the folder of a finished run."""
     run = tmp_path / "runs" / "small"
     write_json(run / "experiment.json", to_json(EXPERIMENT))
-    trained(run / "disentangled", "unshear", NET, variables["disentangled"])
-    trained(run / "posenet", "posenet", POSENET, variables["posenet"])
+    write_network(run / "disentangled", "unshear", NET, variables["disentangled"])
+    write_network(run / "posenet", "posenet", POSENET, variables["posenet"])
     return run
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """40 binary images with labels, more than a batch, two of them broken."""
+    """Write 40 binary images with labels, more than a batch, two of them broken."""
     place = tmp_path / "edge"
     (place / "images").mkdir(parents=True)
     rng = np.random.default_rng(0)
@@ -99,7 +99,7 @@ def folder(tmp_path):
     return place
 
 
-def rows_of(out):
+def read_rows(out):
     with open(out / "poses.csv", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -127,7 +127,7 @@ def test_every_readable_image_is_unsheared_in_its_place(
         assert name in answer.out
         assert not (out / "images" / name).exists()
 
-    rows = rows_of(out)
+    rows = read_rows(out)
     assert len(rows) == 38
     for row in (rows[0], rows[5], rows[-1]):
         number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
@@ -135,7 +135,7 @@ def test_every_readable_image_is_unsheared_in_its_place(
             number,
             -number,
         )
-        recordings = read_recordings(folder / "images" / f"image_{number}.png", SEEN)
+        recordings = read_recordings(folder / "images" / f"image_{number}.png", PREPROCESS)
         ((_, _, image),) = recordings.iterate_frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
@@ -149,8 +149,8 @@ def test_every_readable_image_is_unsheared_in_its_place(
             assert float(row[quantity]) == pytest.approx(float(value[0]), abs=2e-3)
 
     measured = json.loads((tmp_path / "unshear.json").read_text())
-    beside = {"machine", "versions", "source", "trained_on", "trained_by", "command", "checksum"}
-    assert set(measured) == {"rows"} | beside
+    provenance = {"machine", "versions", "source", "trained_on", "trained_by", "command"}
+    assert set(measured) == {"rows", "checksum"} | provenance
     assert (
         measured["command"].startswith("jaxunshear unshear ")
         and measured["source"]["version"] == __version__
@@ -158,12 +158,12 @@ def test_every_readable_image_is_unsheared_in_its_place(
     assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
 
 
-@pytest.mark.parametrize("words", [("unshear", "--out", "out"), ("pose",)])
+@pytest.mark.parametrize("arguments", [("unshear", "--out", "out"), ("pose",)])
 def test_images_that_are_not_the_sensors_are_refused_by_name(
-    command, model, folder, tmp_path, monkeypatch, words
+    command, model, folder, tmp_path, monkeypatch, arguments
 ):
     monkeypatch.chdir(tmp_path)
-    answer = command(words[0], folder, "--model", model, *words[1:])
+    answer = command(arguments[0], folder, "--model", model, *arguments[1:])
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "not a lattice" in answer.err and "--force answers all the same" in answer.err
     assert not (tmp_path / "out").exists() and not answer.out
@@ -173,9 +173,9 @@ def test_images_that_are_not_the_sensors_are_refused_by_name(
 def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(
     monkeypatch, model, folder, tmp_path, images
 ):
-    monkeypatch.setattr(
-        infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__)
-    )  # a second each batch
+    # a second per batch
+    clock = SimpleNamespace(perf_counter=itertools.count().__next__)
+    monkeypatch.setattr(infer, "time", clock)
     measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", force=True)
     assert measured.rows[-1].name == "unshear.time_per_image"
     assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
@@ -184,12 +184,12 @@ def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(
 def test_half_of_the_images_left_out_is_no_success(command, model, folder, tmp_path):
     for number in range(18):
         (folder / "images" / f"image_{number}.png").write_bytes(b"no image")
-    words = (folder, "--force", "--model", model)
-    assert command("unshear", *words, "--out", tmp_path / "out").code == 0  # 19 of 40
+    arguments = (folder, "--force", "--model", model)
+    assert command("unshear", *arguments, "--out", tmp_path / "out").code == 0  # 19 of 40
     (folder / "images" / "image_20.png").write_bytes(b"no image")
-    answer = command("unshear", *words, "--out", tmp_path / "out")
+    answer = command("unshear", *arguments, "--out", tmp_path / "out")
     assert answer.code == 1 and "20 images unsheared, 20 left out" in answer.out
-    answer = command("pose", *words)
+    answer = command("pose", *arguments)
     assert answer.code == 1 and "poses of 20 images, 20 left out" in answer.err
 
 
@@ -214,7 +214,7 @@ def test_without_a_posenet_images_are_unsheared_all_the_same(command, model, fol
     answer = command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "no trained PoseNet" in answer.out
-    assert "x_mm" not in rows_of(tmp_path / "out")[0]
+    assert "x_mm" not in read_rows(tmp_path / "out")[0]
 
 
 def test_one_file_and_names_that_differ_in_their_ending_only(command, model, folder, tmp_path):
@@ -225,7 +225,7 @@ def test_one_file_and_names_that_differ_in_their_ending_only(command, model, fol
     assert (
         command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "all").code == 0
     )
-    assert len({row["image"] for row in rows_of(tmp_path / "all")}) == 39
+    assert len({row["image"] for row in read_rows(tmp_path / "all")}) == 39
 
 
 @pytest.mark.parametrize("out", ["edge", "edge/images", "edge/new", "edge/targets.csv", "a_file"])
@@ -271,7 +271,7 @@ def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
         "unshear", real_recordings / "raw", "--force", "--model", model, "--out", tmp_path / "raw"
     )
     assert answer.code == 0, answer.err
-    assert len(rows_of(tmp_path / "raw")) == 3
+    assert len(read_rows(tmp_path / "raw")) == 3
 
 
 def test_a_half_trained_network_is_refused(command, model, tmp_path):

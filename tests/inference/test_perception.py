@@ -1,4 +1,4 @@
-"""Ways of perceiving: which networks allow them, and whose answer they give."""
+"""Methods of perception: which networks allow them, and whose output they give."""
 
 import shutil
 from dataclasses import asdict
@@ -16,7 +16,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
 from jaxunshear.inference.perception import (
     TRUE_POSE,
-    confidence,
+    compute_confidence,
     find_unshearing_network,
     list_methods,
     load_forward,
@@ -32,7 +32,7 @@ POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
 TARGETS = make_range_targets((), Ranges(lateral_mm=6))
 
 
-def kept(folder, kind, net, variables, targets):
+def write_network(folder, kind, net, variables, targets):
     larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
     checkpoint.write_settings(
         folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)}
@@ -45,9 +45,11 @@ def kept(folder, kind, net, variables, targets):
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     make = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
-    kept(folder / "disentangled", "unshear", NET, make(NET, jax.random.key(0)), ())
+    write_network(folder / "disentangled", "unshear", NET, make(NET, jax.random.key(0)), ())
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=get_compile_options())
-    kept(folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS)
+    write_network(
+        folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS
+    )
     return folder
 
 
@@ -56,19 +58,19 @@ def images():
     return (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * 255
 
 
-def viewed(model, way, images):
-    forward, variables, _ = load_forward(model, way)
+def run_method(model, method, images):
+    forward, variables, _ = load_forward(model, method)
     return jax.jit(forward)(variables, images)
 
 
-@pytest.mark.parametrize("way", ["sheared", "disentangled"])
-def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, way):
-    seen, pose = viewed(model, way, images)
+@pytest.mark.parametrize("method", ["sheared", "disentangled"])
+def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, method):
+    unsheared, pose = run_method(model, method, images)
     image = images[..., None] / np.float32(255)
-    if way == "disentangled":
+    if method == "disentangled":
         unshear = jax.jit(unshearnet.unshear, static_argnums=0)
-        image = unshear(NET, checkpoint.load_best(model / way), image)
-    np.testing.assert_allclose(seen, image, atol=1e-6)
+        image = unshear(NET, checkpoint.load_best(model / method), image)
+    np.testing.assert_allclose(unsheared, image, atol=1e-6)
     predict = jax.jit(posenet.predict, static_argnums=0)
     outputs = predict(POSENET, checkpoint.load_best(model / "posenet"), image)
     expected = posenet.unscale_outputs(outputs, TARGETS)
@@ -84,30 +86,25 @@ def test_released_weights_perceive_as_the_run_does(model, images, tmp_path):
         )
         shutil.copy(model / name / "model.json", tmp_path / name)
     assert list_methods(tmp_path) == list_methods(model) == ("sheared", "disentangled")
-    of_run = viewed(model, "disentangled", images)[1]
-    for name, answer in viewed(tmp_path, "disentangled", images)[1].items():
-        np.testing.assert_allclose(answer, of_run[name], atol=0.1)  # kernels are float16
+    run_pose = run_method(model, "disentangled", images)[1]
+    for name, answer in run_method(tmp_path, "disentangled", images)[1].items():
+        np.testing.assert_allclose(answer, run_pose[name], atol=0.1)  # kernels are float16
 
 
 def test_a_robot_gets_the_edge(model, images):
-    perceive = make_edge_estimators(model, Experiment("small", "none"), ("disentangled",))[
-        "disentangled"
-    ]
-    edge_mm, edge_deg = perceive(images)
-    _, pose = viewed(model, "disentangled", images)
+    estimators = make_edge_estimators(model, Experiment("small", "none"), ("disentangled",))
+    edge_mm, edge_deg = estimators["disentangled"](images)
+    _, pose = run_method(model, "disentangled", images)
     np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
     np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
 
 
 def test_images_are_unsheared_whatever_gives_the_pose():
-    assert {find_unshearing_network(way) for way in (TRUE_POSE, "disentangled")} == {"disentangled"}
-    assert (find_unshearing_network("entangled"), find_unshearing_network("unet")) == (
-        "entangled",
-        "unet",
-    )
-    assert not {find_unshearing_network("sheared"), find_unshearing_network("learnt")} & set(
-        UNSHEARING
-    )
+    assert find_unshearing_network(TRUE_POSE) == "disentangled"
+    for network in ("disentangled", "entangled", "unet"):
+        assert find_unshearing_network(network) == network
+    for method in ("sheared", "learnt"):
+        assert find_unshearing_network(method) not in UNSHEARING
 
 
 def test_ways_are_those_whose_networks_are_there(model, tmp_path):
@@ -120,7 +117,7 @@ def test_ways_are_those_whose_networks_are_there(model, tmp_path):
 def test_an_edge_that_is_none_is_refused(model, tmp_path):
     variables = checkpoint.load_best(model / "posenet")
     targets = make_range_targets(("x_mm", "yaw_deg"), Ranges())
-    kept(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
+    write_network(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
     with pytest.raises(
         UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"
     ):
@@ -128,6 +125,6 @@ def test_an_edge_that_is_none_is_refused(model, tmp_path):
 
 
 def test_confidence_of_crisp_grey_and_black(images):
-    assert confidence(np.float32(images[0] / 255)[..., None]) == pytest.approx(1)
-    assert confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
-    assert confidence(np.zeros((8, 8, 1), np.float32)) == 0
+    assert compute_confidence(np.float32(images[0] / 255)[..., None]) == pytest.approx(1)
+    assert compute_confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
+    assert compute_confidence(np.zeros((8, 8, 1), np.float32)) == 0

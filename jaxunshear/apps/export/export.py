@@ -17,7 +17,7 @@ from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes
 from jaxunshear.inference.infer import FRAMES, OWN_FRAME
-from jaxunshear.inference.suitability import learnt_note
+from jaxunshear.inference.suitability import describe_training
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
@@ -168,7 +168,7 @@ def _metadata(
         "units": ",".join(name.rpartition("_")[2] for name in names),
         "pose_of": parts.method,
         "frame_of_poses": OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
-        "learnt": learnt_note(experiment),
+        "learnt": describe_training(experiment),
         "preprocess": json.dumps(asdict(experiment.paired.preprocess)),
     }
     if parts.rest is not None:

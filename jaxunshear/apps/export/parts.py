@@ -14,7 +14,7 @@ from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
-from jaxunshear.inference.perception import confidence, load_networks, scale_to_unit
+from jaxunshear.inference.perception import compute_confidence, load_networks, scale_to_unit
 from jaxunshear.models import posenet
 from jaxunshear.models.dispatch import predict, unshear
 from jaxunshear.models.weights import Net, Variables
@@ -96,7 +96,7 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
             after = unshear(*parts.unshear_network, seen)
             found["unsheared"] = after[..., 0] if parts.rest is None else after
             if parts.rest is None:
-                found["confidence"] = jax.vmap(confidence)(after)
+                found["confidence"] = jax.vmap(compute_confidence)(after)
             seen = after if parts.method == UNSHEARED else seen
         if parts.pose_network is not None:
             outputs = predict(*parts.pose_network, seen)

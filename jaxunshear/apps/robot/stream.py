@@ -29,7 +29,7 @@ from jaxunshear.data.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
-from jaxunshear.inference.perception import Forward, confidence, load_forward
+from jaxunshear.inference.perception import Forward, compute_confidence, load_forward
 from jaxunshear.metrics import compute_pose_errors
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.weights import Variables
@@ -102,7 +102,7 @@ def load_stream_model(
         values = perceive.run(seen)
         after = None if values.unsheared is None else values.unsheared[0]
         poses = values.poses.get(UNSHEARED) or next(iter(values.poses.values()), {})
-        crisp = 1.0 if after is None else float(confidence(after[..., None]))
+        crisp = 1.0 if after is None else float(compute_confidence(after[..., None]))
         return StreamOutput(
             after,
             {name: float(value[0]) for name, value in poses.items()},
@@ -137,7 +137,7 @@ def make_perceive_function(
 
     def perceive(variables: Variables, image: Array) -> tuple[Array, Array]:
         seen, pose = forward(variables, image[None])
-        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
+        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), compute_confidence(seen[0])])
 
     return perceive
 
