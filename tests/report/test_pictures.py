@@ -82,7 +82,7 @@ def test_walks_fit(drawn, count):
     tracks = np.repeat(line.points[None], 2 * count, 0)
     way = np.repeat(list(METHOD_TITLES)[:count], 2)
     end = np.where(np.arange(2 * count) % 2, CLOSED, CLOSED + 1)
-    plot_trajectories(SimpleNamespace(way=way, point=tracks, end=end), line, "disk")
+    plot_trajectories(SimpleNamespace(method=way, point=tracks, end=end), line, "disk")
     check(*drawn)
 
 
@@ -92,7 +92,7 @@ def test_heights_fit(drawn):
         name: np.exp(-np.sum(place**2, 1) / 30)[None]
         for name in ("sheared", *list(METHOD_TITLES)[2:7])
     }
-    plot_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
+    plot_recordings(SimpleNamespace(rest=place), (["a/recording.png"], kinds))
     check(*drawn)
 
 

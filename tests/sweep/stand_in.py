@@ -1,8 +1,9 @@
-"""A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/worker.py.
+"""A worker with made-up networks, data sets and evaluation, called like sweep/worker.py.
 
-And a sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
-`STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
-1/8 let it fail, 1/16 finds the disk full where `STAND_IN_FULL` is set.
+`python stand_in.py FOLDER PARENT` does one task; `python stand_in.py sweep OUT [ray|retry]` runs a
+sweep of such workers, for a test to kill. A training takes ten steps of `STAND_IN_PAUSE` seconds
+with a checkpoint each, and writes a line for every step to <data>/steps.txt. Learning rates of 1/2,
+1/4 and 1/8 make it fail; 1/16 finds the disk full if `STAND_IN_FULL` is set.
 """
 
 import errno
@@ -149,11 +150,11 @@ def ablate(experiment, folder, data, command):
     }
 
 
-def leakage(experiment, folder, data, command, controls):
+def measure_leakage(experiment, folder, data, command, controls):
     return read_json(folder / "disentangled" / "summary.json")["value"] / 2**31
 
 
-def for_sweep(found):
+def build_sweep_rows(found):
     return [{"name": "slide from z_p", "r2": found}]
 
 
@@ -172,14 +173,13 @@ def main():
         )
         print(json.dumps(to_builtins(summary)))
         return 0
-    for name, functions in {
-        "ablation": (ablate,),
-        "leakage": (leakage,),
-        "leakage_table": (for_sweep,),
+    for name, function in {
+        "code_swap_test": ablate,
+        "leakage": measure_leakage,
+        "leakage_table": build_sweep_rows,
     }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
-        for function in functions:
-            setattr(module, function.__name__, function)
+        setattr(module, function.__name__, function)
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
     worker._check_checkpoints = check_checkpoints
