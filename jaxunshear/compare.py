@@ -175,7 +175,7 @@ def _same_test(run: Run, other: Run) -> bool:
 
 
 def _same_inputs(run: Run, other: Run) -> bool:
-    return labels.reads_pins(run.results) == labels.reads_pins(other.results)
+    return labels.uses_pins(run.results) == labels.uses_pins(other.results)
 
 
 def note_obstacles(runs: Sequence[Run]) -> list[str]:

@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
             else make_layout(get_sensor(arguments.sensor))
         )
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.pin_figure import plot_pins
+    from jaxunshear.report.pin_figure import TrackedImage, plot_pins
 
     arrays = {
         "name": found.name,
@@ -95,7 +95,8 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinSco
     }
     write_npz(out / "pins.npz", arrays, compressed=True)
     write_text(out / "pins.csv", format_csv(to_builtins(found.table.rows)))
-    write_bytes(out / "pins.png", plot_pins(found.lattice, found.shown))
+    images = [TrackedImage(*image) for image in found.shown]
+    write_bytes(out / "pins.png", plot_pins(found.lattice, images))
     print(summary(found.table))
     print(out / "pins.png")
     return found.table

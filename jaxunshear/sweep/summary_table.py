@@ -1,7 +1,7 @@
 """A sweep's summary as text, for people."""
 
 from jaxunshear.config.registry import POSENET_SHEARED
-from jaxunshear.report.frontier_figure import list_ranked
+from jaxunshear.report.frontier_figure import list_comparable
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 from jaxunshear.text_table import format_text_table
 
@@ -56,7 +56,7 @@ def _frontiers(summary: SweepResult) -> list[str]:
         if len(labels) > 1
     ]
     others = (
-        [cell.label for cell in summary.cells if cell.label not in list_ranked(summary)]
+        [cell.label for cell in summary.cells if cell.label not in list_comparable(summary)]
         if lines
         else []
     )

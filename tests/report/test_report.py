@@ -15,7 +15,8 @@ from PIL import Image
 from jaxunshear.errors import UserError
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
-from jaxunshear.report.montage import MISSING, SURPLUS, difference, png_address
+from jaxunshear.report.html import encode_pixels
+from jaxunshear.report.montage import MISSING, SURPLUS, compare_images
 from jaxunshear.report.report import write_report
 
 
@@ -376,7 +377,7 @@ def test_history_leaves_out_a_line_cut_short(made_up_run):
 def test_difference_colours():
     tap = np.array([[255, 255, 0, 0]], np.uint8)
     image = np.array([[255, 0, 255, 0]], np.uint8)
-    assert difference(image, tap)[0].tolist() == [
+    assert compare_images(image, tap)[0].tolist() == [
         [90, 90, 90],
         list(MISSING),
         list(SURPLUS),
@@ -386,5 +387,5 @@ def test_difference_colours():
 
 def test_png_address_keeps_the_pixels():
     pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    data = base64.b64decode(png_address(pixels).split(",")[1])
+    data = base64.b64decode(encode_pixels(pixels).split(",")[1])
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)
