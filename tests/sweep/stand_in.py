@@ -183,7 +183,7 @@ def main():
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
     worker._check_checkpoints = check_checkpoints
-    worker._data = lambda order, folder: Outcome(status="done", reason=None)
+    worker._make_data = lambda order, folder: Outcome(status="done", reason=None)
     return worker.main(Path(sys.argv[1]), int(sys.argv[2]))
 
 

@@ -333,7 +333,7 @@ def test_data_sets_that_cannot_be_made_stop_the_sweep(stand_in, tmp_path):
     from jaxunshear.sweep.run import run_sweep
 
     bad = "import sys; from jaxunshear.sweep import worker; from jaxunshear.errors import UserError; from pathlib import Path\n"
-    bad += "def make(*_): raise UserError('no room')\nworker._data = make\nworker.main(Path(sys.argv[1]), int(sys.argv[2]))"
+    bad += "def make(*_): raise UserError('no room')\nworker._make_data = make\nworker.main(Path(sys.argv[1]), int(sys.argv[2]))"
     with pytest.raises(UserError, match="no room"):
         run_sweep(stand_in.SWEEP, tmp_path, tmp_path, "none", worker=(sys.executable, "-c", bad))
     assert rows(tmp_path) == {}
