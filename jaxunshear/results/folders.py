@@ -1,8 +1,8 @@
-"""Where a run keeps what its networks were put to."""
+"""Folders of a run with the results of commands that use its networks."""
 
 from pathlib import Path
 
-SHARED_FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
+SHARED_FOLDERS = {"reconstruct": "servo"}  # it continues from the results of `servo`
 
 
 def find_results_folder(run: Path, command: str) -> Path:
