@@ -129,8 +129,10 @@ def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
     names: set[str] = set()
     for other in settings[1:]:
         names.update(list_differences(dict(settings[0]), dict(other)))
-    differing = sorted(names - {*NAME_SETTINGS})
-    return {name: [_format_setting(values, name) for values in settings] for name in differing}
+    differing = {}
+    for name in sorted(names - {*NAME_SETTINGS}):
+        differing[name] = [_format_setting(values, name) for values in settings]
+    return differing
 
 
 def _format_setting(value: object, name: str) -> str:

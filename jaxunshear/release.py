@@ -142,8 +142,8 @@ def _describe_simulated_data(results: Results) -> str:
         f"Learnt from {results.counts.train} pairs of simulated touches (sensor `{sensor}`, shapes "
         f"{shapes}) by `{results.command}`: poses within {ranges['lateral_mm']:g} mm and "
         f"{ranges['yaw_deg']:g} deg, depths {ranges['depth_min_mm']:g} to "
-        f"{ranges['depth_max_mm']:g} mm, slides up to {ranges['move_mm']:g} mm{angles}. Not measured "
-        "here: any real sensor (`jaxunshear evaluate MODEL --recordings DIR`)."
+        f"{ranges['depth_max_mm']:g} mm, slides up to {ranges['move_mm']:g} mm{angles}. Not "
+        "measured here: any real sensor (`jaxunshear evaluate MODEL --recordings DIR`)."
     )
 
 

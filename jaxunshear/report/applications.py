@@ -73,17 +73,18 @@ def _build_trajectory_section(results: Json, folder: Path) -> Markup:
         "reports. Walks that closed the outline; below, how far the sensor was from it in mm: mean "
         "/ 95th percentile / largest."
     )
-    perceive_ms = {row["way"]: row["perceive_ms"] for row in results["rows"]}
+    rows = results["rows"]
+    perceive_ms = {row["way"]: row["perceive_ms"] for row in rows}
     times = "; ".join(
         f"{METHOD_TITLES.get(method, method)} {ms:.1f} ms"
         for method, ms in perceive_ms.items()
         if method != "true"
     )
-    pictures = [_embed_png(folder / f"{name}.png") for name in _list_values(results, "stimulus")]
+    pictures = [_embed_png(folder / f"{name}.png") for name in _list_values(rows, "stimulus")]
     return html.section(
         "Around objects by touch",
         lead,
-        _build_method_table(results["rows"], _format_trajectory),
+        _build_method_table(rows, _format_trajectory),
         html.soft(f"Perceiving takes, a step: {times}."),
         *pictures,
         html.code(results["command"]),
@@ -103,7 +104,7 @@ def _build_object_section(results: Json, folder: Path) -> Markup:
         "height maps of the pins' cells (voronoi) or of where the skin stands."
     )
     pictures = []
-    for name in _list_values(results, "stimulus"):
+    for name in _list_values(results["rows"], "stimulus"):
         pictures += [_embed_png(folder / f"{name}-{file}.png") for file, _ in PICTURES.values()]
     rows = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
     table = _build_method_table(rows, _format_object)
@@ -127,8 +128,8 @@ def _build_stream_section(results: Json, folder: Path) -> Markup:
 def _build_method_table(rows: list[Json], format_cell: Callable[[Json], str]) -> Markup:
     """Build a table with a row per object and a column per method of perceiving."""
     cells = {(row["stimulus"], row["way"]): format_cell(row) for row in rows}
-    methods, lines = _list_values({"rows": rows}, "way"), []
-    for name in _list_values({"rows": rows}, "stimulus"):
+    methods, lines = _list_values(rows, "way"), []
+    for name in _list_values(rows, "stimulus"):
         lines.append([name, *(cells.get((name, method), "") for method in methods)])
     titles = (escape(METHOD_TITLES.get(method, method)) for method in methods)
     return html.table(
@@ -136,8 +137,8 @@ def _build_method_table(rows: list[Json], format_cell: Callable[[Json], str]) ->
     )
 
 
-def _list_values(results: Json, field: str) -> list[str]:
-    return list(dict.fromkeys(row[field] for row in results["rows"]))
+def _list_values(rows: list[Json], field: str) -> list[str]:
+    return list(dict.fromkeys(row[field] for row in rows))
 
 
 def _embed_png(file: Path) -> Markup:

@@ -51,9 +51,10 @@ def find_frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
 
 def list_efficient(summary: SweepResult) -> dict[str, dict[str, list[str]]]:
     """List the labels on the frontier of `list_comparable` cells, by metric and by cost."""
-    return {
-        metric: {cost: _list_frontier(summary, metric, cost) for cost in COSTS} for metric in ERRORS
-    }
+    efficient = {}
+    for metric in ERRORS:
+        efficient[metric] = {cost: _list_frontier(summary, metric, cost) for cost in COSTS}
+    return efficient
 
 
 def _list_frontier(summary: SweepResult, metric: str, cost: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Pictures as a page of 1280 px shows them: no text beyond the picture's edge, none too small to read; and no table cut off."""
+"""Pictures and tables on a page of 1280 px: no text is cut off or too small to read."""
 
 import re
 import shutil
@@ -105,7 +105,10 @@ def test_no_table_is_cut_off_at_1280_px(tmp_path):
         ["sheared, best translation (knows the tap)", *cells],
         ["unsheared, entangled (large)", *cells],
     ]
-    probe = "<script>for (const e of document.querySelectorAll('.wide')) document.title = e.scrollWidth - e.clientWidth</script>"
+    probe = (
+        "<script>for (const e of document.querySelectorAll('.wide')) "
+        "document.title = e.scrollWidth - e.clientWidth</script>"
+    )
     (tmp_path / "a.html").write_text(
         html.page("a", html.section("a", "b", html.table(head, rows, range(5, 9), [1])))
         + Markup(probe)

@@ -1,4 +1,4 @@
-"""The report from a made-up run: complete, self-contained, escaped, the same bytes again, and clear about what is missing."""
+"""The report of a made-up run: complete, self-contained, escaped, and reproducible."""
 
 import base64
 import contextlib
@@ -327,7 +327,7 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
 
 
 def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
-    """Where edge distance is none of them, and one kind of image is read for less than the others."""
+    """Edge distance is not a target, and one kind of image lacks a target of the others."""
     folder, results = made_up_run
     results = json.loads(json.dumps(results).replace('"edge_mm"', '"y_mm"'))
     del results["pose_mae"]["entangled"]["y_mm"]
@@ -385,7 +385,7 @@ def test_difference_colours():
     ]
 
 
-def test_png_address_keeps_the_pixels():
+def test_encoded_pixels_stay_the_same():
     pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
     data = base64.b64decode(encode_pixels(pixels).split(",")[1])
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)
