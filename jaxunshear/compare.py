@@ -1,4 +1,4 @@
-"""Compare finished runs: the settings that differ, scores with intervals, and training times.
+"""Compare finished runs: differing settings, scores with intervals, and training times.
 
 Both runs of a difference were scored on the same contacts, and each resample draws the same poses
 for both. The runs' folders are read; nothing is written there. Imports no JAX.

@@ -1,4 +1,4 @@
-"""Sections of a run's page for commands that used its networks and left results in its folder."""
+"""Sections of a run's page for the results of commands that used its networks."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} 
 
 
 def build_sections(run_dir: Path) -> list[Markup]:
-    """Build the sections of all commands that have been run. Raises UserError if one is damaged."""
+    """Build the sections of commands that have been run. Raises UserError on damaged files."""
     sections = []
     for name, build in (
         ("geometry", _build_geometry_section),

@@ -13,7 +13,7 @@ def make_panels(
     title_in: float = 0.0,
     dpi: float | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure of `count` panels, in rows of `columns`; the rest of the last row is blank."""
+    """Make a figure of `count` panels in rows of `columns`; the last row may have blanks."""
     rows = -(-count // columns)
     width, height = panel_in
     size = (width * columns, height * rows + title_in)

@@ -1,4 +1,4 @@
-"""The picture of a sweep over a list of settings: error against training time and run time."""
+"""The picture of a sweep over a list of settings: error against training and run time."""
 
 from textwrap import wrap
 from typing import NamedTuple
@@ -164,6 +164,7 @@ def plot_frontier(summary: SweepResult) -> bytes | None:
 def plot_panel(
     axes: Axes, summary: SweepResult, metric: str, cost: str, numbers: dict[str, str]
 ) -> None:
+    """Plot the numbers of all cells at their cost and error, and join the frontier."""
     labels, x, y = collect_points(summary, metric, cost)
     frontier = [labels.index(label) for label in _list_frontier(summary, metric, cost)]
     comparable, colour = list_comparable(summary), COLOURS[DISENTANGLED]

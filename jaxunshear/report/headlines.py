@@ -22,6 +22,7 @@ KIND_NOTES = {
 
 
 def build_headlines(results: Results) -> Markup:
+    """Build the cards of a run."""
     build = _build_simulated_cards if results.simulated else _build_recorded_cards
     return html.cards(*build(results), _build_time_card(results))
 

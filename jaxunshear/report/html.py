@@ -1,4 +1,7 @@
-"""HTML pieces of a page, from the macros in page.html. Text is escaped; only `Markup` is HTML."""
+"""HTML pieces of a page, from the macros in page.html.
+
+All text is escaped; only `Markup` is taken as HTML.
+"""
 
 import base64
 import io
@@ -32,7 +35,10 @@ folded, listed, row, soft, code = map(_get_macro, ("folded", "listed", "row", "s
 
 
 def embed_svg(svg: str, text: str) -> Markup:
-    """Embed an SVG as an image, described by `text`; names inside two drawings cannot collide."""
+    """Embed an SVG as an image that `text` describes.
+
+    The names inside two drawings cannot collide then.
+    """
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     points = re.findall(r'(?:width|height)="([\d.]+)pt"', svg[: svg.index(">")])
     return figure(address, text, [round(float(size) * 4 / 3) for size in points])

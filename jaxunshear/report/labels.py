@@ -84,6 +84,7 @@ def name_quantity(name: str) -> str:
 
 
 def get_unit(name: str) -> str:
+    """Return the unit in the name of a quantity."""
     return name.rpartition("_")[2]
 
 

@@ -95,7 +95,7 @@ def _plot_pins(axes: "Axes", exchanged: "ExchangedCodes", i: int, j: int) -> Non
 
 
 def _plot_image(axes: "Axes", exchanged: "ExchangedCodes", i: int, j: int) -> None:
-    """Plot white where both images are bright, red for the decoded one only, blue for the other."""
+    """Plot in white where both images are bright, in red or blue where only one is."""
     true, decoded = exchanged.true[i, j, ..., 0], exchanged.decoded[i, j, ..., 0]
     colours = np.stack([decoded, np.minimum(decoded, true), true], axis=-1)
     axes.imshow(colours, interpolation="nearest")

@@ -45,6 +45,7 @@ def read_montage(path: Path) -> MontageImages:
 
 
 def make_terms(results: Results) -> Terms:
+    """Choose the words for the target and the quantities of a run."""
     truth = labels.name_target(results)
     heads = (
         "sheared (input)",

@@ -1,4 +1,4 @@
-"""A picture of objects that were felt: fused values along the walk, and the shape they give."""
+"""A picture of reconstructed objects: fused values along the walks, and their shape."""
 
 import numpy as np
 from matplotlib.axes import Axes

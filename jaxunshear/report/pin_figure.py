@@ -1,4 +1,4 @@
-"""A picture of images with their pins: the motion of each as a line from its rest position."""
+"""A picture of images with their pins, whose motions are lines from the rest positions."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

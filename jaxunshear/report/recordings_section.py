@@ -35,6 +35,7 @@ PAIRING_TEXTS = {
 
 
 def build_sections(results: Results) -> list[Markup]:
+    """Build the sections in the order of the page."""
     return [
         _build_recordings_section(results),
         _build_pairing_section(results),

@@ -1,4 +1,4 @@
-"""The picture of a sweep over one axis, as lines, or over two, as heat maps; a panel per metric."""
+"""The picture of a sweep over one or two axes: lines or heat maps, a panel per metric."""
 
 import fnmatch
 import textwrap

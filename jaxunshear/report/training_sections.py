@@ -1,4 +1,4 @@
-"""Sections of a run's page on its making: training, times, contacts, and how to repeat it."""
+"""Sections of a run's page on its making: training, times, contacts and provenance."""
 
 import json
 from collections.abc import Mapping
@@ -138,7 +138,7 @@ def build_provenance_section(results: Results) -> Markup:
 
 
 def plot_losses(histories: Mapping[str, History]) -> str:
-    """Plot each loss that has training and validation values over epochs, a panel per network."""
+    """Plot the losses of training and validation over epochs, a panel per network."""
     columns = min(ABREAST, len(histories))
     with rc_context(STYLE):
         figure, panels = make_panels(len(histories), columns, (3.4, 2.8))

@@ -6,4 +6,5 @@ SHARED_FOLDERS = {"reconstruct": "servo"}  # it continues from the results of `s
 
 
 def find_results_folder(run: Path, command: str) -> Path:
+    """Find the folder of a run in which `command` writes its results."""
     return run / SHARED_FOLDERS.get(command, command)

@@ -46,7 +46,7 @@ class Spread(PoseSpread):
 
 @dataclass(frozen=True, kw_only=True)
 class Poses:
-    """Errors of poses in mm and deg, their ratios to errors on sheared contacts, and recoveries."""
+    """Errors of poses in mm and deg, their ratios to those on sheared contacts, recoveries."""
 
     pose_mae: Table = field(default_factory=dict)
     pose_ratio: Table = field(default_factory=dict)

@@ -42,7 +42,7 @@ class Outcome(Costs):
 
 @dataclass(frozen=True)
 class Figure:
-    """A mean over seeds and test contacts; the interval is None if it is no mean over contacts."""
+    """A mean over seeds and test contacts; means of other figures have no interval."""
 
     mean: float
     interval: Span

@@ -1,4 +1,4 @@
-"""Wall-clock seconds of each stage of a run, in times.json, summed over continued commands."""
+"""Wall-clock seconds of each stage of a run, summed over its commands, in times.json."""
 
 import warnings
 from pathlib import Path

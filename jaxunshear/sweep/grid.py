@@ -1,4 +1,4 @@
-"""The cells of a sweep (points of its grid) and its rows (a cell with a seed), as experiments.
+"""The cells of a sweep (points of its grid) and its rows (cells with a seed).
 
 A digest of all that decides its numbers identifies a row, so equal rows are one, in the grid and on
 disk. Trainings, which several rows may share, have such a digest too. Imports no JAX.

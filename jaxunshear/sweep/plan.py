@@ -168,7 +168,7 @@ class SharedTrainings:
 
 
 def _find_finished_trainings(folder: Path) -> dict[str, Path]:
-    """Find the folders of all finished trainings in a sweep's folder, by the names of their parts.
+    """Find all finished trainings in a sweep's folder, by the names of their parts.
 
     Trainings that are damaged, or of an earlier version, are left out and trained again.
     """

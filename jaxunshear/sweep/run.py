@@ -1,6 +1,7 @@
-"""A full sweep: data sets, rows, summary. The same command continues where a sweep stopped.
+"""A full sweep: data sets, rows and summary.
 
-Imports no JAX, since the rows' own processes need the device.
+The same command continues where a sweep stopped. Imports no JAX, since the rows' own processes need
+the device.
 """
 
 import itertools
@@ -41,7 +42,7 @@ def run_sweep(
     retry_failed: bool = False,
     worker: Sequence[str] = WORKER,
 ) -> SweepResult:
-    """Run the rows of a checked `sweep` that have no outcome, and write out/<name>/sweep.json.
+    """Run the rows of a checked `sweep` that have no outcome; write out/<name>/sweep.json.
 
     Returns the summary. Raises `UserError` if a cell cannot be run (before any work), the data
     sets cannot be made, or another sweep uses the folder.
@@ -112,9 +113,9 @@ def _read_row_scores(folder: Path) -> RowScores:
 
 
 def _check_contacts(rows: Mapping[Path, RowScores]) -> None:
-    """Refuse seeds of a cell that were tested on different contacts, whose scores do not compare.
+    """Check that the seeds of a cell were tested on the same contacts.
 
-    Raises UserError.
+    Raises UserError, since other scores cannot be compared.
     """
     done = [(folder, row) for folder, row in rows.items() if row.tests]
     for (first, row), (second, other) in itertools.pairwise(done):

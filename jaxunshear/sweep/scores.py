@@ -25,10 +25,10 @@ NON_CONTACT_SETTINGS = (
 
 
 class RowScores(NamedTuple):
-    """A row that has ended: its outcome, and if it did not fail the scores of its test contacts.
+    """The outcome of a row that has ended, and the scores of its test contacts.
 
-    `tests` is by test, "" for the main one. It holds arrays (N,) by the names of the scores, which
-    have a slash, and the labels `stimulus` and `pose_id`.
+    `tests` is by test, "" for the main one; it is empty if the row failed. It holds arrays (N,) by
+    the names of the scores, which have a slash, and the labels `stimulus` and `pose_id`.
     """
 
     outcome: Outcome
@@ -112,7 +112,7 @@ def select_smooth(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndar
 def has_same_contacts(
     rows: Mapping[int, RowScores], other: Mapping[int, RowScores], test: str
 ) -> bool:
-    """Say whether both were tested on contacts from equal settings, with the same ones left out."""
+    """Say whether both were tested on the same contacts, from equal settings."""
     if _get_contact_settings(rows, test) != _get_contact_settings(other, test):
         return False
     labels, other_labels = _get_labels(rows, test), _get_labels(other, test)

@@ -1,4 +1,4 @@
-"""The summary of a sweep: figures of each cell with intervals, and differences from a reference."""
+"""The summary of a sweep: figures of each cell, and differences from a reference."""
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
@@ -155,7 +155,7 @@ def _summarise_cell(
 
 
 def compute_metrics(rows: Rows) -> dict[str, Figure]:
-    """Compute the mean of each metric over seeds and contacts, its interval and each seed's mean.
+    """Compute the mean of each metric over seeds and contacts, with its interval.
 
     Metrics of further tests are called `<test>: <metric>`, likeness on one shape
     `<shape>: ms_ssim/<kind>`, and errors of unambiguous edge angles
@@ -268,7 +268,7 @@ def _compute_recovery(seeds: Sequence[int], errors: RecoveryErrors) -> Figure | 
 
 
 def _resample_recovery(errors: RecoveryErrors) -> np.ndarray | None:
-    """Compute the recovery in each resample; None if the slide does no damage in some of them."""
+    """Compute the recovery in each resample; None if slides do no damage in some of them."""
     means = [resample_means(each.values, each.poses) for each in errors]
     tap, sheared, unsheared = means
     return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None

@@ -75,7 +75,7 @@ def _format_figure(figure: Figure | None) -> str:
 
 
 def _format_costs(cell: CellResult) -> list[str]:
-    """Format the mean seconds of training of all networks, and the largest memory, over seeds."""
+    """Format the mean seconds of training of all networks, and the largest memory."""
     costs = cell.costs.values()
     if not costs:
         return ["-", "-"]

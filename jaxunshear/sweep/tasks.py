@@ -1,8 +1,9 @@
-"""Tasks of a sweep: a folder and a process each, from task.json to <kind>.json and log.txt.
+"""Tasks of a sweep: a folder and a process each, from task.json to <kind>.json.
 
 However the process ends (a refusal, a crash, a kill for memory), <kind>.json says so, and nothing
-but this task is lost. If the sweep itself is stopped, or the disk is full, there is no <kind>.json,
-and the same task goes on from its checkpoints. Imports no JAX.
+but this task is lost. The output of the process is in log.txt. If the sweep itself is stopped, or
+the disk is full, there is no <kind>.json, and the same task goes on from its checkpoints. Imports
+no JAX.
 """
 
 import os
@@ -64,11 +65,12 @@ def read_outcome(folder: Path, kind: str) -> Outcome | None:
 
 
 def read_order(folder: Path) -> TaskOrder:
+    """Read the task.json in `folder`."""
     return read_record(folder / TASK, TaskOrder, "delete that folder and run the same command")
 
 
 def make_failure(order: TaskOrder, reason: str, folder: Path) -> Outcome:
-    """Make the outcome of a task that failed; the reason is one line, with paths from `folder`."""
+    """Make the outcome of a failed task; the reason is one line, with paths from `folder`."""
     relative = reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name)
     line = " ".join(relative.split())
     return copy_order_fields(order, Outcome(status="failed", reason=line))
@@ -86,7 +88,7 @@ def copy_order_fields(order: TaskOrder, outcome: Outcome) -> Outcome:
 
 
 def run_task(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
-    """Run the task of `folder` in a process of its own, and write a failure if that wrote nothing.
+    """Run the task of `folder` in its own process; write a failure if that writes nothing.
 
     If `quiet`, the output of the process goes to log.txt. Raises `UserError` if the disk is full,
     since the next task would end the same way.
