@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from markupsafe import Markup
 
@@ -21,7 +22,7 @@ from jaxunshear.report import (
     score_sections,
     training_sections,
 )
-from jaxunshear.report.history import read_history
+from jaxunshear.report.history import History, read_history
 from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
@@ -43,6 +44,13 @@ PAPER_TEXT = Markup(
 )
 
 
+class Trainings(NamedTuple):
+    """The logs and the summaries of a run's trainings, by network."""
+
+    histories: dict[str, History]
+    summaries: dict[str, TrainingSummary]
+
+
 def write_report(run_dir: Path) -> Path:
     """Write `report.html` and `montage.png` into `run_dir` and return the path of the page.
 
@@ -52,11 +60,12 @@ def write_report(run_dir: Path) -> Path:
     run_dir = Path(run_dir)
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     results = replace(results, time_s={**results.time_s, **read_times(run_dir)})
+    trainings = _read_trainings(run_dir)
     try:
         images = None
         if results.simulated or results.ms_ssim:
             images = montage.read_montage(run_dir / "montage.npz")
-        sections = list(filter(None, _build_sections(run_dir, results, images)))
+        sections = list(filter(None, _build_sections(run_dir, results, images, trainings)))
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
     if images:
@@ -66,18 +75,27 @@ def write_report(run_dir: Path) -> Path:
     return path
 
 
+def _read_trainings(run_dir: Path) -> Trainings:
+    trainings = Trainings({}, {})
+    for name in TRAINABLE:
+        history = read_history(run_dir / name / "log.jsonl")
+        if history is None:
+            continue
+        trainings.histories[name] = history
+        summary = run_dir / name / "summary.json"
+        if summary.exists():
+            remedy = training_sections.RETRAIN_REMEDY
+            trainings.summaries[name] = read_record(summary, TrainingSummary, remedy)
+    return trainings
+
+
 def _build_sections(
-    run_dir: Path, results: Results, images: montage.MontageImages | None
+    run_dir: Path,
+    results: Results,
+    images: montage.MontageImages | None,
+    trainings: Trainings,
 ) -> Iterator[Markup]:
     """Yield the sections in the order of the page; empty ones have nothing to show."""
-    logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
-    histories = {name: history for name, history in logs.items() if history}
-    summaries = {}
-    for name in histories:
-        path = run_dir / name / "summary.json"
-        if path.exists():
-            remedy = training_sections.RETRAIN_REMEDY
-            summaries[name] = read_record(path, TrainingSummary, remedy)
     lead = SIMULATED_TEXT if results.simulated else _describe_recorded_run(results)
     yield html.opening(results.experiment, results.claim, lead)
     yield headlines.build_headlines(results)
@@ -92,8 +110,8 @@ def _build_sections(
         yield from recordings_section.build_sections(results)
     yield score_sections.build_swap_section(results)
     yield from applications.build_sections(run_dir)
-    yield training_sections.build_training_section(histories, summaries)
-    yield training_sections.build_times_section(results, histories)
+    yield training_sections.build_training_section(*trainings)
+    yield training_sections.build_times_section(results, trainings.histories)
     yield training_sections.build_contacts_section(results)
     yield training_sections.build_provenance_section(results)
 
