@@ -46,7 +46,7 @@ def forget_failures(folder: Path, rows: Iterable[Row]) -> None:
             get_outcome_file(path, kind).unlink()
 
 
-def list_unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
+def list_unfinished_rows(folder: Path, rows: Iterable[Row]) -> list[Row]:
     """List the rows without an outcome, each once, named as their folders are."""
     unfinished = {}
     for row in rows:

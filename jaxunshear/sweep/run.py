@@ -85,7 +85,7 @@ def _run_rows(
     worker: Sequence[str],
 ) -> None:
     total = len({row.digest for row in rows})
-    unfinished = plan.list_unfinished(folder, rows)
+    unfinished = plan.list_unfinished_rows(folder, rows)
     if not unfinished:
         return
     for row in unfinished:

@@ -81,7 +81,7 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
     start = time.perf_counter()
     try:
         check_variables()  # each machine of a cluster has its own
-        run = {"data": _make_data, "training": _train_shared, "row": _run_row}[order.kind]
+        run = {"data": _make_data, "training": _run_trainings, "row": _run_row}[order.kind]
         outcome = copy_order_fields(order, run(order, folder))
     except UserError as error:
         if is_disk_full(error):
@@ -119,7 +119,7 @@ def _make_data(order: TaskOrder, folder: Path) -> Outcome:
     return Outcome(status="done", reason=None)
 
 
-def _train_shared(order: TaskOrder, folder: Path) -> Outcome:
+def _run_trainings(order: TaskOrder, folder: Path) -> Outcome:
     experiment = _start_task(order, folder)
     networks = tuple(order.networks or ())
     run_stages(experiment, networks, folder.parent, Path(order.data), order.command)
