@@ -27,35 +27,35 @@ SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def list_names(catalogue: str) -> list[str]:
-    """`catalogue` is "sensors" or "stimuli"."""
+    """List the names in a catalogue, "sensors" or "stimuli"."""
     return list(SENSORS) if catalogue == "sensors" else list(STIMULI)
 
 
 def format_listing(kind: str) -> str:
-    """One line for each sensor or stimulus."""
+    """Format one line for each sensor or stimulus."""
     if kind == "sensors":
-        return "\n".join(
-            f"{s.name:16} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
-            for s in SENSORS.values()
-        )
-    return "\n".join(
-        f"{s.name:12} {s.material}, friction {s.friction:g}; {_use(s.name)}"
-        for s in STIMULI.values()
-    )
+        lines = [
+            f"{sensor.name:16} {sensor.pins} pins, {sensor.layout}, {sensor.pin_spacing_mm:g} mm "
+            f"apart; dome radius {sensor.dome_radius_mm:g} mm"
+            for sensor in SENSORS.values()
+        ]
+    else:
+        lines = [
+            f"{stimulus.name:12} {stimulus.material}, friction {stimulus.friction:g}; "
+            f"{_describe_use(stimulus.name)}"
+            for stimulus in STIMULI.values()
+        ]
+    return "\n".join(lines)
 
 
-def _use(name: str) -> str:
-    return (
-        "trained on"
-        if name in TRAINING
-        else "kept unseen"
-        if name in UNSEEN
-        else "for recordings of it"
-    )
+def _describe_use(name: str) -> str:
+    if name in TRAINING:
+        return "trained on"
+    return "kept unseen" if name in UNSEEN else "for recordings of it"
 
 
 def draw(kind: str, name: str, out: Path) -> None:
-    """Draws a sensor's pins or a stimulus' outline (mm) to `out`, a PNG, SVG or PDF."""
+    """Draw a sensor's pins or the outline of a stimulus in mm to `out`, a PNG, SVG or PDF."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
     subject = get_sensor(name) if kind == "sensors" else make_stimulus(parse_stimulus(name))
@@ -80,7 +80,7 @@ def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
 
 
 def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
-    """In the target frame, with the square of positions that the sensor's axis takes about the target."""
+    """Draw a stimulus in the target frame, with the square of the sensor's positions."""
     reach, points = 2.1 * stimulus.extent_mm, 500
     side = np.linspace(-reach, reach, points, dtype=np.float32)
     xy = np.stack(np.meshgrid(side, side), axis=-1)
@@ -89,12 +89,8 @@ def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     if distance.max() > 0:
         axes.contour(side, side, distance, levels=[0], colors=["black"])
     lateral = Ranges().lateral_mm
-    axes.plot(
-        lateral * np.array([-1, 1, 1, -1, -1]),
-        lateral * np.array([-1, -1, 1, 1, -1]),
-        "r-",
-        linewidth=1,
-    )
+    corners_x, corners_y = np.array([-1, 1, 1, -1, -1]), np.array([-1, -1, 1, 1, -1])
+    axes.plot(lateral * corners_x, lateral * corners_y, "r-", linewidth=1)
     axes.plot([0], [0], "r.")
     inside = xy[distance < 0]
     axes.set_xlim(inside[:, 0].min() - 8, inside[:, 0].max() + 8)

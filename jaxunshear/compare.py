@@ -1,16 +1,17 @@
-"""Compare finished runs: the settings that differ, scores with intervals, and training times.
+"""Compare finished runs: differing settings, scores with intervals, and training times.
 
 Both runs of a difference were scored on the same contacts, and each resample draws the same poses
 for both. The runs' folders are read; nothing is written there. Imports no JAX.
 """
 
+import itertools
 import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.config.configs import list_differences as differing_fields
+from jaxunshear.config.configs import list_differences
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import read_object_if_sound, write_text
@@ -29,13 +30,9 @@ from jaxunshear.sweep.summary import compute_differences, compute_metrics
 from jaxunshear.text_table import format_text_table
 
 NAME_SETTINGS = ("name", "claim", "paired.config", "pose.config")  # settings that change no score
-SIMILARITY_TABLES = (
-    "ms_ssim",
-    "swap",
-    "pins",
-    "pin_error",
-)  # tables of scores of images, or of pins
-WITHIN_RUN_TABLE = "difference"  # table of the networks of one run, which its report has
+SIMILARITY_TABLES = ("ms_ssim", "swap", "pins", "pin_error")  # of scores of images, or of pins
+WITHIN_RUN_TABLE = "difference"  # between the networks of one run, which its report shows
+MAX_LISTED_SETTINGS = 6  # in the text; the page has all
 MAX_NAME_LENGTH = 100  # letters of a page's name
 NONE = "\u2013"
 CAVEAT = (
@@ -45,24 +42,26 @@ CAVEAT = (
 
 
 class Run(NamedTuple):
+    """A finished run."""
+
     name: str
     folder: Path
-    measured: RowScores  # results.json, and the scores of every test contact
+    scores: RowScores  # results.json, and the scores of every test contact
     seconds: dict[str, float]  # of training, by network
-    data: str | None  # version of the data set that a network learnt from
+    data: str | None  # version of the training data
 
     @property
     def results(self) -> Results:
-        return self.measured.outcome.evaluated_results
+        return self.scores.outcome.evaluated_results
 
     @property
     def network(self) -> str:
-        """Return the network that the run is about; "sheared" where nothing is unsheared."""
+        """Return the main network of the run; "sheared" if it unshears nothing."""
         return choose_main_kind(self.results.ms_ssim or self.results.pose_mae)
 
 
 class Score(NamedTuple):
-    """One score of all runs; None where a run has none."""
+    """One score of all runs; None for a run without it."""
 
     name: str  # as in a sweep: `pose/tap/edge_mm`, `unseen: ms_ssim/disentangled`
     values: tuple[Figure | None, ...]
@@ -70,36 +69,41 @@ class Score(NamedTuple):
 
 
 class Comparison(NamedTuple):
+    """All that a page shows."""
+
     runs: list[Run]
     settings: dict[str, list[str]]  # each run's value, by dotted name of a setting that differs
     scores: list[Score]
-    notes: list[str]  # what hinders the comparison
+    notes: list[str]  # obstacles to the comparison
 
 
 def write_comparison(folders: Sequence[Path], out: Path) -> tuple[str, Path]:
     """Write out/<first>-<second>....html; return text for a terminal and the page's path.
 
-    Raises UserError where a run is not finished, damaged or named twice.
+    Raises UserError if a run is not finished, damaged or named twice.
     """
     check_new_folder(out)
     check_outside(out, "--out")
     runs = read_runs(folders)
-    found = Comparison(runs, compare_settings(runs), compare_scores(runs), note_obstacles(runs))
+    comparison = Comparison(
+        runs, compare_settings(runs), compare_scores(runs), note_obstacles(runs)
+    )
     name = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(run.name for run in runs))[:MAX_NAME_LENGTH]
     path = out / f"{name}.html"
-    write_text(path, make_page(found))
-    return make_text(found), path
+    write_text(path, make_page(comparison))
+    return make_text(comparison), path
 
 
 def read_runs(folders: Sequence[Path]) -> list[Run]:
     """Read finished runs; the first is the reference. Raises UserError."""
     if len(folders) < 2:
         raise UserError(f"compare takes two runs or more, not {folders[0]} alone: name another")
-    seen: dict[str, Path] = {}
+    real_paths: dict[str, Path] = {}
     for folder in folders:
-        if other := seen.get(os.path.realpath(folder)):
+        real_path = os.path.realpath(folder)
+        if other := real_paths.get(real_path):
             raise UserError(f"{other} and {folder} are the same run: name each run once")
-        seen[os.path.realpath(folder)] = folder
+        real_paths[real_path] = folder
     return list(map(_read_run, make_distinct_names(folders), folders))
 
 
@@ -120,15 +124,19 @@ def _read_run(name: str, folder: Path) -> Run:
 
 
 def compare_settings(runs: Sequence[Run]) -> dict[str, list[str]]:
-    """Give each setting that is not the same in all runs, by dotted name: its value in each."""
-    held = [run.results.settings for run in runs]
-    names = {name for other in held[1:] for name in differing_fields(dict(held[0]), dict(other))}
-    differing = sorted(names - {*NAME_SETTINGS})
-    return {name: [_show_setting(settings, name) for settings in held] for name in differing}
+    """Compare settings: the values in all runs of each one that differs, by dotted name."""
+    settings = [run.results.settings for run in runs]
+    names: set[str] = set()
+    for other in settings[1:]:
+        names.update(list_differences(dict(settings[0]), dict(other)))
+    differing = {}
+    for name in sorted(names - {*NAME_SETTINGS}):
+        differing[name] = [_format_setting(values, name) for values in settings]
+    return differing
 
 
-def _show_setting(value: object, name: str) -> str:
-    """Write a setting as a command line does; a dash where a run has no such setting."""
+def _format_setting(value: object, name: str) -> str:
+    """Format a setting as on a command line; a dash if a run has no such setting."""
     for part in name.split("."):
         if not isinstance(value, dict) or part not in value:
             return NONE
@@ -141,126 +149,141 @@ def _show_setting(value: object, name: str) -> str:
 
 
 def compare_scores(runs: Sequence[Run]) -> list[Score]:
-    """Give all scores that any run has, in the order of the first that has them."""
-    rows = [{0: run.measured} for run in runs]  # as of a sweep with one seed
-    values, changes = (
-        [compute_metrics(row) for row in rows],
-        [compute_differences(row, rows[0]) for row in rows],
-    )
-    for run, change in zip(runs, changes, strict=True):
-        for name in list(change):
-            likeness = find_table_name(name) in SIMILARITY_TABLES and not _same_inputs(run, runs[0])
-            if run is runs[0] or likeness or not _same_test(run, runs[0]):
-                del change[name]
+    """List all scores that any run has, in the order of the first run with them."""
+    values, changes = [], []
+    names: dict[str, None] = {}
+    for run in runs:
+        metrics = compute_metrics({0: run.scores})  # as in a sweep with one seed
+        values.append(metrics)
+        changes.append({} if run is runs[0] else _compare_to_reference(run, runs[0]))
+        names |= dict.fromkeys(metrics)
     scores = []
-    for name in dict.fromkeys(
-        name for each in values for name in each if find_table_name(name) != WITHIN_RUN_TABLE
-    ):
-        columns = (tuple(each.get(name) for each in part) for part in (values, changes))
-        scores.append(Score(name, *columns))
+    for name in names:
+        if get_table_name(name) != WITHIN_RUN_TABLE:
+            figures = tuple(metrics.get(name) for metrics in values)
+            differences = tuple(change.get(name) for change in changes)
+            scores.append(Score(name, figures, differences))
     return scores
 
 
-def find_table_name(name: str) -> str:
+def _compare_to_reference(run: Run, reference: Run) -> dict[str, Figure]:
+    """Compute the differences of a run's scores from those of the reference."""
+    if not _has_same_test(run, reference):
+        return {}
+    differences = compute_differences({0: run.scores}, {0: reference.scores})
+    if _has_same_input(run, reference):
+        return differences
+    return {
+        name: figure
+        for name, figure in differences.items()
+        if get_table_name(name) not in SIMILARITY_TABLES
+    }
+
+
+def get_table_name(name: str) -> str:
     """Return the table of results that a score belongs to."""
     return name.rpartition(": ")[2].partition("/")[0]
 
 
-def _same_test(run: Run, other: Run) -> bool:
-    """Say whether both were scored on the same test contacts, of data of one version."""
-    if run.data != other.data or "" not in run.measured.tests.keys() & other.measured.tests.keys():
+def _has_same_test(run: Run, other: Run) -> bool:
+    """Say whether both were scored on the same test contacts, from data of one version."""
+    if run.data != other.data or run.results.simulated != other.results.simulated:
         return False
-    same_kind = run.results.simulated == other.results.simulated
-    return same_kind and has_same_contacts({0: run.measured}, {0: other.measured}, "")
+    if "" not in run.scores.tests or "" not in other.scores.tests:
+        return False
+    return has_same_contacts({0: run.scores}, {0: other.scores}, "")
 
 
-def _same_inputs(run: Run, other: Run) -> bool:
-    return labels.reads_pins(run.results) == labels.reads_pins(other.results)
+def _has_same_input(run: Run, other: Run) -> bool:
+    return labels.uses_pins(run.results) == labels.uses_pins(other.results)
 
 
 def note_obstacles(runs: Sequence[Run]) -> list[str]:
-    """Say what hinders the comparison, a line each."""
+    """Describe each obstacle to the comparison in a line."""
     first, notes = runs[0], []
     for run in runs[1:]:
-        if not _same_test(run, first):
+        if not _has_same_test(run, first):
             test = f"{run.name} was scored on another test set than {first.name}"
             notes.append(f"{test}: no differences are given")
-        if not _same_inputs(run, first):
+        if not _has_same_input(run, first):
             kinds = f"of {run.name} and {first.name} one reads pins, one images"
             notes.append(f"{kinds}: their likeness is not compared")
-    every = dict.fromkeys(network for run in runs for network in run.results.settings["networks"])
+    networks: dict[str, None] = {}
     for run in runs:
-        lacks = [network for network in every if network not in run.results.settings["networks"]]
-        if lacks:
-            notes.append(f"{run.name} has no {', '.join(lacks)}")
+        networks |= dict.fromkeys(run.results.settings["networks"])
+    for run in runs:
+        missing = [name for name in networks if name not in run.results.settings["networks"]]
+        if missing:
+            notes.append(f"{run.name} has no {', '.join(missing)}")
     return notes
 
 
-def choose_main(found: Comparison) -> list[Score]:
-    """Choose the scores of the networks that the runs are about."""
-    chief = labels.list_main_targets(found.runs[0].results)
-    wanted = []
-    for network in dict.fromkeys(run.network for run in found.runs):
+def choose_main(comparison: Comparison) -> list[Score]:
+    """Choose the scores of the runs' main networks."""
+    targets = labels.list_main_targets(comparison.runs[0].results)
+    names = []
+    for network in dict.fromkeys(run.network for run in comparison.runs):
+        names.append(f"ms_ssim/{network}")
         kinds = (network,) if network != "sheared" else ("tap", "sheared_learnt")
-        tables = [f"{table}/{kind}" for table in ("pose", "pose_recovery") for kind in kinds]
-        wanted += [f"ms_ssim/{network}", *(f"{table}/{name}" for table in tables for name in chief)]
-    named = {score.name: score for score in found.scores}
-    return [named[name] for name in wanted if name in named]
+        for table, kind in itertools.product(("pose", "pose_recovery"), kinds):
+            names += [f"{table}/{kind}/{target}" for target in targets]
+    by_name = {score.name: score for score in comparison.scores}
+    return [by_name[name] for name in names if name in by_name]
 
 
-def _show_score(score: Score) -> list[str]:
-    changes = (_show_figure(change, "+") for change in score.changes[1:])
-    return [score.name, *map(_show_figure, score.values), *changes]
+def _format_score(score: Score) -> list[str]:
+    changes = (_format_figure(change, "+") for change in score.changes[1:])
+    return [score.name, *map(_format_figure, score.values), *changes]
 
 
-def _show_figure(figure: Figure | None, sign: str = "") -> str:
+def _format_figure(figure: Figure | None, sign: str = "") -> str:
     if figure is None:
         return NONE
     interval = "[{:.3g}, {:.3g}]".format(*figure.interval) if figure.interval else ""
     return f"{figure.mean:{sign}.3g} {interval}".rstrip()
 
 
-def _show_times(runs: Sequence[Run]) -> list[list[str]]:
-    rows = []
-    for network in dict.fromkeys(network for run in runs for network in run.seconds):
-        times = [
-            format_duration(run.seconds[network]) if network in run.seconds else NONE
-            for run in runs
-        ]
-        rows.append([f"training of {network}", *times])
-    return rows
+def _format_times(runs: Sequence[Run]) -> list[list[str]]:
+    """Format a row of training times for each network."""
+    rows: dict[str, list[str]] = {}
+    for index, run in enumerate(runs):
+        for network, seconds in run.seconds.items():
+            times = rows.setdefault(network, [NONE] * len(runs))
+            times[index] = format_duration(seconds)
+    return [[f"training of {network}", *times] for network, times in rows.items()]
 
 
-def _head(runs: Sequence[Run]) -> list[str]:
+def _make_head(runs: Sequence[Run]) -> list[str]:
     names = [run.name for run in runs]
     return ["", *names, *(f"{name} less {names[0]}" for name in names[1:])]
 
 
-def make_text(found: Comparison) -> str:
-    """Write what fits a terminal: the main scores, training times and settings that differ."""
-    head = _head(found.runs)
-    rows = [*map(_show_score, choose_main(found)), *_show_times(found.runs)]
+def make_text(comparison: Comparison) -> str:
+    """Write the main scores, training times and settings that differ, for a terminal."""
+    head = _make_head(comparison.runs)
+    rows = [*map(_format_score, choose_main(comparison)), *_format_times(comparison.runs)]
     table = format_text_table([dict(zip(head, row, strict=False)) for row in rows], head)
-    settings = [f"{name} {' | '.join(values)}" for name, values in found.settings.items()]
-    more = f" and {len(settings) - 6} more" if len(settings) > 6 else ""
-    differ = f"settings that differ: {'; '.join(settings[:6]) or 'none'}{more}"
-    return "\n".join([*found.notes, table, differ, CAVEAT])
+    settings = [f"{name} {' | '.join(values)}" for name, values in comparison.settings.items()]
+    listed = "; ".join(settings[:MAX_LISTED_SETTINGS]) or "none"
+    if len(settings) > MAX_LISTED_SETTINGS:
+        listed += f" and {len(settings) - MAX_LISTED_SETTINGS} more"
+    return "\n".join([*comparison.notes, table, f"settings that differ: {listed}", CAVEAT])
 
 
-def make_page(found: Comparison) -> str:
+def make_page(comparison: Comparison) -> str:
     """Write the complete page; the same runs give the same bytes."""
-    runs, head, main = found.runs, _head(found.runs), choose_main(found)
-    names = [run.name for run in runs]
-    rest = [_show_score(score) for score in found.scores if score not in main]
-    settings = [[name, *values] for name, values in found.settings.items()]
+    runs, main = comparison.runs, choose_main(comparison)
+    head, names = _make_head(runs), [run.name for run in runs]
+    rest = [_format_score(score) for score in comparison.scores if score not in main]
+    settings = [[name, *values] for name, values in comparison.settings.items()]
     commands = [f"{run.name} ({run.folder}): {run.results.command}" for run in runs]
     lead = f"Differences are of the other runs less {names[0]}, the reference. {CAVEAT}"
     return html.page(
         f"jaxunshear: {' and '.join(names)}",
-        html.compared(names, found.notes, lead),
+        html.compared(names, comparison.notes, lead),
         html.section("Settings that differ", "", html.table(["", *names], settings)),
-        html.section("Main scores", "", html.table(head, [_show_score(score) for score in main])),
-        html.section("Training times", "", html.table(["", *names], _show_times(runs))),
+        html.section("Main scores", "", html.table(head, [*map(_format_score, main)])),
+        html.section("Training times", "", html.table(["", *names], _format_times(runs))),
         html.section("All other scores", "", html.folded(len(rest), html.table(head, rest))),
         html.section("Commands", "", html.code("\n".join(commands))),
     )

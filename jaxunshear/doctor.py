@@ -1,4 +1,4 @@
-"""Check a folder of recordings: its frames, its sensor, its labels, and the command to run next.
+"""Check a folder of recordings: frames, sensor, labels, and the command to run next.
 
 diagnosis = check_recordings(Path("recordings/edge_2d"))
 print("\n".join(describe(diagnosis)))
@@ -42,23 +42,23 @@ UNREADABLE, OTHER_SIZE = "cannot be read", "of another size"
 
 @dataclass(frozen=True)
 class PinCheck:
-    """What the sampled frames of a folder show."""
+    """The pins in the sampled frames of a folder."""
 
     sampled: int
-    median: float  # pins found in a frame
-    layout: str | None  # name of the sensor with this layout; None where no layout fits
+    median: float  # pins per frame
+    layout: str | None  # name of the sensor with this layout; None if no layout fits
     followed: float  # share of the sampled frames in which every pin is identified
     inverted: bool  # dark pins on a light ground
 
 
 @dataclass(frozen=True)
 class LabelCheck:
-    """What the labels of a folder's frames are good for."""
+    """The labels of a folder's frames."""
 
     posed: int  # frames with a known pose
     taps: int  # with a known pose and no move
     slides: int  # with a known pose and a move
-    ranges: dict[str, tuple[float, float]]  # least and greatest value of each label that varies
+    ranges: dict[str, tuple[float, float]]  # least and greatest value of each varying label
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class FolderCheck:
     frames: int
     left_out: dict[str, int]  # frames by reason
     size: tuple[int, int]  # width and height of the other frames, px
-    pins: PinCheck | None  # None where no frame can be used
+    pins: PinCheck | None  # None if no frame can be used
     labels: LabelCheck
 
     @property
@@ -79,12 +79,12 @@ class FolderCheck:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found at `path`."""
+    """The result of checking the recordings at `path`."""
 
     path: Path
     folders: tuple[FolderCheck, ...]
     problems: tuple[Problem, ...]
-    command: str  # to run next; empty where no command can use the frames
+    command: str  # to run next; empty if no command can use the frames
     advice: str  # on that command, or what to do first
 
     @property
@@ -93,9 +93,9 @@ class Diagnosis:
 
 
 def check_recordings(path: Path) -> Diagnosis:
-    """Read every frame at `path` and find the pins in about SAMPLED of them.
+    """Read every frame at `path` and detect the pins in about INSPECTED_IMAGES of them.
 
-    Raises UserError where no frame can be used.
+    Raises UserError if no frame can be used.
     """
     recordings = read_recordings(path, Preprocess())
     notes = recordings.notes
@@ -107,19 +107,22 @@ def check_recordings(path: Path) -> Diagnosis:
         rows.setdefault(file.parent, []).append(row)
     share = max(MIN_INSPECTED_PER_FOLDER, INSPECTED_IMAGES // len(rows))
     with Progress(f"doctor {path.name}", len(recordings)) as progress:
-        some = (_check_folder(recordings, own, share, problems, progress) for own in rows.values())
-        folders = tuple(some)
+        folders = [
+            _check_folder(recordings, folder_rows, share, problems, progress)
+            for folder_rows in rows.values()
+        ]
     if not any(folder.usable for folder in folders):
-        none = f"none of {len(recordings)} images in {path} can be used"
-        raise UserError(f"{none}; the last: {problems[-1]}")
+        raise UserError(
+            f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}"
+        )
     command, advice = choose_command(path, folders)
-    return Diagnosis(path, folders, tuple(problems), command, advice)
+    return Diagnosis(path, tuple(folders), tuple(problems), command, advice)
 
 
 def _check_folder(
     recordings: Recordings, rows: list[int], share: int, problems: list[Problem], progress: Progress
 ) -> FolderCheck:
-    """Check the frames in `rows`, which lie in one folder, and add what is wrong to `problems`."""
+    """Check the frames in `rows`, which lie in one folder, and add to `problems`."""
     files = recordings.files
     sizes: dict[int, tuple[int, int]] = {}
     left_out: Counter[str] = Counter()
@@ -138,8 +141,8 @@ def _check_folder(
             text = f"{size[0]} x {size[1]} pixels, where most here have {width} x {height}"
             problems.append(Problem.with_place(files[row], text))
             left_out[OTHER_SIZE] += 1
-    alike = [files[row] for row in rows if sizes.get(row) == (width, height)]
-    pins = _check_pins([alike[i] for i in select_evenly(len(alike), share)])
+    usable = [files[row] for row in rows if sizes.get(row) == (width, height)]
+    pins = _check_pins([usable[i] for i in select_evenly(len(usable), share)])
     name = _name_folder(recordings.path, files[rows[0]].parent)
     labels = _check_labels(recordings, rows)
     return FolderCheck(name, len(rows), dict(left_out), (width, height), pins, labels)
@@ -149,54 +152,56 @@ def _name_folder(root: Path, folder: Path) -> str:
     """Name the folder of the labels, which lies above that of the images in most layouts."""
     if root.is_file() or folder == root:
         return root.absolute().name
-    home = folder.parent if folder.name in IMAGE_FOLDERS else folder
-    return root.absolute().name if home == root else home.relative_to(root).as_posix()
+    labelled = folder.parent if folder.name in IMAGE_FOLDERS else folder
+    return root.absolute().name if labelled == root else labelled.relative_to(root).as_posix()
 
 
 def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
     unknown = np.full((len(rows), 6), np.nan)
     poses = unknown if recordings.poses is None else recordings.poses[rows]
     moves = unknown if recordings.moves is None else recordings.moves[rows]
-    posed, moved = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
-    slid = (np.abs(moves) > MIN_MOVE).any(axis=1)
+    has_pose, has_move = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
+    is_slide = (np.abs(moves) > MIN_MOVE).any(axis=1)
     ranges = {}
     for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items():
-        values = poses[posed, column] if field == "pose" else moves[moved, column]
+        values = poses[has_pose, column] if field == "pose" else moves[has_move, column]
         if len(values) and np.ptp(values) > MIN_MOVE:
             ranges[name] = (float(values.min()), float(values.max()))
-    both = posed & moved
-    return LabelCheck(int(posed.sum()), int((both & ~slid).sum()), int((both & slid).sum()), ranges)
+    complete = has_pose & has_move
+    taps, slides = int((complete & ~is_slide).sum()), int((complete & is_slide).sum())
+    return LabelCheck(int(has_pose.sum()), taps, slides, ranges)
 
 
 def _check_pins(files: list[Path]) -> PinCheck | None:
-    """Find the pins of frames of one size, or those of their negatives where these fit."""
+    """Detect the pins of frames of one size, or of their negatives if only these fit."""
     raws = [read_image(file) for file in files]
     if not raws:
         return None
-    checked = _follow_pins(raws)
-    if checked.layout is None:
-        negative = _follow_pins([1 - to_grey(raw) for raw in raws], inverted=True)
-        return negative if negative.layout else checked
-    return checked
+    check = _track_pins(raws)
+    if check.layout is None:
+        negative = _track_pins([1 - to_grey(raw) for raw in raws], inverted=True)
+        return negative if negative.layout else check
+    return check
 
 
-def _follow_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
+def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), MIN_PX, LARGEST_PX)))
     view = combine_views([find_view(preprocess, raw) for raw in raws])
-    found = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
-    median = float(np.median([len(each.pins) for each in found]))
+    detections = [detect_pins(prepare_frame(preprocess, raw, view)) for raw in raws]
+    median = float(np.median([len(each.pins) for each in detections]))
     layout, followed = None, 0.0
     for sensor in LAYOUTS:
         if PINS_RATIO[0] * sensor.pins <= median <= PINS_RATIO[1] * sensor.pins:
             with suppress(UserError):  # as many pins, in another pattern
-                lattice = fit_lattice([each.pins for each in found], make_layout(sensor))
-                followed = float(np.mean([track.identified for track in track_all(lattice, found)]))
+                lattice = fit_lattice([each.pins for each in detections], make_layout(sensor))
+                tracks = track_all(lattice, detections)
+                followed = float(np.mean([track.identified for track in tracks]))
                 layout = sensor.name
-    return PinCheck(len(found), median, layout, followed, inverted)
+    return PinCheck(len(detections), median, layout, followed, inverted)
 
 
 def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str]:
-    """Return the command line to run next, empty where there is none, and advice on it."""
+    """Choose the command line to run next, empty if there is none, and advice on it."""
     usable = [folder for folder in folders if folder.pins]
     kinds = {(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}
     pins = usable[0].pins
@@ -210,23 +215,34 @@ def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str
     if pins.median < MIN_PINS:
         return "", "no pins are found: frames must show the light pins of a TacTip on a dark ground"
     if pins.layout is None:
-        known = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
-        advice = f"about {pins.median:.0f} pins match no known layout, {known}"
+        layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
+        advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
         file = "FILE gives x and y of each pin, a line each"
         return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
-    released = pins.layout == TACTIP_331.name
+    if any(each.labels.taps or each.labels.slides for each in usable):
+        return _choose_training(path, usable, pins.layout)
+    return _choose_inference(path, usable, pins.layout)
+
+
+def _choose_training(path: Path, usable: list[FolderCheck], layout: str) -> tuple[str, str]:
+    """Choose the command for frames with labels of taps, slides or both."""
     taps = sum(each.labels.taps for each in usable)
     slides = sum(each.labels.slides for each in usable)
-    if taps or slides:
-        halves = [option for option, count in (("--taps", taps), ("--slides", slides)) if count]
-        line = _join("fit", *(word for half in halves for word in (half, path)))
-        advice = "" if taps and slides else "these networks learn to read poses, not to unshear"
-        if not slides and released:
-            advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
-        return line, advice
-    if not released:
+    words: list[str | Path] = []
+    for option, count in (("--taps", taps), ("--slides", slides)):
+        if count:
+            words += [option, path]
+    advice = "" if taps and slides else "these networks learn to read poses, not to unshear"
+    if not slides and layout == TACTIP_331.name:
+        advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
+    return _join("fit", *words), advice
+
+
+def _choose_inference(path: Path, usable: list[FolderCheck], layout: str) -> tuple[str, str]:
+    """Choose the command for frames whose labels are not enough for training."""
+    if layout != TACTIP_331.name:
         advice = f"released weights need {TACTIP_331.pins} pins"
-        return _join("pins", path, "--sensor", pins.layout), advice
+        return _join("pins", path, "--sensor", layout), advice
     if sum(each.usable for each in usable) < MIN_FRAMES:
         advice = f"`unshear` needs {MIN_FRAMES} frames of the same sensor: name them by --like"
         return _join("pins", path), advice
@@ -241,7 +257,7 @@ def _join(*words: str | Path) -> str:
 
 
 def describe(diagnosis: Diagnosis) -> list[str]:
-    """Write the diagnosis as lines of text."""
+    """Describe the diagnosis in lines of text."""
     folders = diagnosis.folders
     frames, usable = sum(each.frames for each in folders), sum(each.usable for each in folders)
     lines = [f"{diagnosis.path}: {_count(frames, 'frame')} in {_count(len(folders), 'folder')}"]
@@ -249,9 +265,9 @@ def describe(diagnosis: Diagnosis) -> list[str]:
     for folder in folders:
         lines += ["", folder.name, *_describe_folder(folder)]
         reasons.update(folder.left_out)
-    why = "".join(f", {count} {reason}" for reason, count in reasons.items())
-    lost = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%}){why}"
-    lines += ["", f"left out: {lost}"]
+    counts = "".join(f", {count} {reason}" for reason, count in reasons.items())
+    share = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%})"
+    lines += ["", f"left out: {share}{counts}"]
     problems = diagnosis.problems
     lines += [f"problem: {problem}" for problem in problems[:MAX_LISTED_IMAGES]]
     if len(problems) > MAX_LISTED_IMAGES:
@@ -261,7 +277,7 @@ def describe(diagnosis: Diagnosis) -> list[str]:
 
 
 def to_json(diagnosis: Diagnosis) -> Json:
-    """Give the diagnosis for `--json`, a row a folder."""
+    """Convert the diagnosis to JSON, with a row per folder."""
     problems = [{"place": str(p.place), "row": p.row, "text": str(p)} for p in diagnosis.problems]
     return {
         "path": str(diagnosis.path),

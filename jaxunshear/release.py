@@ -12,7 +12,7 @@ from jaxunshear.config.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
-from jaxunshear.files import read_object, write_json, write_text
+from jaxunshear.files import Json, read_object, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, Results
@@ -21,16 +21,16 @@ from jaxunshear.serialization import to_builtins
 RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
 }
-ORIGIN_FIELDS = ("origin", "data", "start")  # what they learnt from goes with the weights
+ORIGIN_FIELDS = ("origin", "data", "start")  # of the training data, kept with the weights
 REQUIRED_NETWORKS = (DISENTANGLED, POSENET)
 CARD = "README.md"
 
 
 def release(run_dir: Path, out: Path) -> Path:
-    """Writes experiment.json, the networks and README.md to `out`, which must not exist. Returns `out`.
+    """Write experiment.json, the networks and README.md to `out`, and return `out`.
 
-    The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
-    Raises `UserError` where the run is not finished or evaluated.
+    The run needs the disentangled network and PoseNet; other networks that it has trained are
+    added. Raises `UserError` if `out` exists, or the run is not finished or evaluated.
     """
     from jaxunshear.inference.perception import load_networks
     from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
@@ -46,14 +46,11 @@ def release(run_dir: Path, out: Path) -> Path:
     settings = read_object(run_dir / "experiment.json")
     results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
     try:
-        text, settings = (
-            make_card(results, out.name),
-            settings | {"name": out.name},
-        )  # not a sweep's row
+        card = make_card(results, out.name)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    needed = REQUIRED_NETWORKS if results.simulated else ()
-    names = [name for name in RELEASED_PARTS if name in needed or has_model(run_dir / name)]
+    required = REQUIRED_NETWORKS if results.simulated else ()
+    names = [name for name in RELEASED_PARTS if name in required or has_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     _, variables, targets = load_networks(run_dir, names)
@@ -62,78 +59,99 @@ def release(run_dir: Path, out: Path) -> Path:
     for name in names:
         write_weights(part / name, variables[name], RELEASED_PARTS[name])
         model = read_object(run_dir / name / MODEL)
-        origins = {key: model[key] for key in ORIGIN_FIELDS if key in model}
-        reported = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
-        write_json(part / name / MODEL, reported | origins)
+        origin = {key: model[key] for key in ORIGIN_FIELDS if key in model}
+        network = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
+        write_json(part / name / MODEL, network | origin)
+    settings |= {"name": out.name}  # that of a sweep's row names its settings
     if not results.simulated:
         write_json(part / FRAME, read_object(run_dir / FRAME))
-        settings["paired"] |= {
-            "tap_folder": "recorded taps" * bool(settings["paired"]["tap_folder"]),
-            "slide_folder": "recorded slides",
-            "pairs": "",
-        }
-        if settings["paired"]["pairing"] == "file":  # the table stays with the recordings
-            settings["paired"]["pairing"] = "pose_id"
+        _hide_recordings(settings["paired"])
     write_json(part / "experiment.json", settings)
-    write_text(part / CARD, text)
+    write_text(part / CARD, card)
     part.rename(out)
     return out
 
 
+def _hide_recordings(paired: Json) -> None:
+    """Replace the paths of recordings in their settings; a table of pairs is not released."""
+    paired |= {
+        "tap_folder": "recorded taps" if paired["tap_folder"] else "",
+        "slide_folder": "recorded slides",
+        "pairs": "",
+    }
+    if paired["pairing"] == "file":
+        paired["pairing"] = "pose_id"
+
+
 def make_card(results: Results, name: str) -> str:
-    """Write the model card in Markdown, all of it from the run's results."""
-    targets = list(next(iter(results.pose_mae.values())))
-    rows = [["image", "likeness to the tap", *targets], ["---"] * (2 + len(targets))]
-    for kind, errors in results.pose_mae.items():
-        cells = [results.ms_ssim.get(kind, {}).get("overall"), *map(errors.get, targets)]
-        rows.append([kind, *("" if cell is None else f"{cell:.3g}" for cell in cells)])
-    tests = []
-    for test, found in results.tests.items():
-        likeness = found.ms_ssim[DISENTANGLED]["overall"]
-        tests.append(f"Test `{test}` ({', '.join(found.stimuli)}): likeness {likeness:.3f}.")
-    trained = {_show(machine) for machine in results.trained_on.values()} - {_show(results.machine)}
+    """Write the model card in Markdown from the run's results."""
+    machines = {_format_machine(machine) for machine in results.trained_on.values()}
+    machines -= {_format_machine(results.machine)}
     sources = [results.source, *results.trained_by.values()]
     command, px = f"--model {name}", results.metric["image_px"]
+    poses, seed = results.counts.test_poses, results.seeds["experiment"]
     paragraphs = [
         f"# {name}",
         results.settings["claim"],
-        f"    jaxunshear unshear RECORDINGS {command} --out unsheared\n    jaxunshear pose RECORDINGS {command}",
-        f"Networks for {results.settings['unshear']['input']} of {px} px; kernels are stored as float16.",
-        _describe_simulated(results) if results.simulated else _describe_recorded(results),
-        f"Mean errors at {results.counts.test_poses} poses kept out of training (seed {results.seeds['experiment']}):",
-        "\n".join(f"| {' | '.join(row)} |" for row in rows),
-        *tests,
-        *(f"Trained on: {machine}" for machine in sorted(trained)),
-        f"Machine: {_show(results.machine)}",
+        f"    jaxunshear unshear RECORDINGS {command} --out unsheared\n"
+        f"    jaxunshear pose RECORDINGS {command}",
+        f"Networks for {results.settings['unshear']['input']} of {px} px; kernels are stored as "
+        "float16.",
+        _describe_simulated_data(results) if results.simulated else _describe_recordings(results),
+        f"Mean errors at {poses} poses kept out of training (seed {seed}):",
+        _format_errors(results),
+        *_describe_tests(results),
+        *(f"Trained on: {machine}" for machine in sorted(machines)),
+        f"Machine: {_format_machine(results.machine)}",
         *sorted({f"Code: {json.dumps(to_builtins(source))}" for source in sources if source}),
         f"Versions: {json.dumps(results.versions)}",
     ]
     return "\n\n".join(paragraphs) + "\n"
 
 
-def _show(machine: Machine) -> str:
+def _format_errors(results: Results) -> str:
+    """Format a Markdown table of likeness and errors of poses."""
+    targets = list(next(iter(results.pose_mae.values())))
+    rows = [["image", "likeness to the tap", *targets], ["---"] * (2 + len(targets))]
+    for kind, errors in results.pose_mae.items():
+        cells = [results.ms_ssim.get(kind, {}).get("overall"), *map(errors.get, targets)]
+        rows.append([kind, *("" if cell is None else f"{cell:.3g}" for cell in cells)])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _describe_tests(results: Results) -> list[str]:
+    sentences = []
+    for name, test in results.tests.items():
+        likeness = test.ms_ssim[DISENTANGLED]["overall"]
+        sentences.append(f"Test `{name}` ({', '.join(test.stimuli)}): likeness {likeness:.3f}.")
+    return sentences
+
+
+def _format_machine(machine: Machine) -> str:
     return json.dumps(to_builtins(replace(machine, kernels=None)))
 
 
-def _describe_simulated(results: Results) -> str:
+def _describe_simulated_data(results: Results) -> str:
     sensor, paired = results.settings["sensor"]["name"], results.settings["paired"]
     ranges, shapes = paired["ranges"], ", ".join(list_stimulus_names(paired["stimuli"]))
-    named = {"twist": ranges.get("twist_deg"), "tilt": ranges.get("tilt_deg")}
-    angles = "".join(f", {angle} up to {most:g} deg" for angle, most in named.items() if most)
+    angles = ""
+    for name in ("twist", "tilt"):
+        if largest := ranges.get(f"{name}_deg"):
+            angles += f", {name} up to {largest:g} deg"
     return (
         f"Learnt from {results.counts.train} pairs of simulated touches (sensor `{sensor}`, shapes "
         f"{shapes}) by `{results.command}`: poses within {ranges['lateral_mm']:g} mm and "
         f"{ranges['yaw_deg']:g} deg, depths {ranges['depth_min_mm']:g} to "
-        f"{ranges['depth_max_mm']:g} mm, slides up to {ranges['move_mm']:g} mm{angles}. Not measured "
-        "here: any real sensor (`jaxunshear evaluate MODEL --recordings DIR`)."
+        f"{ranges['depth_max_mm']:g} mm, slides up to {ranges['move_mm']:g} mm{angles}. Not "
+        "measured here: any real sensor (`jaxunshear evaluate MODEL --recordings DIR`)."
     )
 
 
-def _describe_recorded(results: Results) -> str:
+def _describe_recordings(results: Results) -> str:
     recordings, pairing = results.recorded_facts
     slides = f"{recordings.slides['train']} slides with {recordings.labelled:.0%} of their labels"
     return (
-        f"Learnt from recordings (digest {recordings.digest}) of a sensor with {recordings.pins} pins: "
-        f"{recordings.taps['train']} taps and {slides}, paired by `{pairing.way}`; poses are in the "
-        "frame and the units of the labels. Not measured: another sensor, object or camera."
+        f"Learnt from recordings (digest {recordings.digest}) of a sensor with {recordings.pins} "
+        f"pins: {recordings.taps['train']} taps and {slides}, paired by `{pairing.way}`; poses are "
+        "in the frame and the units of the labels. Not measured: another sensor, object or camera."
     )

@@ -1,4 +1,4 @@
-"""How figures are styled. Imports no Matplotlib."""
+"""The style of figures. Imports no Matplotlib."""
 
 import io
 from textwrap import wrap
@@ -25,7 +25,7 @@ COLOURS = {
     POSENET: "#2a9d6f",
     POSENET_SHEARED: "#7c8b3d",
 }
-STYLE: Any = {  # the names are a closed list of matplotlib's
+STYLE: Any = {  # Any, as matplotlib types the names as a closed list
     "svg.hashsalt": "jaxunshear",
     "svg.fonttype": "none",  # text stays text: small, and set in the reader's font
     "font.family": "sans-serif",
@@ -45,18 +45,18 @@ STYLE: Any = {  # the names are a closed list of matplotlib's
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
-# panels of a picture side by side: what a report's page shows without making it smaller
+# panels side by side, and their size, such that a page shows a picture at full size
 ABREAST, PANEL_IN, DPI = 3, 3.5, 110
-HEAD, LABEL = 9, 8  # points: of titles, and of all that is smaller
+HEAD, LABEL = 9, 8  # points, of titles and of smaller text
 
 
 def wrap_title(text: str, columns: int) -> str:
-    """A title over `columns` panels, in as many lines as it takes."""
+    """Wrap a title to the width of `columns` panels."""
     return "\n".join(wrap(text, 48 * columns))
 
 
 def encode_png(figure: "Figure") -> bytes:
-    """A PNG without the name and version of Matplotlib: the same drawing gives the same bytes."""
+    """Encode a PNG without the version of Matplotlib: the same drawing gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})
     return buffer.getvalue()

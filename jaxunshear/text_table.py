@@ -1,4 +1,4 @@
-"""Rows of figures as text, laid out by rich."""
+"""Text tables, laid out by rich."""
 
 import sys
 from collections.abc import Sequence
@@ -8,27 +8,28 @@ from rich.table import Table
 
 from jaxunshear.files import Json
 
-WIDE = 10_000  # columns where nobody watches: lines of a file or a pipe are never broken
+WIDE = 10_000  # columns of a file or a pipe, so that no line is broken
 
 
 def format_text_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
-    """A heading, then a line a row: numbers to three digits, `-` for what a row does not have.
+    """Format a heading and a line per row: numbers to three digits, `-` for missing values.
 
-    In a terminal cells that do not fit are folded; elsewhere a row is one line, without colours or frames.
+    A terminal folds cells that do not fit; in a file or a pipe a row is one line without colours.
     """
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for place, name in enumerate(columns):
-        table.add_column(name, justify="right" if place else "left", overflow="fold")
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="right" if index else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(_text(row.get(name)) for name in columns))
-    seen = sys.stdout.isatty()
-    console = Console(width=None if seen else WIDE, force_terminal=seen, markup=False, emoji=False)
+        table.add_row(*(_format_cell(row.get(name)) for name in columns))
+    terminal = sys.stdout.isatty()
+    width = None if terminal else WIDE
+    console = Console(width=width, force_terminal=terminal, markup=False, emoji=False)
     with console.capture() as text:
         console.print(table)
     return text.get().removesuffix("\n")
 
 
-def _text(value: object) -> str:
+def _format_cell(value: object) -> str:
     if value is None:
         return "-"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

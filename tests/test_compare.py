@@ -1,4 +1,4 @@
-"""Runs side by side: made-up runs whose scores are known, so every difference and interval has a value of its own."""
+"""Comparison of made-up runs with known scores, differences and intervals."""
 
 import json
 import re
@@ -45,7 +45,7 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def pair(finished, tmp_path):
-    """Two runs on the same contacts: the second reads the edge better by what depends on the contact."""
+    """Two runs on the same contacts; the second has smaller errors, by contact."""
     source, scores = finished
     first, second = (shutil.copytree(source, tmp_path / name) for name in ("first", "second"))
     gain = 0.3 + 0.2 * np.sin(np.arange(len(scores[GAIN])))

@@ -1,4 +1,4 @@
-"""Weights made of a run: enough to unshear and to read poses, nothing more; found by name; damage is named."""
+"""Weights released from a run: complete, minimal, found by name, and checked for damage."""
 
 import json
 import shutil

@@ -1,6 +1,7 @@
-"""The picture of a sweep over a list of settings: error against seconds of training, and against milliseconds an image."""
+"""The picture of a sweep over a list of settings: error against training and run time."""
 
 from textwrap import wrap
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -20,153 +21,169 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "pose/disentangled/edge_deg": ("edge angle error, deg", False),
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
-TEST = (
-    "paired.",
-    "sensor",
-)  # settings that decide which contacts the test holds, and how their images appear
-# but for these: errors in mm and degrees compare across sizes
-SIZES = ("paired.preprocess.size", "paired.camera.frame_px")
+# settings that decide the contacts of the test and their images, except sizes in px:
+# errors in mm and degrees can be compared across sizes
+TEST_SETTINGS = ("paired.", "sensor")
+SIZE_SETTINGS = ("paired.preprocess.size", "paired.camera.frame_px")
+
+
+class Points(NamedTuple):
+    """N cells with their means over seeds."""
+
+    labels: list[str]
+    cost: np.ndarray  # (N,)
+    error: np.ndarray  # (N,)
 
 
 def find_frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
-    """Indices, cheapest first, of the points that no other one beats in both: cost (N,) and error (N,), less is better in each."""
-    best, kept = np.inf, []
+    """Find the points, cheapest first, that no other point beats in both cost and error.
+
+    Less is better in `cost` (N,) and in `error` (N,).
+    """
+    least, frontier = np.inf, []
     errors = np.asarray(error, float)
     for index in np.lexsort((errors, np.asarray(cost, float))).tolist():
-        if errors[index] < best:
-            best = errors[index]
-            kept.append(index)
-    return kept
+        if errors[index] < least:
+            least = errors[index]
+            frontier.append(index)
+    return frontier
 
 
 def list_efficient(summary: SweepResult) -> dict[str, dict[str, list[str]]]:
-    """Labels on the frontier, cheapest first, by metric and cost; of the cells that can be ranked, see `list_ranked`."""
-    comparable = list_ranked(summary)
-    named: dict[str, dict[str, list[str]]] = {}
-    for metric, (_, more) in ERRORS.items():
-        named[metric] = {}
-        for cost in COSTS:
-            labels, x, y = collect_points(summary, metric, cost)
-            inside = [index for index, label in enumerate(labels) if label in comparable]
-            best = find_frontier(x[inside], -y[inside] if more else y[inside])
-            named[metric][cost] = [labels[inside[index]] for index in best]
-    return named
+    """List the labels on the frontier of `list_comparable` cells, by metric and by cost."""
+    efficient = {}
+    for metric in ERRORS:
+        efficient[metric] = {cost: _list_frontier(summary, metric, cost) for cost in COSTS}
+    return efficient
 
 
-def list_ranked(summary: SweepResult) -> list[str]:
-    """Labels of the cells tested on the same contacts as the reference: on others an error may be less because they are easier."""
-    test = _test(_reference(summary))
-    return [cell.label for cell in summary.cells if _test(cell) == test]
+def _list_frontier(summary: SweepResult, metric: str, cost: str) -> list[str]:
+    comparable, points = list_comparable(summary), collect_points(summary, metric, cost)
+    inside = [index for index, label in enumerate(points.labels) if label in comparable]
+    _, more_is_better = ERRORS[metric]
+    error = -points.error[inside] if more_is_better else points.error[inside]
+    return [points.labels[inside[index]] for index in find_frontier(points.cost[inside], error)]
 
 
-def _reference(summary: SweepResult) -> CellResult:
-    """The reference cell, or the first where there is none, of those that have figures; the first cell where none has."""
+def list_comparable(summary: SweepResult) -> list[str]:
+    """List the labels of cells that were tested on the same contacts as the reference.
+
+    On other contacts an error may be less because the contacts are easier.
+    """
+    test = _select_test_settings(_find_reference(summary))
+    return [cell.label for cell in summary.cells if _select_test_settings(cell) == test]
+
+
+def _find_reference(summary: SweepResult) -> CellResult:
+    """Find the reference, or else the first cell, among cells with figures if there are any."""
     cells = [cell for cell in summary.cells if cell.metrics] or summary.cells
     return next((cell for cell in cells if cell.label == summary.reference), cells[0])
 
 
-def _test(cell: CellResult) -> dict[str, str]:
+def _select_test_settings(cell: CellResult) -> dict[str, str]:
     return {
         name: value
         for name, value in cell.settings.items()
-        if name.startswith(TEST) and name not in SIZES
+        if name.startswith(TEST_SETTINGS) and name not in SIZE_SETTINGS
     }
 
 
-def collect_points(
-    summary: SweepResult, metric: str, cost: str
-) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
+def collect_points(summary: SweepResult, metric: str, cost: str) -> Points:
+    """Collect the means of a cost and of a metric over seeds, of all cells that have both.
 
-    Milliseconds are those of all cells with the same network, since nothing else distinguishes them. MS-SSIM of
-    other scales than the reference's (other image sizes) is another quantity, and left out.
+    Milliseconds are means over all cells with the same network, since nothing else decides them.
+    MS-SSIM at other scales than the reference's is another quantity and is left out.
     """
-    found = []
     cells = [cell for cell in summary.cells if metric in cell.metrics]
-    scale = _reference(summary).metric.get("ms_ssim")
+    scale = _find_reference(summary).metric.get("ms_ssim")
+    labels, costs, errors = [], [], []
     for cell in cells:
         if metric.startswith("ms_ssim") and cell.metric["ms_ssim"] != scale:
             continue
-        alike = (
-            [cell]
-            if cost != "ms_per_image"
-            else [other for other in cells if _network(other) == _network(cell)]
-        )
-        if spent := [seconds for each in alike for seconds in _list_costs(each, cost)]:
-            found.append((cell.label, float(np.mean(spent)), cell.metrics[metric].mean))
-    labels, x, y = zip(*found, strict=True) if found else ((), (), ())
-    return list(labels), np.array(x), np.array(y)
+        network = _select_network_settings(cell)
+        group = [cell]
+        if cost == "ms_per_image":
+            group = [other for other in cells if _select_network_settings(other) == network]
+        values = [value for each in group for value in _list_costs(each, cost)]
+        if values:
+            labels.append(cell.label)
+            costs.append(float(np.mean(values)))
+            errors.append(cell.metrics[metric].mean)
+    return Points(labels, np.array(costs), np.array(errors))
 
 
-def _network(cell: CellResult) -> dict[str, str]:
+def _select_network_settings(cell: CellResult) -> dict[str, str]:
     return {name: value for name, value in cell.settings.items() if name.startswith("unshear.")}
 
 
 def _list_costs(cell: CellResult, cost: str) -> list[float]:
-    """Of every seed that has it. The training of a taught network includes its teacher's."""
-    spent = []
+    """List the cost of every seed that has it; training includes that of a teacher."""
+    values = []
     for costs in cell.costs.values():
         if cost == "ms_per_image" and DISENTANGLED in costs.ms_per_image:
-            spent.append(costs.ms_per_image[DISENTANGLED]["median"])
+            values.append(costs.ms_per_image[DISENTANGLED]["median"])
         elif cost == "train_seconds" and DISENTANGLED in costs.train_seconds:
-            spent.append(costs.train_seconds[DISENTANGLED] + costs.train_seconds.get(TEACHER, 0.0))
-    return spent
+            teacher = costs.train_seconds.get(TEACHER, 0.0)
+            values.append(costs.train_seconds[DISENTANGLED] + teacher)
+    return values
 
 
 def plot_frontier(summary: SweepResult) -> bytes | None:
-    """PNG: a row a cost, a column an error; what no other setting beats is joined, what cannot be ranked is hollow. None where
-    nothing can be drawn."""
+    """Plot a row for each cost and a column for each error as a PNG; None without two points.
+
+    Points on the frontier are joined, and cells that cannot be compared are hollow.
+    """
     metrics = [
-        metric for metric in ERRORS if len(collect_points(summary, metric, "train_seconds")[0]) > 1
+        metric
+        for metric in ERRORS
+        if len(collect_points(summary, metric, "train_seconds").labels) > 1
     ]
     if not metrics:
         return None
-    number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
+    numbers = {cell.label: str(index) for index, cell in enumerate(summary.cells, 1)}
+    size = (4.0 * len(metrics), 3.6 * len(COSTS) + 0.8)
     with rc_context(STYLE):
-        figure = Figure(
-            figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained", dpi=100
-        )
-        places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
-        for row, (cost, cost_label) in zip(places, COSTS.items(), strict=True):
+        figure = Figure(figsize=size, layout="constrained", dpi=100)
+        panels = figure.subplots(len(COSTS), len(metrics), squeeze=False)
+        for row, (cost, cost_label) in zip(panels, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
                 axes.set(xlabel=cost_label, ylabel=ERRORS[metric][0], xscale="log")
                 axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
-                plot_panel(axes, summary, metric, cost, number)
-        seeds = len(summary.seeds)
-        names = "      ".join(f"{digit} {label}" for label, digit in number.items())
-        names += "      hollow: another test" * (len(list_ranked(summary)) < len(number))
-        figure.suptitle(
-            f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none"
-        )
-        figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
+                plot_panel(axes, summary, metric, cost, numbers)
+        seeds = f"{len(summary.seeds)} seed{'s' * (len(summary.seeds) > 1)}"
+        figure.suptitle(f"{summary.sweep}: means over {seeds}; joined: beaten by none")
+        legend = "      ".join(f"{number} {label}" for label, number in numbers.items())
+        if len(list_comparable(summary)) < len(numbers):
+            legend += "      hollow: another test"
+        figure.supxlabel("\n".join(wrap(legend, 42 * len(metrics))), fontsize=9)
         return encode_png(figure)
 
 
 def plot_panel(
-    axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]
+    axes: Axes, summary: SweepResult, metric: str, cost: str, numbers: dict[str, str]
 ) -> None:
+    """Plot the numbers of all cells at their cost and error, and join the frontier."""
     labels, x, y = collect_points(summary, metric, cost)
-    best = [labels.index(label) for label in list_efficient(summary)[metric][cost]]
-    comparable = list_ranked(summary)
-    axes.plot(x[best], y[best], "-", color=COLOURS[DISENTANGLED])
+    frontier = [labels.index(label) for label in _list_frontier(summary, metric, cost)]
+    comparable, colour = list_comparable(summary), COLOURS[DISENTANGLED]
+    axes.plot(x[frontier], y[frontier], "-", color=colour)
     for index, label in enumerate(labels):
-        on, full = index in best, label in comparable
-        inside = COLOURS[DISENTANGLED] if on else FAINT if full else "white"
+        best, hollow = index in frontier, label not in comparable
+        text_colour, edge, face = "white", "white", colour if best else FAINT
+        if hollow:
+            text_colour, edge, face = INK, FAINT, "white"
+        circle = {"boxstyle": "circle,pad=0.25", "facecolor": face, "edgecolor": edge}
         axes.annotate(
-            number[label],
+            numbers[label],
             (x[index], y[index]),
             ha="center",
             va="center",
             fontsize=LABEL,
-            color="white" if full else INK,
-            bbox={
-                "boxstyle": "circle,pad=0.25",
-                "facecolor": inside,
-                "edgecolor": "white" if full else FAINT,
-            },
-            zorder=3 + on,
+            color=text_colour,
+            bbox=circle,
+            zorder=3 + best,
         )
-    axes.plot(x, y, "o", alpha=0)  # so that the axes reach as far as the numbers
+    axes.plot(x, y, "o", alpha=0)  # extends the axes' limits to the numbers
     axes.margins(x=0.12, y=0.12)

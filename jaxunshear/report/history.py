@@ -1,4 +1,4 @@
-"""The training logs of a run, read for drawing: one JSON object a line, written at each validation."""
+"""The training logs of a run, with one JSON object per validation, read for plotting."""
 
 import json
 import warnings
@@ -19,48 +19,45 @@ class History(NamedTuple):
 
 
 def read_lines(path: Path) -> list[Json]:
-    """Of a training log, those that hold a validation; none where there is no log yet. A line that is damaged is
-    left out, and a note says so."""
+    """Read the lines of a training log that hold a validation; none if there is no log.
+
+    Damaged lines are left out, with a note.
+    """
     try:
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return []
-    rows, lines = text.splitlines(), []
-    for line in rows:
+    rows, validations = text.splitlines(), []
+    for row in rows:
         try:
-            lines.append(check_and_remove_checksum(json.loads(line)))
+            line = check_and_remove_checksum(json.loads(row))
         except ValueError:
             continue
-    kept = [
-        line
-        for line in lines
-        if isinstance(line, dict) and "train_seconds" in line and "epoch" in line
-    ]
-    if len(kept) < len(rows):
-        warnings.warn(
-            f"{path} is damaged: {len(rows) - len(kept)} of its lines are left out",
-            Note,
-            stacklevel=2,
-        )
-    return kept
+        if isinstance(line, dict) and "train_seconds" in line and "epoch" in line:
+            validations.append(line)
+    if damaged := len(rows) - len(validations):
+        text = f"{path} is damaged: {damaged} of its lines are left out"
+        warnings.warn(text, Note, stacklevel=2)
+    return validations
 
 
 def read_history(path: Path) -> History | None:
-    """None where there is no log, or nothing in it yet."""
+    """Read the training log at `path`; None if it does not exist or has no validation."""
     lines = read_lines(path)
     if not lines:
         return None
     return History(
         [line["epoch"] for line in lines],
         [line["train_seconds"] for line in lines],
-        _columns([line.get("train", {}) for line in lines]),
-        _columns([line.get("validation", {}) for line in lines]),
+        _collect_columns([line.get("train", {}) for line in lines]),
+        _collect_columns([line.get("validation", {}) for line in lines]),
     )
 
 
-def _columns(rows: list[Json]) -> dict[str, list[float]]:
-    """Those names that every row has."""
-    names = [
-        name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)
-    ]
-    return {name: [float(row[name]) for row in rows] for name in names}
+def _collect_columns(rows: list[Json]) -> dict[str, list[float]]:
+    """Collect the values of each name for which every row has a number."""
+    columns = {}
+    for name in rows[0]:
+        if all(isinstance(row.get(name), int | float) for row in rows):
+            columns[name] = [float(row[name]) for row in rows]
+    return columns

@@ -1,11 +1,19 @@
-"""Small pieces of HTML, of the macros in page.html: text in, HTML out. All text is escaped; only `Markup` is taken for HTML."""
+"""HTML pieces of a page, from the macros in page.html.
+
+All text is escaped; only `Markup` is taken as HTML.
+"""
 
 import base64
+import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from PIL import Image
+
+from jaxunshear.results.run import Scores, Span
 
 _ENVIRONMENT = Environment(
     loader=PackageLoader("jaxunshear", "report"),
@@ -16,37 +24,66 @@ _ENVIRONMENT = Environment(
 _MACROS = _ENVIRONMENT.get_template("page.html").module
 
 
-def _piece(name: str) -> Callable[..., Markup]:
+def _get_macro(name: str) -> Callable[..., Markup]:
     return getattr(_MACROS, name)
 
 
-page, opening, section = _piece("page"), _piece("opening"), _piece("section")
-compared = _piece("compared")
-card, cards, table = _piece("card"), _piece("cards"), _piece("table")
-montage, caption, figure = _piece("montage"), _piece("caption"), _piece("figure")
-folded, listed, row, soft, code = map(_piece, ("folded", "listed", "row", "soft", "code"))
+page, opening, compared = map(_get_macro, ("page", "opening", "compared"))
+section, card, cards, table = map(_get_macro, ("section", "card", "cards", "table"))
+montage, caption, figure = map(_get_macro, ("montage", "caption", "figure"))
+folded, listed, row, soft, code = map(_get_macro, ("folded", "listed", "row", "soft", "code"))
 
 
 def embed_svg(svg: str, text: str) -> Markup:
-    """An SVG as a picture, so that the names inside one drawing cannot meet those of another; `text` describes it."""
+    """Embed an SVG as an image that `text` describes.
+
+    The names inside two drawings cannot collide then.
+    """
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     points = re.findall(r'(?:width|height)="([\d.]+)pt"', svg[: svg.index(">")])
     return figure(address, text, [round(float(size) * 4 / 3) for size in points])
 
 
+def make_png_address(png: bytes) -> str:
+    """Return a `data:` address of a PNG, so that the page needs no second file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def encode_pixels(pixels: np.ndarray) -> str:
+    """Return a `data:` address of a PNG of pixels (H, W) or (H, W, 3) uint8."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "png", optimize=True)
+    return make_png_address(buffer.getvalue())
+
+
 def format_number(value: float | None, digits: int = 2) -> str:
-    """Fixed digits; a dash where there is no value."""
+    """Format a number with fixed digits; a dash stands for no value."""
     return "\u2013" if value is None else f"{value:.{digits}f}"
 
 
-def format_with_interval(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
-    """A figure with its interval below; without one where there is none."""
+def format_with_interval(value: float | None, interval: Span, digits: int) -> str:
+    """Format a number above its interval, if it has one."""
     if value is None or interval is None:
         return format_number(value, digits)
-    low, high = (format_number(end, digits) for end in interval)
+    low, high = format_number(interval[0], digits), format_number(interval[1], digits)
     return Markup("{} <small>[{}, {}]</small>").format(format_number(value, digits), low, high)
 
 
-def address_of(png: bytes) -> str:
-    """Return a `data:` address of a PNG, so that the page needs no second file."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()
+def format_cells(
+    values: Scores, intervals: Mapping[str, Span], digits: Mapping[str, int]
+) -> list[str]:
+    """Format the cells of a table's row: a number and its interval for each name in `digits`."""
+    return [
+        format_with_interval(values.get(name), intervals.get(name), count)
+        for name, count in digits.items()
+    ]
+
+
+def format_paper_cells(values: Scores, names: Sequence[str]) -> list[str]:
+    """Format the cells of a table's row with the paper's figures."""
+    return [format_number(values.get(name)) for name in names]
+
+
+def format_paper_heading(heading: str) -> Markup:
+    """Format the heading of a column with the paper's figures."""
+    return Markup("{}<br>paper").format(heading)

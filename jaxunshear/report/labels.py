@@ -1,4 +1,4 @@
-"""What the page of a run calls things, determined from its `results.json`: kinds of contacts, quantities, partners."""
+"""Words on a run's page for kinds of contacts, quantities and targets."""
 
 from markupsafe import Markup
 
@@ -40,68 +40,72 @@ QUANTITIES = {
 QUANTITIES |= {
     f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED_FIELDS
 }
-EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
-MAX_CARDS = 3  # quantities that have a card, at most
+EDGE = ("edge_mm", "edge_deg")  # unlike x and yaw, these are not ambiguous along an edge
+MAX_CARDS = 3  # quantities with a card, at most
 
 
-def reads_pins(results: Results) -> bool:
-    """Whether the networks read pins: images are then pins, drawn."""
+def uses_pins(results: Results) -> bool:
+    """Say whether the networks take pins; the images of the run are then drawings of pins."""
     return results.settings["unshear"].get("input") == "pins"
 
 
 def name_target(results: Results) -> str:
-    """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
-    return (
-        "partner"
-        if results.pairing and results.pairing.way in ("rendered", "nearest", "simulated")
-        else "tap"
-    )
+    """Name the target of unshearing: a tap at the same pose, or the partner in its place."""
+    pairing = results.pairing.way if results.pairing else ""
+    return "partner" if pairing in ("rendered", "nearest", "simulated") else "tap"
 
 
 def is_comparable(results: Results) -> bool:
-    """Whether the paper's likenesses are of the same quantity: images, compared with taps."""
-    return results.simulated or (name_target(results) == "tap" and not reads_pins(results))
+    """Say whether the paper's likenesses are the same quantity: images compared with taps."""
+    return results.simulated or (name_target(results) == "tap" and not uses_pins(results))
 
 
 def name_kind(results: Results, kind: str) -> str:
-    """A kind of contact in words, plain text."""
+    """Name a kind of contact in plain text."""
     return KINDS[kind] if results.simulated else RECORDED_KINDS.get(kind) or KINDS[kind]
 
 
 def list_targets(results: Results) -> list[str]:
-    """The quantities that the run's PoseNets read, in its order."""
+    """List the quantities that the run's PoseNets predict, in their order."""
     if results.targets is not None:
         return [target.name for target in results.targets]
     return list(results.baselines["pose_chance"])
 
 
 def list_main_targets(results: Results) -> list[str]:
-    """Those that the page opens with."""
+    """List the quantities with which the page begins."""
     names = list_targets(results)
     return [name for name in EDGE if name in names] or names[:MAX_CARDS]
 
 
 def name_quantity(name: str) -> str:
-    """A quantity without its unit."""
+    """Name a quantity without its unit."""
     return QUANTITIES.get(name, name.rpartition("_")[0])
 
 
 def get_unit(name: str) -> str:
+    """Return the unit in the name of a quantity."""
     return name.rpartition("_")[2]
 
 
 def format_heading(name: str) -> Markup:
-    """Of a column."""
+    """Format the heading of a quantity's column: its name above its unit."""
     return Markup("{}<br>{}").format(name_quantity(name), get_unit(name))
 
 
 def choose_digits(results: Results, name: str) -> int:
-    """Of an error: a real sensor's pins determine some lengths to a few hundredths of a mm."""
+    """Choose the decimals of an error; the pins of a real sensor show hundredths of a mm."""
     return 2 if results.simulated or get_unit(name) != "mm" else 3
 
 
+def choose_target_digits(results: Results) -> dict[str, int]:
+    """Give the decimals of the error in each quantity of `list_targets`, by its name."""
+    return {name: choose_digits(results, name) for name in list_targets(results)}
+
+
 def describe_intervals(results: Tables) -> str:
-    """What brackets mean, plain text: intervals of one run know nothing of other trainings. Its end is a full stop."""
-    what = f"brackets: {results.spread.what}."
-    over = results.spread.over
-    return f"{what} Intervals are over {over} and say nothing of other trainings." if over else what
+    """Say in plain text what brackets mean and which variation they leave out."""
+    meaning, over = f"brackets: {results.spread.what}.", results.spread.over
+    if not over:
+        return meaning
+    return f"{meaning} Intervals are over {over} and say nothing of other trainings."

@@ -1,13 +1,11 @@
-"""Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
+"""Sheared, unsheared and tapped images side by side, for the report and as one picture."""
 
-import io
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from PIL import Image
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
@@ -16,149 +14,143 @@ from jaxunshear.report import html, labels
 from jaxunshear.results.run import Results
 from jaxunshear.style import encode_png
 
-MISSING, SURPLUS = (
-    (255, 122, 26),
-    (64, 150, 255),
-)  # orange: the tap alone has it; blue: the image alone
-MAX_LETTERS = 22  # letters that do not fit above an image
-MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
+MISSING = (255, 122, 26)  # orange: only the tap is bright
+SURPLUS = (64, 150, 255)  # blue: only the image is bright
+MAX_LETTERS = 22  # in one line of a heading above an image
+MontageImages = dict[str, np.ndarray]  # as `evaluation.evaluate.encode_montage` writes it
 
 
 class Terms(NamedTuple):
-    """What stands beside and above the images."""
+    """Words beside and above the images."""
 
     heads: tuple[str, ...]  # of the five columns
     depth: str
     truth: str
 
 
+class Cell(NamedTuple):
+    image: np.ndarray  # (H, W) or (H, W, 3) uint8
+    text: str  # below the image
+
+
 def read_montage(path: Path) -> MontageImages:
-    """Raises `UserError` where montage.npz is missing or damaged."""
+    """Read montage.npz. Raises UserError if it is missing or damaged."""
     try:
-        shown = read_npz(path)
-        judged = choose_main_kind(shown)
-        needed = (
-            "stimulus",
-            "pose",
-            "move",
-            "tap",
-            "sheared",
-            f"ms_ssim_{judged}",
-            "ms_ssim_sheared",
-        )
-        return {name: shown[name] for name in needed} | shown
+        images = read_npz(path)
+        scores = ("ms_ssim_sheared", f"ms_ssim_{choose_main_kind(images)}")
+        required = ("stimulus", "pose", "move", "tap", "sheared", *scores)
+        return {name: images[name] for name in required} | images
     except BROKEN_NPZ as error:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 
 def make_terms(results: Results) -> Terms:
+    """Choose the words for the target and the quantities of a run."""
     truth = labels.name_target(results)
-    shown = "tap (truth)" if truth == "tap" else truth
     heads = (
         "sheared (input)",
         "unsheared",
-        shown,
+        "tap (truth)" if truth == "tap" else truth,
         f"sheared against {truth}",
         f"unsheared against {truth}",
     )
     return Terms(heads, "depth" if results.simulated else "z", truth)
 
 
-def build_section(shown: MontageImages, results: Results) -> Markup:
-    """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
-    middle, others = select_typical(shown)
-    said = make_terms(results)
+def build_section(images: MontageImages, results: Results) -> Markup:
+    """Build the section with a typical contact of each stimulus, and others folded away."""
+    typical, others = select_typical(images)
+    terms = make_terms(results)
     colours = ((MISSING, "missing from the image"), (SURPLUS, "should not be there"))
-    body = [_table(shown, middle, said), html.caption(colours, said.truth)]
+    body = [_build_table(images, typical, terms), html.caption(colours, terms.truth)]
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
-        body.append(html.folded(summary, _table(shown, others, said)))
-    lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
+        body.append(html.folded(summary, _build_table(images, others, terms)))
+    lead = (
+        "One contact of each shape that is typical of its test set: what was felt, what the "
+        "network made of it, and the truth."
+    )
     if not results.simulated:
-        lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
-    if labels.reads_pins(results):
+        lead = (
+            "A held-out slide that is typical: what was felt, what the network made of it, and its "
+            f"{terms.truth}."
+        )
+    if labels.uses_pins(results):
         lead += " The network reads pins and gives pins: the images are these pins, drawn."
     return html.section("What it does", lead, *body)
 
 
-def plot_montage(shown: MontageImages, results: Results) -> bytes:
-    """The typical contacts as one PNG; the same contacts give the same bytes."""
-    rows, _ = select_typical(shown)
-    said = make_terms(results)
-    height = 1.85 * len(rows) + 0.15 * any(len(head) >= MAX_LETTERS for head in said.heads)
+def _build_table(images: MontageImages, rows: list[int], terms: Terms) -> Markup:
+    lines = []
+    for row in rows:
+        name, *facts = describe_contact(images, row, terms)
+        cells = [
+            (html.encode_pixels(cell.image), head, cell.text)
+            for cell, head in zip(_make_cells(images, row), terms.heads, strict=True)
+        ]
+        lines.append((name, facts, cells))
+    return html.montage(terms.heads, lines)
+
+
+def plot_montage(images: MontageImages, results: Results) -> bytes:
+    """Plot the typical contacts as one PNG; the same contacts give the same bytes."""
+    rows, _ = select_typical(images)
+    terms = make_terms(results)
+    height = 1.85 * len(rows) + 0.15 * any(len(head) >= MAX_LETTERS for head in terms.heads)
     figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
-    for line, row in zip(
-        figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True
-    ):
-        for axes, (image, text), head in zip(line, _cells(shown, row), said.heads, strict=True):
-            axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    panels = figure.subplots(len(rows), len(terms.heads), squeeze=False)
+    for line, row in zip(panels, rows, strict=True):
+        for axes, cell in zip(line, _make_cells(images, row), strict=True):
+            axes.imshow(cell.image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
-            axes.set_xlabel(text, fontsize=8)
-            if row == rows[0]:
-                axes.set_title(
-                    head if len(head) < MAX_LETTERS else head.replace(" against", "\nagainst"),
-                    fontsize=9,
-                )
-        line[0].set_ylabel(
-            "\n".join(describe_contact(shown, row, said)),
-            rotation=0,
-            ha="right",
-            va="center",
-            fontsize=8,
-        )
+            axes.set_xlabel(cell.text, fontsize=8)
+        text = "\n".join(describe_contact(images, row, terms))
+        line[0].set_ylabel(text, rotation=0, ha="right", va="center", fontsize=8)
+    for axes, head in zip(panels[0], terms.heads, strict=True):
+        if len(head) >= MAX_LETTERS:
+            head = head.replace(" against", "\nagainst")
+        axes.set_title(head, fontsize=9)
     return encode_png(figure)
 
 
-def select_typical(shown: MontageImages) -> tuple[list[int], list[int]]:
-    """Rows of the middle contact of every stimulus, and the others."""
+def select_typical(images: MontageImages) -> tuple[list[int], list[int]]:
+    """Select the rows of the middle contact of every stimulus, and the other rows."""
     middle, others = [], []
-    for name in dict.fromkeys(shown["stimulus"].tolist()):
-        inside = np.flatnonzero(shown["stimulus"] == name).tolist()
-        middle.append(inside.pop(len(inside) // 2))
-        others += inside
+    for name in dict.fromkeys(images["stimulus"].tolist()):
+        rows = np.flatnonzero(images["stimulus"] == name).tolist()
+        middle.append(rows.pop(len(rows) // 2))
+        others += rows
     return middle, others
 
 
-def _cells(shown: MontageImages, row: int) -> list[tuple[np.ndarray, str]]:
-    """Images and likenesses under them, in the order of the heads."""
-    network = choose_main_kind(shown)
-    sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", network, "tap"))
+def _make_cells(images: MontageImages, row: int) -> list[Cell]:
+    """Make the images of a contact, and the likenesses below them, in the order of the heads."""
+    network = choose_main_kind(images)
+    sheared, unsheared, tap = images["sheared"][row], images[network][row], images["tap"][row]
     return [
-        (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),
-        (unsheared, f"{shown[f'ms_ssim_{network}'][row]:.2f}"),
-        (tap, ""),
-        (difference(sheared, tap), ""),
-        (difference(unsheared, tap), ""),
+        Cell(sheared, f"{images['ms_ssim_sheared'][row]:.2f}"),
+        Cell(unsheared, f"{images[f'ms_ssim_{network}'][row]:.2f}"),
+        Cell(tap, ""),
+        Cell(compare_images(sheared, tap), ""),
+        Cell(compare_images(unsheared, tap), ""),
     ]
 
 
-def describe_contact(shown: MontageImages, row: int, said: Terms) -> list[str]:
-    """What the contact is; of a recorded one neither slide nor depth need be known."""
-    slide, depth = float(np.hypot(*shown["move"][row][:2])), float(shown["pose"][row][3])
-    known = [(f"slide {slide:.1f} mm", slide), (f"{said.depth} {depth:.1f} mm", depth)]
-    return [str(shown["stimulus"][row]), *(text for text, value in known if np.isfinite(value))]
+def describe_contact(images: MontageImages, row: int, terms: Terms) -> list[str]:
+    """Describe a contact in lines; slide and depth of a recorded one may be unknown."""
+    lines = [str(images["stimulus"][row])]
+    slide, depth = float(np.hypot(*images["move"][row][:2])), float(images["pose"][row][3])
+    for name, value in (("slide", slide), (terms.depth, depth)):
+        if np.isfinite(value):
+            lines.append(f"{name} {value:.1f} mm")
+    return lines
 
 
-def _table(shown: MontageImages, rows: list[int], said: Terms) -> Markup:
-    lines = []
-    for row in rows:
-        name, *about = describe_contact(shown, row, said)
-        cells = zip(_cells(shown, row), said.heads, strict=True)
-        lines.append(
-            (name, about, [(png_address(image), head, text) for (image, text), head in cells])
-        )
-    return html.montage(said.heads, lines)
+def compare_images(image: np.ndarray, tap: np.ndarray) -> np.ndarray:
+    """Colour the differences of two images (H, W) uint8; returns (H, W, 3) uint8.
 
-
-def png_address(pixels: np.ndarray) -> str:
-    """Return a `data:` address of a PNG of pixels (H, W) or (H, W, 3) uint8."""
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "png", optimize=True)
-    return html.address_of(buffer.getvalue())
-
-
-def difference(image: np.ndarray, tap: np.ndarray) -> np.ndarray:
-    """Colour (H, W, 3) uint8 what two images (H, W) uint8 share in grey, and the rest by MISSING and SURPLUS."""
+    What both share is grey, and the rest has the colours `MISSING` and `SURPLUS`.
+    """
     a, b = image.astype(np.float32)[..., None] / 255, tap.astype(np.float32)[..., None] / 255
     shared = np.minimum(a, b) * 90
     missing = np.clip(b - a, 0, 1) * np.array(MISSING, np.float32)

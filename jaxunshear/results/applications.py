@@ -1,4 +1,4 @@
-"""What networks and pins were put to use for: the tables that the command line writes, a file each."""
+"""Records of the results of commands that use trained networks, one file each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryScore:
-    """Walks around one object by one way of perceiving: means over its walks, distances over all of their steps.
+    """The walks around one object by one method of perceiving.
 
-    `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its
-    mean walk by walk; `seen_mean_mm`: of where the edge was perceived to be, from the outline. A walk that was lost counts until there.
+    `mean_mm`, `p95_mm` and `largest_mm` are distances of the trajectory from the outline over all
+    steps; `walk_mm` is the mean of each walk, and `seen_mean_mm` the mean distance of the perceived
+    edge from the outline. A walk that left the object counts up to there.
     """
 
     name: str  # stimulus/way
@@ -17,32 +18,33 @@ class TrajectoryScore:
     way: str
     starts: int
     completed: float  # share of the outline
-    closed: int  # walks that came round
+    closed: int  # walks that closed the outline
     mean_mm: float
     walk_mm: Sequence[float]
     p95_mm: float
     largest_mm: float
     seen_mean_mm: float | None
-    ends: Mapping[str, int]  # of how many walks, by what ended them
+    ends: Mapping[str, int]  # numbers of walks by their reason to end
     unsolved: int  # contacts that did not converge
     steps: int
-    unfollowed: int  # steps whose pins were not identified for sure, of networks over pins; the sensor then goes straight on
-    perceive_ms: float  # a step
+    # steps without certain pin identities, if networks use pins; the sensor then goes straight on
+    unfollowed: int
+    perceive_ms: float  # per step
 
 
 @dataclass(frozen=True)
 class TrajectoryScores:
-    """servo.json"""
+    """The content of servo.json."""
 
     rows: Sequence[TrajectoryScore]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PinScore:
-    """One image."""
+    """The pins of one image."""
 
     name: str
-    matched: int  # pins; 0 where identities are not sure
+    matched: int  # pins; 0 if identities are not certain
     sure: bool
     doubt: float | None
     missed: int
@@ -52,55 +54,58 @@ class PinScore:
 
 @dataclass(frozen=True, kw_only=True)
 class PinScores:
-    """pins.json"""
+    """The content of pins.json."""
 
     rows: Sequence[PinScore]
     pins: int
     image_px: int
-    motion_from: str  # what motions are from, in words
-    fit_s: float  # for finding where pins stand untouched
+    motion_from: str  # the origin of motions, in words
+    fit_s: float  # for finding the rest positions
     ms_per_image: float
     left_out: Sequence[str]  # files, and why
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectScore:
-    """Objects that walks around one stimulus, by one way of perceiving, enclose as one maker sees them; means over these walks."""
+    """The objects from walks around one stimulus, by one method and shape estimator; means."""
 
     name: str  # stimulus/object/way
     stimulus: str
-    object: str  # its maker
+    object: str  # the shape estimator
     way: str
     walks: int
-    closed: int  # of these
+    closed: int  # of these walks
     iou: float  # with the true shape
     walk_iou: Sequence[float]
-    iou_felt: float  # where the skin was
+    iou_felt: float  # where the skin touched
     mean_mm: float  # between both outlines
     hausdorff_mm: float
-    height_rms_mm: float | None  # of the felt top from the object's, where values are heights
-    level: float | None  # over which the object lies; none where it is what a ridge surrounds
-    unmatched: int  # steps whose pins were not identified for sure
+    height_rms_mm: float | None  # from the object's top, if values are heights
+    level: float | None  # the object is above it; none if a ridge surrounds the object
+    unmatched: int  # steps without certain pin identities
 
 
 @dataclass(frozen=True)
 class ObjectScores:
-    """reconstruct.json"""
+    """The content of reconstruct.json."""
 
     rows: Sequence[ObjectScore]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeometryScore:
-    """One kind of image and way from pins to heights, of one stimulus or of all: mean correlation with the true indentation and rms
-    error, with their intervals; of images of no contact the correlation with the taps' indentation, as a floor, and the largest height."""
+    """The contact geometry of one kind of image by one method, for one stimulus or for all.
+
+    Mean correlation with the true indentation and rms error, with their intervals. For images
+    without contact the correlation is with the indentation of the taps, as a lower bound.
+    """
 
     name: str  # stimulus/kind/way
     stimulus: str
     kind: str
     way: str
     contacts: int
-    unmatched: int  # of these, whose pins were not identified for sure; where that is all of them there is no score
+    unmatched: int  # contacts without certain pin identities; if these are all, there is no score
     ms_per_image: float
     largest_mm: float | None = None
     correlation: float | None = None
@@ -111,28 +116,29 @@ class GeometryScore:
 
 @dataclass(frozen=True)
 class GeometryScores:
-    """geometry.json"""
+    """The content of geometry.json."""
 
     rows: Sequence[GeometryScore]
-    mm_per_height: Mapping[str, float]  # by way, as fitted to taps that are not scored
+    mm_per_height: Mapping[str, float]  # by method, fitted to taps that are not scored
     dropped: int  # contacts that did not converge
 
 
 @dataclass(frozen=True, kw_only=True)
 class StreamResult:
-    """stream.json: what became of the frames of a stream.
+    """The content of stream.json.
 
-    Milliseconds and their percentiles are of the frames that were used, from their coming to their line, and of the networks alone.
+    Milliseconds are percentiles over the frames that were used: from arrival to output, and of the
+    networks alone.
     """
 
     frames: int  # used, skipped and dropped
     used: int
     skipped: int  # could not be used
-    dropped: int  # came while another was at work
-    problems: Mapping[str, int]  # of how many frames
-    live: bool  # of a camera, or played as one
+    dropped: int  # arrived while another was processed
+    problems: Mapping[str, int]  # numbers of frames by problem
+    live: bool  # from a camera, or played at its rate
     frames_per_s: float
     confidence: float | None  # mean
-    pose_mae: Mapping[str, float]  # by quantity, where there are labels
+    pose_mae: Mapping[str, float]  # by quantity, if there are labels
     latency_ms: Mapping[str, float] | None  # p50, p95, p99
     networks_ms: Mapping[str, float] | None

@@ -1,4 +1,7 @@
-"""What the evaluation of a run says: results.json. Tables are open: their names are those of networks, shapes and targets."""
+"""The record of a run's evaluation, results.json.
+
+Keys of its tables are names of networks, kinds of contact, shapes and targets.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,28 +10,30 @@ from typing import Any, Literal
 from jaxunshear.config.targets import Target
 from jaxunshear.results.measurement import Machine, Source, Versions
 
-EVALUATE_REMEDY = "run `jaxunshear evaluate` again"  # what makes a file of it anew
-Settings = Mapping[str, Any]  # as `settings.serialization.to_json` makes them
-Notes = Mapping[str, str | int]  # what exactly a name of a table stands for
+EVALUATE_REMEDY = "run `jaxunshear evaluate` again"  # makes the file again
+Settings = Mapping[str, Any]  # from `config.serialization.to_json`
+Notes = Mapping[str, str | int]  # the exact meaning of a table's name
 Scores = Mapping[str, float | None]  # by target or shape
 Table = Mapping[str, Scores]  # by kind of contact
 Span = Sequence[float] | None  # 95 % interval
 Spans = Mapping[str, Mapping[str, Span]]
-EstimatorTables = Mapping[str, Table]  # by reader
+EstimatorTables = Mapping[str, Table]  # by pose estimator
 FullTable = Mapping[str, Mapping[str, float]]  # a table without gaps
-# recorded contacts that a network is tested on: kept out of those that it learnt from, or others
+# recorded test contacts: held out from those of the training, or from another session
 TestData = Literal["same session", "other recordings"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseSpread:
+    """Intervals of the tables of poses."""
+
     pose_mae: Spans = field(default_factory=dict)
     pose_recovery: Spans = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread(PoseSpread):
-    """Intervals of tables of the same names."""
+    """Intervals of the tables with the same names."""
 
     what: str = ""
     over: str | None = None
@@ -41,7 +46,7 @@ class Spread(PoseSpread):
 
 @dataclass(frozen=True, kw_only=True)
 class Poses:
-    """Errors of poses, mm and deg, over those on sheared contacts, and the part of the damage undone."""
+    """Errors of poses in mm and deg, their ratios to those on sheared contacts, recoveries."""
 
     pose_mae: Table = field(default_factory=dict)
     pose_ratio: Table = field(default_factory=dict)
@@ -50,17 +55,17 @@ class Poses:
 
 @dataclass(frozen=True, kw_only=True)
 class PartPoses(Poses):
-    """Of a part of the contacts."""
+    """Scores of poses for a part of the contacts."""
 
     spread: PoseSpread
 
 
-Parts = Mapping[str, PartPoses | None]  # None where no contact is
+Parts = Mapping[str, PartPoses | None]  # None for parts without contacts
 
 
 @dataclass(frozen=True, kw_only=True)
 class CodeSwapScore:
-    """What a decoder makes of codes, compared with the image it should draw."""
+    """Scores of a decoder's output against its target image."""
 
     target: str
     mse: float | None = None
@@ -70,7 +75,7 @@ class CodeSwapScore:
 
 @dataclass(frozen=True, kw_only=True)
 class Tables(Poses):
-    """All that is reported of the scores of one test."""
+    """All tables of one test."""
 
     ms_ssim: Table = field(default_factory=dict)
     pose_by_stimulus: Parts = field(default_factory=dict)
@@ -82,31 +87,31 @@ class Tables(Poses):
     pins: Table | None = None
     pose_by_depth: Parts | None = None
     pose_by_slide: Parts | None = None
-    pose_smooth: PartPoses | None = None  # edge angles where the nearest edge has one direction
+    pose_smooth: PartPoses | None = None  # contacts whose nearest edge has one direction
 
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherTest(Tables):
-    """A test of its own, with what it was made of."""
+    """A further test, with the settings of its contacts."""
 
     stimuli: Sequence[str] = ()
     tap_depth_jitter_mm: float = 0.0
-    ranges: Mapping[str, float] | None = None  # of earlier versions those of the settings
+    ranges: Mapping[str, float] | None = None  # None in files of earlier versions
     contacts: int = 0
     followed: Table | None = None
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Contacts, by what became of them; None where it is not counted."""
+    """Numbers of contacts; None if not counted."""
 
     train: int | None = None
     validation: int | None = None
     test: int | None = None
-    test_poses: int | None = None  # poses or, of recordings, slides that are scored
+    test_poses: int | None = None  # scored poses or, in recordings, slides
     test_smooth: int | None = None  # contacts whose nearest edge has one direction
     test_taps: int | None = None  # that are scored
-    test_unsure: int | None = None  # slides that are left out, since they were not understood
+    test_unsure: int | None = None  # slides left out by the sensor check
     test_by_stimulus: Mapping[str, int] = field(default_factory=dict)
     pin_images: int | None = None
     contacts: int | None = None
@@ -114,12 +119,12 @@ class Counts:
     dropped: int | None = None
     reader_taps: Mapping[str, int] | None = None
     known_taps: int | None = None
-    unread_taps: int | None = None  # left out likewise
+    unread_taps: int | None = None  # taps left out by the sensor check
 
 
 @dataclass(frozen=True)
 class Recordings:
-    """What a run learnt from."""
+    """The recordings of a run."""
 
     tap_folder: str
     slide_folder: str
@@ -139,7 +144,10 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Pairing:
-    """How slides are paired; by split how far their partners' poses are off, by target, and how many `pairs` there are."""
+    """The pairing of slides.
+
+    `gaps` are by split: the distances of partners' poses by target, and the number of `pairs`.
+    """
 
     way: str
     gaps: Mapping[str, Mapping[str, Scores | int]]
@@ -147,13 +155,15 @@ class Pairing:
 
 @dataclass(frozen=True)
 class ResultBar:
+    """The bar that a figure should clear."""
+
     sense: str
     bar: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Results(Tables):
-    """results.json."""
+    """The content of results.json."""
 
     experiment: str = ""
     claim: str = ""
@@ -164,7 +174,7 @@ class Results(Tables):
     tests: Mapping[str, FurtherTest] = field(default_factory=dict)
     baselines: Table = field(default_factory=dict)
     contact: Table | None = None
-    test_data: TestData | None = None  # of simulated runs and of earlier versions unknown
+    test_data: TestData | None = None  # None in simulated runs and files of earlier versions
     recordings: Recordings | None = None
     pairing: Pairing | None = None
     targets: Sequence[Target] | None = None
@@ -180,20 +190,20 @@ class Results(Tables):
     machine: Machine = field(default_factory=Machine)
     trained_on: Mapping[str, Machine] = field(default_factory=dict)
     versions: Versions = field(default_factory=dict)
-    source: Source | None = None  # that evaluated; of earlier versions unknown
+    source: Source | None = None  # that evaluated; None in files of earlier versions
     trained_by: Mapping[str, Source] = field(default_factory=dict)  # by network
     command: str = ""
 
     @property
     def sources(self) -> list[Source]:
-        """Return the code that evaluated and that trained; nothing if some of it is not known."""
+        """Return the code that evaluated and trained the run; empty if a part is unknown."""
         if self.source is None or self.trained_on.keys() - self.trained_by.keys():
             return []
         return [self.source, *self.trained_by.values()]
 
     @property
     def recorded_facts(self) -> tuple[Recordings, Pairing]:
-        """Of a run over recordings. Raises KeyError."""
+        """Return the recordings and the pairing of a recorded run. Raises KeyError."""
         if self.recordings is None or self.pairing is None:
             raise KeyError("recordings")
         return self.recordings, self.pairing

@@ -1,4 +1,4 @@
-"""What a sweep says: sweep.json, and row.json of each of its rows."""
+"""Records of a sweep: sweep.json, and row.json of each of its rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from jaxunshear.results.run import FullTable, Notes, Results, Scores, Settings, 
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """What a row took; by network where there are several."""
+    """Time and memory of a row, by network if there are several."""
 
     train_seconds: Mapping[str, float] = field(default_factory=dict)
     images_per_second: Mapping[str, float] = field(default_factory=dict)
@@ -22,7 +22,7 @@ class Costs:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome(Costs):
-    """Of a task that has ended. What it failed of is one line."""
+    """The outcome of a task; the reason of a failure is one line."""
 
     status: str  # "done" or "failed"
     reason: str | None
@@ -35,14 +35,14 @@ class Outcome(Costs):
 
     @property
     def evaluated_results(self) -> Results:
-        """Of a row that is done."""
+        """Return the results of a row that is done."""
         assert self.results is not None
         return self.results
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Over seeds and test contacts; without an interval what is no mean over contacts."""
+    """A mean over seeds and test contacts; means of other figures have no interval."""
 
     mean: float
     interval: Span
@@ -54,7 +54,7 @@ Figures = Mapping[str, Figure]  # by metric
 
 @dataclass(frozen=True)
 class GridAxis:
-    """Of the grid; values as they are printed."""
+    """An axis of the grid, with its printed values."""
 
     name: str
     fields: Sequence[str]
@@ -63,13 +63,15 @@ class GridAxis:
 
 @dataclass(frozen=True)
 class Failure:
+    """A failed row of a cell."""
+
     seed: int
     reason: str | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellResult:
-    """Of one point of the grid, or one row beside it, over seeds."""
+    """The figures of one point of the grid, or one explicit row, over seeds."""
 
     label: str
     point: Sequence[str] | None
@@ -85,7 +87,7 @@ class CellResult:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepResult:
-    """sweep.json."""
+    """The content of sweep.json."""
 
     sweep: str
     claim: str = ""
@@ -93,15 +95,14 @@ class SweepResult:
     axes: Sequence[GridAxis] = ()
     seeds: Sequence[int]
     networks: Sequence[str] = ()
-    spread: Notes = field(default_factory=dict)  # what the intervals are
+    spread: Notes = field(default_factory=dict)  # the meaning of the intervals
     reference: str | None
     cells: Sequence[CellResult]
     base: Settings = field(default_factory=dict)
-    efficient: Mapping[str, Mapping[str, Sequence[str]]] = field(
-        default_factory=dict
-    )  # labels by metric and cost
+    # labels on the frontier, by metric and cost
+    efficient: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=dict)
     command: str = ""
     machines: Sequence[Machine] = ()
     trained_on: Sequence[Machine] = ()
     versions: Sequence[Versions] = ()
-    sources: Sequence[Source] = ()  # that trained or evaluated; none if one is not known
+    sources: Sequence[Source] = ()  # that trained or evaluated; empty if one is unknown

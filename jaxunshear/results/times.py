@@ -1,4 +1,4 @@
-"""times.json: wall-clock seconds of each stage of a run, summed over the commands that it was stopped and continued in."""
+"""Wall-clock seconds of each stage of a run, summed over its commands, in times.json."""
 
 import warnings
 from pathlib import Path
@@ -10,7 +10,7 @@ TIMES = "times.json"
 
 
 def read_times(run_dir: Path) -> dict[str, float]:
-    """By stage. A damaged file is left aside, and a note says so: times are no reason to lose the work that they measure."""
+    """Read the seconds of each stage; a damaged file gives none, with a note."""
     path = Path(run_dir) / TIMES
     try:
         return read_object(path) if path.exists() else {}

@@ -1,4 +1,4 @@
-"""What the trainings of a run say of themselves, for results that rest on them."""
+"""The machines and the code of a run's trainings, for results that depend on them."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -11,16 +11,14 @@ from jaxunshear.results.record_files import read_record
 
 
 def read_training_facts(run_dir: Path, networks: Iterable[str]) -> Json:
-    """Return on what and with which code `networks` were trained, of those that say so."""
-    found = {}
+    """Read the machine and the code that trained each of `networks`, if its summary has them."""
+    trained_on, trained_by = {}, {}
     for name in networks:
+        path = Path(run_dir) / name / "summary.json"
         with suppress(UserError):
-            found[name] = read_record(
-                Path(run_dir) / name / "summary.json", TrainingSummary, "train again"
-            )
-    return {
-        "trained_on": {
-            n: one.trained_on for n, one in found.items() if one.trained_on != Machine()
-        },
-        "trained_by": {n: one.trained_by for n, one in found.items() if one.trained_by},
-    }
+            summary = read_record(path, TrainingSummary, "train again")
+            if summary.trained_on != Machine():
+                trained_on[name] = summary.trained_on
+            if summary.trained_by:
+                trained_by[name] = summary.trained_by
+    return {"trained_on": trained_on, "trained_by": trained_by}

@@ -1,4 +1,4 @@
-"""How far a mean would move with other seeds and other test contacts, crossed. Pure functions.
+"""Intervals of means over training seeds and test poses, by a crossed bootstrap.
 
 Every seed is scored at the same test poses. A resample weights the seeds, draws poses, and takes
 every drawn pose with every seed. Poses are many, so they are drawn with replacement. Seeds are few:
@@ -21,9 +21,9 @@ INTERVALS_OVER = "training seeds and test poses"  # what the intervals of severa
 
 
 def describe_intervals(seeds: int) -> dict[str, str | int]:
-    """Say what the intervals in sweep.json are."""
-    drawn = "bootstrap over test poses, each with all its slides"
-    kind = f"Student's t over {seeds} seeds and {drawn}" if seeds > 1 else drawn
+    """Describe the intervals in sweep.json."""
+    poses = "bootstrap over test poses, each with all its slides"
+    kind = f"Student's t over {seeds} seeds and {poses}" if seeds > 1 else poses
     return {
         "interval": kind,
         "what": f"{bootstrap.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
@@ -34,9 +34,10 @@ def describe_intervals(seeds: int) -> dict[str, str | int]:
 
 
 def compute_interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
-    """[low, high] of the mean of `values` (seeds, N) at 95 %; `poses` (N,) are the poses that the N contacts belong to.
+    """Compute the 95 % interval [low, high] of the mean of `values` (seeds, N).
 
-    With one seed it is that of the evaluation: over poses alone. Raises `ValueError` where shapes do not fit.
+    `poses` (N,) are the poses of the N contacts. With one seed the interval is over poses alone,
+    as in an evaluation. Raises `ValueError` if shapes do not fit.
     """
     if values.ndim != 2 or not values.size or values.shape[1:] != poses.shape:
         raise ValueError("values must be an array (seeds, N), poses (N,), neither of them empty")
@@ -44,37 +45,34 @@ def compute_interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
 
 
 def resample_means(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Give the mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
+    """Compute the mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
-    sums = np.stack(
-        [np.bincount(group, row) for row in values.astype(np.float64)]
-    )  # (seeds, poses)
-    of_seeds, of_poses = draw_seed_weights(len(values), SEED + 1), draw_counts(len(counts), SEED)
-    return np.sum((of_seeds @ sums) * of_poses, axis=1) / (len(values) * (of_poses @ counts))
+    by_seed = [np.bincount(group, row) for row in values.astype(np.float64)]
+    sums = np.stack(by_seed)  # (seeds, poses)
+    seed_weights = draw_seed_weights(len(values), SEED + 1)
+    pose_counts = draw_counts(len(counts), SEED)
+    total = np.sum((seed_weights @ sums) * pose_counts, axis=1)
+    return total / (len(values) * (pose_counts @ counts))
 
 
 @functools.cache
 def draw_seed_weights(seeds: int, seed: int) -> np.ndarray:
-    """Draw how much each training seed counts in each resample, (resamples, seeds); 1 on average.
+    """Draw the weight of each training seed in each resample, (resamples, seeds); mean 1.
 
     The weighted mean of numbers x, one per training seed, is normal about mean(x). Its standard
     deviation is that of the mean, s / sqrt(seeds), times t / z: the 97.5 % quantiles of Student's t
     with seeds - 1 degrees of freedom and of the normal distribution. A single seed counts 1.
     """
     upper = (1 + bootstrap.LEVEL) / 2
-    wider = stdtrit(seeds - 1, upper) / ndtri(upper) if seeds > 1 else 0.0
-    drawn = np.random.default_rng(seed).normal(size=(bootstrap.RESAMPLES, seeds))
-    apart = drawn - drawn.mean(axis=1, keepdims=True)
-    return 1 + wider * np.sqrt(seeds / max(seeds - 1, 1)) * apart
+    ratio = stdtrit(seeds - 1, upper) / ndtri(upper) if seeds > 1 else 0.0
+    normal = np.random.default_rng(seed).normal(size=(bootstrap.RESAMPLES, seeds))
+    centred = normal - normal.mean(axis=1, keepdims=True)
+    return 1 + ratio * np.sqrt(seeds / max(seeds - 1, 1)) * centred
 
 
 @functools.cache
-def draw_counts(things: int, seed: int) -> np.ndarray:
-    """Draw how often each of `things` counts, with replacement, in each resample: (resamples, things)."""
-    equal = np.full(things, 1 / things)
-    return (
-        np.random.default_rng(seed)
-        .multinomial(things, equal, size=bootstrap.RESAMPLES)
-        .astype(np.float64)
-    )
+def draw_counts(items: int, seed: int) -> np.ndarray:
+    """Draw how often each item occurs in each resample with replacement, (resamples, items)."""
+    shares, generator = np.full(items, 1 / items), np.random.default_rng(seed)
+    return generator.multinomial(items, shares, size=bootstrap.RESAMPLES).astype(np.float64)

@@ -1,7 +1,7 @@
-"""From a sweep to its cells (points of the grid) and rows (a cell with a seed), each a valid experiment of its own.
+"""The cells of a sweep (points of its grid) and its rows (cells with a seed).
 
-A row is known by a digest of all that decides its numbers, so equal rows are one, in the grid and on disk; so is a training,
-which several rows may share. Imports no JAX.
+A digest of all that decides its numbers identifies a row, so equal rows are one, in the grid and on
+disk. Trainings, which several rows may share, have such a digest too. Imports no JAX.
 """
 
 import dataclasses
@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
+from typing import NamedTuple
 
 from jaxunshear.config.configs import VERSION, convert_to_floats
 from jaxunshear.config.data import PairingMethod, PoseData, Recorded
@@ -45,7 +46,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
-# what is trained and tested beside a training is not for it
+# settings of the test and of other networks, which decide no numbers of a training
 TEST_SETTINGS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
 UNUSED_WITH_TEACHER = ("train_posenet",)
 
@@ -54,8 +55,8 @@ UNUSED_WITH_TEACHER = ("train_posenet",)
 class Cell:
     """One point of the grid, or one explicit row, over all seeds."""
 
-    label: str  # "patch=0.1, pose_channels:shear_channels=8:120"; "base" where nothing is changed
-    point: tuple[str, ...] | None  # printed values along the axes; None beside the grid
+    label: str  # "patch=0.1, pose_channels:shear_channels=8:120"; "base" if nothing changes
+    point: tuple[str, ...] | None  # printed values along the axes; None outside the grid
     changes: tuple[Change, ...]
     experiment: Experiment  # with the base's seed
 
@@ -69,156 +70,177 @@ class Row:
     experiment: Experiment
 
 
-def list_cells(sweep: Sweep) -> list[Cell]:
-    """The grid in the order of its axes, the last one fastest, then the explicit rows; repeated ones once.
+class Variation(NamedTuple):
+    """The changes of one cell to the base."""
 
-    Raises `UserError` for a cell that no run could work with, and for two different ones of the same label.
+    label: str | None  # None if the sweep gives none
+    point: tuple[str, ...] | None  # as in `Cell`
+    changes: tuple[Change, ...]
+
+
+def list_cells(sweep: Sweep) -> list[Cell]:
+    """List the grid, the last axis fastest, then the explicit rows; each cell once.
+
+    Raises `UserError` if a cell cannot be run, or two different cells have the same label.
     """
     cells: dict[str, Cell] = {}
-    for given, point, changes in _changes(sweep):
-        reported = ", ".join(
-            f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
-            for fields, value in changes
-        )
-        label = given or reported or "base"
-        cell = Cell(label, point, changes, _apply_changes(sweep, changes, label))
+    for variation in _list_variations(sweep):
+        label = variation.label or _describe_changes(variation.changes, sweep) or "base"
+        experiment = _apply_changes(sweep, variation.changes, label)
+        cell = Cell(label, variation.point, variation.changes, experiment)
         if label in cells and cells[label].experiment != cell.experiment:
             raise UserError(
-                f"sweep {sweep.name}: two different cells are both called '{label}': name their sensors and outlines apart"
+                f"sweep {sweep.name}: two different cells are both called '{label}': name their "
+                "sensors and outlines apart"
             )
         cells.setdefault(label, cell)
     return list(cells.values())
 
 
+def _describe_changes(changes: tuple[Change, ...], sweep: Sweep) -> str:
+    parts = []
+    for fields, value in changes:
+        parts.append(f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}")
+    return ", ".join(parts)
+
+
 def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
-    """The row of each (cell's label, seed). Cells of equal settings share their rows."""
+    """List the row of each (cell's label, seed); cells of equal settings share their rows."""
     rows: dict[tuple[str, int], Row] = {}
-    made: dict[str, Row] = {}
+    by_digest: dict[str, Row] = {}
     for cell, seed in itertools.product(cells, sweep.seeds):
         networks = tuple(network for network in ALL_NETWORKS if network in cell.experiment.networks)
         experiment = dataclasses.replace(cell.experiment, seed=seed, networks=networks)
-        own = compute_row_digest(experiment, sweep.ablation)
+        digest = compute_row_digest(experiment, sweep.ablation)
         words = re.sub(r"[^A-Za-z0-9._]+", "-", cell.label.replace(", ", "_"))
-        name = f"{words[: MAX_NAME_LENGTH - len(f'_seed-{seed}')]}_seed-{seed}-{own}"
-        made.setdefault(own, Row(cell.label, own, dataclasses.replace(experiment, name=name)))
-        rows[cell.label, seed] = made[own]
+        name = f"{words[: MAX_NAME_LENGTH - len(f'_seed-{seed}')]}_seed-{seed}-{digest}"
+        row = Row(cell.label, digest, dataclasses.replace(experiment, name=name))
+        rows[cell.label, seed] = by_digest.setdefault(digest, row)
     return rows
 
 
 def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
-    """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
+    """Compute eight hexadecimal digits of all that decides a row's numbers.
+
+    Names, claims and the order of the networks do not.
+    """
     networks = tuple(sorted(experiment.networks))
-    full = dataclasses.replace(experiment, name="", claim="", networks=networks)
-    return _digest({"experiment": to_json(full), "ablation": ablation})
+    anonymous = dataclasses.replace(experiment, name="", claim="", networks=networks)
+    return _compute_digest({"experiment": to_json(anonymous), "ablation": ablation})
 
 
 def select_training_part(experiment: Experiment, network: str) -> Experiment:
-    """`experiment` with all that the training of `network` does not depend on set to a default, its name to that of the part.
+    """Return `experiment` with defaults for all that the training of `network` does not use.
 
-    Rows with equal parts share that training.
+    Rows with equal parts share that training. The name of the part has a digest of it.
     """
     plain = Experiment(name="", claim="")
     unused: tuple[str, ...] = ("name", "claim", *TEST_SETTINGS)
-    # recordings: one set for taps and slides; pins: one training for all networks
+    # recordings are one set for taps and slides, and networks over pins share one training group
     if not get_recorded(experiment) and not uses_pins(experiment):
-        taught = len(list_required_networks(experiment, network)) > 1
-        unused += UNUSED_WITH_TEACHER if taught else REGISTRY[network].unused_groups
+        has_teacher = len(list_required_networks(experiment, network)) > 1
+        unused += UNUSED_WITH_TEACHER if has_teacher else REGISTRY[network].unused_groups
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if uses_pins(experiment) and network in (*POSENETS, RENDERER):
-        part = dataclasses.replace(
-            part,
-            train_pins=drop_pair_losses(part.train_pins, supervised=1.0),
-            pins=drop_pin_codes(part.pins),
-        )
-    if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # these learn from taps alone
+        train_pins, pins = drop_pair_losses(part.train_pins, supervised=1.0), drop_pin_codes(part.pins)
+        part = dataclasses.replace(part, train_pins=train_pins, pins=pins)
+    if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # learns from taps only
         part = dataclasses.replace(part, paired=plain.paired)
-    if isinstance(part.paired, Recorded) and network in TAP_NETWORKS:
-        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
-    if isinstance(part.paired, Recorded) and network in (
-        *POSENETS,
-        RENDERER,
-    ):  # and none of these from pairs
-        dragged = (
-            network == POSENET_SHEARED and part.paired.pairing == "simulated"
-        )  # it learns from simulated slides
-        way: PairingMethod = "simulated" if dragged else "rendered"
-        alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
-        part = dataclasses.replace(part, paired=alone)
+    if isinstance(part.paired, Recorded):
+        part = dataclasses.replace(part, paired=_drop_unused_labels(part.paired, network))
     if network in TAP_NETWORKS:
         part = dataclasses.replace(part, pins=drop_rotation(part.pins))
     if POSENET_SHEARED not in list_required_networks(experiment, network):
-        part = _without_direct(part)
+        part = _drop_direct_prediction(part)
     if REGISTRY[network].role == "unshears" and not REGISTRY[network].has_codes:
         part = dataclasses.replace(part, unshear=drop_codes(part.unshear))
-    own = _digest({"experiment": to_json(part), "network": network})
-    return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
+    digest = _compute_digest({"experiment": to_json(part), "network": network})
+    return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{digest}")
 
 
-def _without_direct(part: Experiment) -> Experiment:
-    """Return `part` with what only posenet_sheared reads at its default."""
+def _drop_unused_labels(paired: Recorded, network: str) -> Recorded:
+    """Return recordings with defaults for labels and pairs that `network` does not use."""
+    if network in TAP_NETWORKS:
+        paired = dataclasses.replace(paired, labelled=1.0)
+    if network not in (*POSENETS, RENDERER):
+        return paired
+    # of all these only posenet_sheared uses pairing, if it learns from simulated slides
+    simulated = network == POSENET_SHEARED and paired.pairing == "simulated"
+    pairing: PairingMethod = "simulated" if simulated else "rendered"
+    return dataclasses.replace(paired, pairing=pairing, pairs="", unlabelled="left_out")
+
+
+def _drop_direct_prediction(part: Experiment) -> Experiment:
+    """Return `part` with defaults for all that only posenet_sheared uses."""
     part = dataclasses.replace(part, pins=drop_direct(part.pins))
-    if isinstance(part.paired, Recorded):
-        part = dataclasses.replace(
-            part, paired=dataclasses.replace(part.paired, direct_taps="none")
-        )
-    return part
+    if not isinstance(part.paired, Recorded):
+        return part
+    return dataclasses.replace(part, paired=dataclasses.replace(part.paired, direct_taps="none"))
 
 
 def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
-    """Label of the cell that others are compared with: the one named, else that of the base's own values, else None."""
+    """Find the label of the cell that others are compared with.
+
+    Without `sweep.reference` it is the cell with the base's own values; None if there is none.
+    """
     if sweep.reference is not None:
         if all(cell.label != sweep.reference for cell in cells):
             raise UserError(
-                f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: {_some(cells)}"
+                f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: "
+                f"{_list_some_labels(cells)}"
             )
         return sweep.reference
-    own = compute_row_digest(get_base(sweep), sweep.ablation)
-    equal = (
-        cell.label for cell in cells if compute_row_digest(cell.experiment, sweep.ablation) == own
-    )
-    return next(equal, None) if len(cells) > 1 else None
+    if len(cells) < 2:
+        return None
+    digest = compute_row_digest(get_base(sweep), sweep.ablation)
+    for cell in cells:
+        if compute_row_digest(cell.experiment, sweep.ablation) == digest:
+            return cell.label
+    return None
 
 
 def list_axis_values(axis: Axis) -> tuple[str, ...]:
-    """The printed values along an axis, repeated ones once."""
+    """List the printed values along an axis, each once."""
     fields, values = axis
     return tuple(dict.fromkeys(format_value_label(fields, value) for value in values))
 
 
 def format_field_name(fields: Fields, sweep: Sweep) -> str:
-    """`patch`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
-    varied = {name for fields, _ in sweep.grid for name in list_fields(fields)}
-    varied |= {name for row in sweep.rows for fields, _ in row for name in list_fields(fields)}
+    """Format `patch_weight`, or `pose_channels:shear_channels`.
+
+    The name is dotted if the sweep varies two fields of that name.
+    """
+    varied = {name for axis in sweep.grid for name in list_fields(axis[0])}
+    for row in sweep.rows:
+        for change in row:
+            varied.update(list_fields(change[0]))
     shorts = [name.rpartition(".")[2] for name in varied]
-    parts = ((name, name.rpartition(".")[2]) for name in list_fields(fields))
-    return ":".join(short if shorts.count(short) == 1 else name for name, short in parts)
+    parts = []
+    for name in list_fields(fields):
+        short = name.rpartition(".")[2]
+        parts.append(short if shorts.count(short) == 1 else name)
+    return ":".join(parts)
 
 
 def format_value_label(fields: Fields, value: Value) -> str:
-    """`8:120` for fields that vary together."""
+    """Format a value, such as `8:120` for fields that vary together."""
     return ":".join(format_value(part) for _, part in split_change(fields, value))
 
 
 def split_change(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
-    """Each field that a change sets, with its own value."""
+    """Yield each field that a change sets, with its own value."""
     return zip(list_fields(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
 
-def _changes(
-    sweep: Sweep,
-) -> Iterator[tuple[str | None, tuple[str, ...] | None, tuple[Change, ...]]]:
-    """The label that was given, if one was; the point on the grid, if it lies there; what is changed."""
+def _list_variations(sweep: Sweep) -> Iterator[Variation]:
     names = [fields for fields, _ in sweep.grid]
     if sweep.grid or not sweep.rows:
         for values in itertools.product(*(values for _, values in sweep.grid)):
             changes = tuple(zip(names, values, strict=True))
-            yield (
-                None,
-                tuple(format_value_label(fields, value) for fields, value in changes),
-                changes,
-            )
+            point = tuple(format_value_label(fields, value) for fields, value in changes)
+            yield Variation(None, point, changes)
     for label, row in zip_longest(sweep.labels, sweep.rows):
-        yield label, None, row
+        yield Variation(label, None, row)
 
 
 def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
@@ -232,16 +254,17 @@ def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Exp
         raise UserError(f"cell {label}: {error}") from error
     if sweep.ablation and DISENTANGLED not in experiment.networks:
         raise UserError(
-            f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be swapped"
+            f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be "
+            "swapped"
         )
     return experiment
 
 
-def _digest(thing: Json) -> str:
-    text = json.dumps(convert_to_floats(thing) | {"data": VERSION}, sort_keys=True)
+def _compute_digest(settings: Json) -> str:
+    text = json.dumps(convert_to_floats(settings) | {"data": VERSION}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def _some(cells: list[Cell]) -> str:
+def _list_some_labels(cells: list[Cell]) -> str:
     labels = [f"'{cell.label}'" for cell in cells]
     return "use one of " + "; ".join(labels[:4]) + ("; ..." if len(labels) > 4 else "")

@@ -1,14 +1,17 @@
-"""What a sweep has yet to do: its unfinished rows, before them the trainings that several of them share. Imports no JAX.
+"""The tasks that a sweep has yet to do: trainings that several rows share, then rows.
 
 FOLDER/rows/<label>-<digest>/      a row: its run's files, and row.json once it has ended
 FOLDER/shared/<network>-<digest>/  a training that rows share
 FOLDER/data/                       the making of the data sets, which lie elsewhere
+
+Imports no JAX.
 """
 
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
 from jaxunshear.config.losses import list_registering_files
@@ -30,135 +33,160 @@ NON_DATA_SETTINGS = (
 
 
 def find_row_folder(folder: Path, row: Row) -> Path:
-    """Where `row` is or will be; one that an earlier sweep gave another label stays where it is."""
-    there = sorted((folder / "rows").glob(f"*-{row.digest}"))
-    return there[0] if there else folder / "rows" / row.experiment.name
+    """Find the folder of `row`; one that an earlier sweep gave another label stays in place."""
+    existing = sorted((folder / "rows").glob(f"*-{row.digest}"))
+    return existing[0] if existing else folder / "rows" / row.experiment.name
 
 
 def forget_failures(folder: Path, rows: Iterable[Row]) -> None:
-    """Takes failed rows, and the shared trainings that failed, for unfinished: they are tried again."""
-    tried = [(find_row_folder(folder, row), "row") for row in rows]
-    tried += [(path, "training") for path in (folder / "shared").glob("*/")]
-    for path, kind in tried:
+    """Delete the outcomes of failed rows and shared trainings, so that they are tried again."""
+    tasks = [(find_row_folder(folder, row), "row") for row in rows]
+    tasks += [(path, "training") for path in (folder / "shared").glob("*/")]
+    for path, kind in tasks:
         outcome = read_outcome(path, kind)
         if outcome and outcome.status == "failed":
             get_outcome_file(path, kind).unlink()
 
 
-def list_unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
-    """The rows without an outcome, each once, named as their folders are."""
-    found = {}
+def list_unfinished_rows(folder: Path, rows: Iterable[Row]) -> list[Row]:
+    """List the rows without an outcome, each once, named as their folders are."""
+    unfinished = {}
     for row in rows:
         path = find_row_folder(folder, row)
         if not get_outcome_file(path, "row").exists():
-            found[row.digest] = replace(row, experiment=replace(row.experiment, name=path.name))
-    return list(found.values())
+            experiment = replace(row.experiment, name=path.name)
+            unfinished[row.digest] = replace(row, experiment=experiment)
+    return list(unfinished.values())
 
 
 def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
-    """Making, or finding made, each data set that `rows` need, once."""
+    """Make the task that makes, or finds, each data set that `rows` need."""
     experiments = []
+    default = Experiment(name="", claim="")
     for row in rows:
-        plain = {
-            field: getattr(Experiment(name="", claim=""), field) for field in NON_DATA_SETTINGS
-        }
+        plain = {field: getattr(default, field) for field in NON_DATA_SETTINGS}
         if uses_teacher(row.experiment.train):  # it needs its taps, whatever its weight
             plain["train"] = replace(plain["train"], losses={"pose_tap": 1.0})
         experiment = to_json(replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)
     task = Task(folder / "data", "data")
-    get_outcome_file(task.folder, task.kind).unlink(
-        missing_ok=True
-    )  # a set may have been deleted since
-    write_record(
-        task.folder / TASK, TaskOrder(kind=task.kind, experiments=experiments, data=str(data))
-    )
+    # a set may have been deleted since it was made
+    get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
+    order = TaskOrder(kind=task.kind, experiments=experiments, data=str(data))
+    write_record(task.folder / TASK, order)
     return task
 
 
 def plan_tasks(
     folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
 ) -> list[Task]:
-    """The tasks of the unfinished `rows`, the trainings that they share before them; writes each one's task.json."""
+    """Plan the unfinished `rows`, after the trainings that they share; writes each task.json."""
     order = TaskOrder(kind="", data=str(data), command=command, files=list_registering_files())
-    finished = _finished_trainings(folder)
-    parts = {
-        (row.digest, network): select_training_part(row.experiment, network)
-        for row in rows
-        for network in list_trained_networks(row.experiment)
-        if not (folder / "rows" / row.experiment.name / network / FINISHED).exists()
-    }
-    users = Counter(part.name for part in parts.values())
-    shared: dict[str, Task] = {}
+    trainings = SharedTrainings(folder, rows, order)
     tasks = []
     for row in rows:
-        sources: dict[str, str] = {}
-        awaited: dict[str, Path] = {}
+        inputs = trainings.request(row)
+        task = Task(folder / "rows" / row.experiment.name, "row", tuple(inputs.awaited.values()))
+        row_order = replace(
+            order,
+            kind=task.kind,
+            experiment=to_json(row.experiment),
+            networks=list_trained_networks(row.experiment),
+            sources=inputs.sources,
+            ablation=ablation,
+            label=row.label,
+            seed=row.experiment.seed,
+        )
+        write_record(task.folder / TASK, row_order)
+        tasks.append(task)
+    return [*trainings.tasks.values(), *tasks]
+
+
+class RowInputs(NamedTuple):
+    """The trainings that a row copies, by network."""
+
+    sources: dict[str, str]  # their folders
+    awaited: dict[str, Path]  # the folders of the tasks that make them, if they are not finished
+
+
+class SharedTrainings:
+    """The tasks of trainings that several rows share, made as rows request them."""
+
+    def __init__(self, folder: Path, rows: list[Row], order: TaskOrder) -> None:
+        self.folder, self.order = folder, order
+        self.tasks: dict[str, Task] = {}  # by the name of the training's part
+        self._finished = _find_finished_trainings(folder)
+        self._parts = {}  # of each training that a row has yet to do
+        for row in rows:
+            run = folder / "rows" / row.experiment.name
+            for network in list_trained_networks(row.experiment):
+                if not (run / network / FINISHED).exists():
+                    part = select_training_part(row.experiment, network)
+                    self._parts[row.digest, network] = part
+        self._users = Counter(part.name for part in self._parts.values())
+
+    def request(self, row: Row) -> RowInputs:
+        """Return the trainings that `row` copies; it does the others itself."""
+        inputs = RowInputs({}, {})
         for network in list_trained_networks(row.experiment):
-            part = parts.get((row.digest, network))
+            part = self._parts.get((row.digest, network))
             if part is None:
                 continue
-            first = list_required_networks(part, network)[:-1]  # its teacher, if it has one
-            own = Task(
-                folder / "shared" / part.name,
-                "training",
-                tuple(awaited[n] for n in first if n in awaited),
-            )
-            if part.name in finished:
-                sources[network] = str(finished[part.name])
-            elif users[part.name] > 1:
-                sources[network] = str(own.folder / network)
-                outcome = read_outcome(own.folder, own.kind)
-                if (
-                    outcome is None or outcome.status == "done"
-                ):  # done, but its folder was deleted since
-                    get_outcome_file(own.folder, own.kind).unlink(missing_ok=True)
-                    awaited[network] = own.folder
-                    if part.name not in shared:
-                        shared[part.name] = own
-                        places = {
-                            n: finished.get(
-                                select_training_part(row.experiment, n).name, sources.get(n)
-                            )
-                            for n in first
-                        }
-                        copied = {n: str(place) for n, place in places.items() if place}
-                        asked = replace(order, networks=(*first, network), sources=copied)
-                        write_record(
-                            own.folder / TASK,
-                            replace(asked, kind=own.kind, experiment=to_json(part)),
-                        )
-        task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
-        asked = replace(
-            order,
-            networks=list_trained_networks(row.experiment),
+            if part.name in self._finished:
+                inputs.sources[network] = str(self._finished[part.name])
+            elif self._users[part.name] > 1:
+                self._request_task(row, network, part, inputs)
+        return inputs
+
+    def _request_task(self, row: Row, network: str, part: Experiment, inputs: RowInputs) -> None:
+        teachers = list_required_networks(part, network)[:-1]
+        needs = tuple(inputs.awaited[name] for name in teachers if name in inputs.awaited)
+        task = Task(self.folder / "shared" / part.name, "training", needs)
+        inputs.sources[network] = str(task.folder / network)
+        outcome = read_outcome(task.folder, task.kind)
+        if outcome and outcome.status != "done":
+            return  # the row fails with the reason of this training
+        # an outcome without a finished training: its folder was deleted since
+        get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
+        inputs.awaited[network] = task.folder
+        if part.name in self.tasks:
+            return
+        self.tasks[part.name] = task
+        sources = {}
+        for teacher in teachers:
+            name = select_training_part(row.experiment, teacher).name
+            if source := self._finished.get(name, inputs.sources.get(teacher)):
+                sources[teacher] = str(source)
+        order = replace(
+            self.order,
+            kind=task.kind,
+            experiment=to_json(part),
+            networks=(*teachers, network),
             sources=sources,
-            ablation=ablation,
         )
-        asked = replace(asked, label=row.label, seed=row.experiment.seed)
-        write_record(
-            task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment))
-        )
-        tasks.append(task)
-    return [*shared.values(), *tasks]
+        write_record(task.folder / TASK, order)
 
 
-def _finished_trainings(folder: Path) -> dict[str, Path]:
-    """Folders of all trainings that were finished in this sweep's folder, by the names of their parts."""
-    found: dict[str, Path] = {}
+def _find_finished_trainings(folder: Path) -> dict[str, Path]:
+    """Find all finished trainings in a sweep's folder, by the names of their parts.
+
+    Trainings that are damaged, or of an earlier version, are left out and trained again.
+    """
+    trainings: dict[str, Path] = {}
     for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
-        done = [network for network in TRAINABLE if (path / network / FINISHED).exists()]
-        if not done:
+        networks = [network for network in TRAINABLE if (path / network / FINISHED).exists()]
+        if not networks:
             continue
         try:
             experiment = from_json(read_object(path / "experiment.json"))
         except UserError:
-            continue  # of another version: its trainings are not those of today
-        for network in done:
+            continue
+        for network in networks:
             try:
                 check_origin(experiment, network, path)
             except UserError:
-                continue  # damaged, or of an earlier version of the data: trained again where it is needed
-            found.setdefault(select_training_part(experiment, network).name, path / network)
-    return found
+                continue
+            name = select_training_part(experiment, network).name
+            trainings.setdefault(name, path / network)
+    return trainings

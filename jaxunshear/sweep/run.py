@@ -1,5 +1,8 @@
-"""A full sweep: data sets, rows, summary. Whatever is there already is kept, so the same command continues. No JAX here:
-the rows' own processes need the device."""
+"""A full sweep: data sets, rows and summary.
+
+The same command continues where a sweep stopped. Imports no JAX, since the rows' own processes need
+the device.
+"""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +30,7 @@ from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, read_outcome, run_task
 from jaxunshear.training.initial_weights import start_folder
 
-Thing = TypeVar("Thing")
+Item = TypeVar("Item")
 
 
 def run_sweep(
@@ -39,9 +42,10 @@ def run_sweep(
     retry_failed: bool = False,
     worker: Sequence[str] = WORKER,
 ) -> SweepResult:
-    """Runs the rows of a checked `sweep` that have no outcome yet; returns the summary that it writes to out/<name>/sweep.json.
+    """Run the rows of a checked `sweep` that have no outcome; write out/<name>/sweep.json.
 
-    Raises `UserError` where a cell cannot work (before any work), the data sets cannot be made, or another sweep is at work there.
+    Returns the summary. Raises `UserError` if a cell cannot be run (before any work), the data
+    sets cannot be made, or another sweep uses the folder.
     """
     cells = list_cells(sweep)
     rows, reference = list_rows(sweep, cells), find_reference(sweep, cells)
@@ -53,20 +57,15 @@ def run_sweep(
             )
         if retry_failed:
             plan.forget_failures(folder, rows.values())
-        _run_rows(
-            sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker
-        )
-        measured = {
-            key: _read_measured(plan.find_row_folder(folder, row)) for key, row in rows.items()
-        }
+        order = list(rows.values())
+        _run_rows(sweep, folder, order, Path(data).absolute(), command, engine, worker)
+        folders = {key: plan.find_row_folder(folder, row) for key, row in rows.items()}
+        scores = {key: _read_row_scores(path) for key, path in folders.items()}
         for cell in cells:
-            _check_contacts(
-                {
-                    plan.find_row_folder(folder, rows[cell.label, s]): measured[cell.label, s]
-                    for s in sweep.seeds
-                }
-            )
-        summary = _made_with(summarise(sweep, cells, measured, reference), measured, command)
+            keys = [(cell.label, seed) for seed in sweep.seeds]
+            _check_contacts({folders[key]: scores[key] for key in keys})
+        summary = summarise(sweep, cells, scores, reference)
+        summary = _add_provenance(summary, scores.values(), command)
         picture = plot_sweep(summary) or (None if sweep.grid else plot_frontier(summary))
         if picture:
             write_bytes(folder / "sweep.png", picture)
@@ -86,24 +85,25 @@ def _run_rows(
     worker: Sequence[str],
 ) -> None:
     total = len({row.digest for row in rows})
-    left = plan.list_unfinished(folder, rows)
-    if not left:
+    unfinished = plan.list_unfinished_rows(folder, rows)
+    if not unfinished:
         return
-    for row in left:
+    for row in unfinished:
         for network in list_trained_networks(row.experiment):
             start_folder(row.experiment, network)
-    task = plan.make_data_task(folder, left, data)
+    task = plan.make_data_task(folder, unfinished, data)
     run_task(task.folder, task.kind, worker, quiet=False)
-    made = read_outcome(task.folder, task.kind)
-    if made and made.status == "failed":
-        raise UserError(str(made.reason))
-    tasks = plan.plan_tasks(folder, left, sweep.ablation, data, command)
-    with Progress(f"sweep {sweep.name}", total, unit="rows", done=total - len(left)) as progress:
+    outcome = read_outcome(task.folder, task.kind)
+    if outcome and outcome.status == "failed":
+        raise UserError(str(outcome.reason))
+    tasks = plan.plan_tasks(folder, unfinished, sweep.ablation, data, command)
+    done = total - len(unfinished)
+    with Progress(f"sweep {sweep.name}", total, unit="rows", done=done) as progress:
         for task in engine(tasks, worker):
             progress.advance(task.kind == "row")
 
 
-def _read_measured(folder: Path) -> RowScores:
+def _read_row_scores(folder: Path) -> RowScores:
     outcome = read_outcome(folder, "row")
     if outcome is None:
         raise UserError(f"{folder} was not finished: run the same command again")
@@ -113,43 +113,37 @@ def _read_measured(folder: Path) -> RowScores:
 
 
 def _check_contacts(rows: Mapping[Path, RowScores]) -> None:
-    """Refuses seeds of a cell that were tested on different contacts: their scores cannot be put side by side."""
+    """Check that the seeds of a cell were tested on the same contacts.
+
+    Raises UserError, since other scores cannot be compared.
+    """
     done = [(folder, row) for folder, row in rows.items() if row.tests]
-    for (first, one), (folder, other) in itertools.pairwise(done):
-        labels = [
-            (test, name)
-            for test in one.tests.keys() & other.tests.keys()
-            for name in ("stimulus", "pose_id")
-        ]
-        if not all(
-            np.array_equal(one.tests[test][name], other.tests[test][name]) for test, name in labels
-        ):
-            raise UserError(
-                f"{first} and {folder} were tested on different contacts (the data were made anew in between): "
-                "delete both and run the same command"
-            )
+    for (first, row), (second, other) in itertools.pairwise(done):
+        for test in row.tests.keys() & other.tests.keys():
+            for name in ("stimulus", "pose_id"):
+                if not np.array_equal(row.tests[test][name], other.tests[test][name]):
+                    raise UserError(
+                        f"{first} and {second} were tested on different contacts (the data were "
+                        "made anew in between): delete both and run the same command"
+                    )
 
 
-def _made_with(
-    summary: SweepResult, measured: Mapping[tuple[str, int], RowScores], command: str
-) -> SweepResult:
-    """With command, machines, versions and sources: each different one of those that the rows were run on and with."""
-    results = [
-        row.outcome.evaluated_results for row in measured.values() if row.outcome.status == "done"
-    ]
+def _add_provenance(summary: SweepResult, scores: Iterable[RowScores], command: str) -> SweepResult:
+    """Add the command, and each different machine, version and source that made the rows."""
+    results = [row.outcome.evaluated_results for row in scores if row.outcome.status == "done"]
+    sources: Sequence = ()
+    if all(result.sources for result in results):
+        sources = _list_distinct(source for result in results for source in result.sources)
+    trained_on = (machine for result in results for machine in result.trained_on.values())
     return replace(
         summary,
         command=command,
         machines=_list_distinct(result.machine for result in results),
-        trained_on=_list_distinct(
-            machine for result in results for machine in result.trained_on.values()
-        ),
+        trained_on=_list_distinct(trained_on),
         versions=_list_distinct(result.versions for result in results),
-        sources=_list_distinct(found for result in results for found in result.sources)
-        if all(result.sources for result in results)
-        else (),
+        sources=sources,
     )
 
 
-def _list_distinct(things: Iterable[Thing]) -> list[Thing]:
-    return [found for found, _ in itertools.groupby(sorted(things, key=str))]
+def _list_distinct(items: Iterable[Item]) -> list[Item]:
+    return [item for item, _ in itertools.groupby(sorted(items, key=str))]

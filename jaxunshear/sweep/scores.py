@@ -1,4 +1,4 @@
-"""Scores of a cell's rows, one for each seed: by test and name, with the poses and the shapes of their contacts."""
+"""The scores of a cell's rows, by seed, test and name, with the labels of their contacts."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,12 +11,13 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.unambiguous_edges import SMOOTH
 from jaxunshear.files import BROKEN_NPZ, explain_os_error, read_npz
-from jaxunshear.results.run import Notes
+from jaxunshear.results.run import Notes, Results
 from jaxunshear.results.sweep import Outcome
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
-# of the paired data: names, how contacts appear, what is made of recorded ones
+# settings of the paired data that do not decide which contacts there are: names, the appearance
+# of contacts, and the use of recorded ones
 NON_CONTACT_SETTINGS = (
     *("config", "camera", "nuisance", "preprocess"),
     *("pairing", "pairs", "labelled", "direct_taps", "tap_folder", "slide_folder"),
@@ -24,9 +25,10 @@ NON_CONTACT_SETTINGS = (
 
 
 class RowScores(NamedTuple):
-    """A row that has ended: its outcome, and the scores of every test contact where it did not fail.
+    """The outcome of a row that has ended, and the scores of its test contacts.
 
-    `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
+    `tests` is by test, "" for the main one; it is empty if the row failed. It holds arrays (N,) by
+    the names of the scores, which have a slash, and the labels `stimulus` and `pose_id`.
     """
 
     outcome: Outcome
@@ -34,14 +36,15 @@ class RowScores(NamedTuple):
 
 
 def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
-    """The scores that an evaluation left in `folder`, by test. Raises UserError."""
-    paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
-    return {
-        path.stem.removeprefix("scores").removeprefix("-"): _read(path, remedy) for path in paths
-    }
+    """Read the scores that an evaluation wrote to `folder`, by test. Raises UserError."""
+    tests = {}
+    for path in (folder / SCORES, *sorted(folder.glob("scores-*.npz"))):
+        name = path.stem.removeprefix("scores").removeprefix("-")
+        tests[name] = _read_scores(path, remedy)
+    return tests
 
 
-def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
+def _read_scores(path: Path, remedy: str) -> dict[str, np.ndarray]:
     try:
         return read_npz(path)
     except OSError as error:
@@ -51,81 +54,89 @@ def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
 
 
 def list_score_names(rows: Mapping[int, RowScores]) -> list[tuple[str, str]]:
-    """Tests and names of their scores, those that every row has: one measured by an earlier version may lack some."""
+    """List the (test, name) of scores that every row has.
+
+    A row that an earlier version evaluated may lack some.
+    """
     first, *others = [row.tests for row in rows.values()] or [{}]
-    return [
-        (test, name)
-        for test, scores in first.items()
-        for name in scores
-        if "/" in name and all(name in tests.get(test, {}) for tests in others)
-    ]
+    names = []
+    for test, scores in first.items():
+        for name in scores:
+            if "/" in name and all(name in tests.get(test, {}) for tests in others):
+                names.append((test, name))
+    return names
 
 
 def get_metric_notes(rows: Mapping[int, RowScores]) -> Notes:
-    """What exactly the evaluation calls MS-SSIM, and other such notes."""
-    return next(iter(rows.values())).outcome.evaluated_results.metric if rows else {}
+    """Return the exact meaning of metrics such as MS-SSIM in the evaluation of the rows."""
+    return _get_results(rows).metric if rows else {}
 
 
-def format_name(test: str, name: str, shape: str = "") -> str:
-    """`<test>, <shape>: <name>`, without what is empty."""
-    of = ", ".join(filter(None, (test, shape)))
-    return f"{of}: {name}" if of else name
+def _get_results(rows: Mapping[int, RowScores]) -> Results:
+    return next(iter(rows.values())).outcome.evaluated_results
+
+
+def format_name(test: str, name: str, part: str = "") -> str:
+    """Format `<test>, <part>: <name>`, without what is empty."""
+    prefix = ", ".join(filter(None, (test, part)))
+    return f"{prefix}: {name}" if prefix else name
 
 
 def stack_seeds(rows: Mapping[int, RowScores], test: str, name: str) -> np.ndarray:
-    """(seeds, N)"""
+    """Stack the scores of all seeds, (seeds, N)."""
     return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
 
 
 def select_by_shape(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
-    """Which contacts (N,) of a test are with which shape."""
-    results = next(iter(rows.values())).outcome.evaluated_results
-    stimuli = results.settings["paired"].get("stimuli", ())  # of recordings none is known
+    """Select the contacts (N,) of a test on each shape; the shapes of recordings are unknown."""
+    results = _get_results(rows)
+    stimuli = results.settings["paired"].get("stimuli", ())
     if test:
         stimuli = results.tests[test].stimuli if test in results.tests else ()
-    names, stimulus = list_stimulus_names(stimuli), _labels(rows, test)["stimulus"]
-    return {
-        name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)
-    }
+    stimulus, selected = _get_labels(rows, test)["stimulus"], {}
+    for index, name in enumerate(list_stimulus_names(stimuli)):
+        if np.any(stimulus == index):
+            selected[name] = stimulus == index
+    return selected
 
 
 def select_smooth(rows: Mapping[int, RowScores], test: str) -> dict[str, np.ndarray]:
-    """Say which contacts (N,) of a test have a nearest edge of one direction, if there are such.
+    """Select the contacts (N,) of a test whose nearest edge has one direction, if any.
 
     Scores of an earlier version do not say so.
     """
-    smooth = _labels(rows, test).get(SMOOTH)
+    smooth = _get_labels(rows, test).get(SMOOTH)
     return {SMOOTH: smooth.astype(bool)} if smooth is not None and smooth.any() else {}
 
 
 def has_same_contacts(
     rows: Mapping[int, RowScores], other: Mapping[int, RowScores], test: str
 ) -> bool:
-    """Whether both were drawn from the same settings, and none was lost that the other has."""
-    if _drawn_from(rows, test) != _drawn_from(other, test):
+    """Say whether both were tested on the same contacts, from equal settings."""
+    if _get_contact_settings(rows, test) != _get_contact_settings(other, test):
         return False
-    one, two = _labels(rows, test), _labels(other, test)
-    return all(np.array_equal(one[name], two[name]) for name in ("stimulus", "pose_id"))
+    labels, other_labels = _get_labels(rows, test), _get_labels(other, test)
+    return all(np.array_equal(labels[name], other_labels[name]) for name in ("stimulus", "pose_id"))
 
 
-def _drawn_from(rows: Mapping[int, RowScores], test: str) -> dict[str, object]:
-    """The settings that decide the contacts of a test."""
-    results = next(iter(rows.values())).outcome.evaluated_results
-    settings, own = results.settings, results.tests.get(test)
-    paired = {
-        name: value if (drawn := getattr(own, name, None)) is None else drawn
-        for name, value in settings["paired"].items()
-        if name not in NON_CONTACT_SETTINGS
-    }
+def _get_contact_settings(rows: Mapping[int, RowScores], test: str) -> dict[str, object]:
+    """Return the settings that decide the contacts of a test."""
+    results = _get_results(rows)
+    settings, further_test = results.settings, results.tests.get(test)
+    paired = {}
+    for name, value in settings["paired"].items():
+        if name not in NON_CONTACT_SETTINGS:
+            changed = getattr(further_test, name, None)
+            paired[name] = value if changed is None else changed
     return paired | {"sensor": settings["sensor"]}
 
 
 def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray:
-    """(N,) which pose of which stimulus a contact belongs to."""
-    labels = _labels(rows, test)
+    """Number the poses of all stimuli and return that of each contact, (N,)."""
+    labels = _get_labels(rows, test)
     return number_poses(labels["stimulus"], labels["pose_id"])
 
 
-def _labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:
-    """Those of a test's contacts, which all seeds share."""
+def _get_labels(rows: Mapping[int, RowScores], test: str) -> Mapping[str, np.ndarray]:
+    """Return the labels of a test's contacts, which all seeds share."""
     return next(iter(rows.values())).tests[test]

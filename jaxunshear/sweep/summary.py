@@ -1,8 +1,9 @@
-"""From the rows of a sweep to one figure a cell, its interval, and its difference from a reference: pure functions."""
+"""The summary of a sweep: figures of each cell, and differences from a reference."""
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,15 @@ from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
 from jaxunshear.evaluation import bootstrap
 from jaxunshear.report.frontier_figure import list_efficient
-from jaxunshear.results.sweep import CellResult, Costs, Failure, Figure, GridAxis, SweepResult
+from jaxunshear.results.sweep import (
+    CellResult,
+    Costs,
+    Failure,
+    Figure,
+    GridAxis,
+    Outcome,
+    SweepResult,
+)
 from jaxunshear.sweep.crossed_bootstrap import compute_interval, describe_intervals, resample_means
 from jaxunshear.sweep.grid import Cell, format_field_name, list_axis_values, split_change
 from jaxunshear.sweep.scores import (
@@ -27,252 +36,284 @@ from jaxunshear.sweep.scores import (
     stack_seeds,
 )
 
-TABLES = (
-    "pin_error",
-    "half_width",
-    "coverage",
-)  # of a run's results: figures that are no means over contacts
+# tables of a run's results with figures that are no means over contacts
+TABLES = ("pin_error", "half_width", "coverage")
 TAP_TEST = "taps"  # the test of recorded taps, which are no pairs of the slides
+Rows = Mapping[int, RowScores]  # of one cell, by seed; none of them failed
+Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
+
+
+class ScoredErrors(NamedTuple):
+    """Errors of one kind of contact in one quantity."""
+
+    test: str
+    values: np.ndarray  # (seeds, N)
+    poses: np.ndarray  # (N,), the pose of each contact
+
+    def select(self, contacts: np.ndarray) -> "ScoredErrors":
+        """Select contacts (N,) bool."""
+        return ScoredErrors(self.test, self.values[:, contacts], self.poses[contacts])
+
+
+class RecoveryErrors(NamedTuple):
+    """The errors that a recovery is computed from."""
+
+    tap: ScoredErrors
+    sheared: ScoredErrors
+    unsheared: ScoredErrors
+
+    def select(self, contacts: np.ndarray) -> "RecoveryErrors":
+        """Select contacts (N,) bool, which all three share."""
+        return RecoveryErrors(*(errors.select(contacts) for errors in self))
 
 
 def summarise(
     sweep: Sweep,
     cells: Sequence[Cell],
-    measured: Mapping[tuple[str, int], RowScores],
+    scores: Mapping[tuple[str, int], RowScores],
     reference: str | None,
 ) -> SweepResult:
-    """sweep.json, but for command, machines, versions and sources. `measured` by (label of the cell, seed), for all of them."""
-    done = {
-        cell.label: {
-            seed: row
-            for seed in sweep.seeds
-            if (row := measured[cell.label, seed]).outcome.status == "done"
-        }
-        for cell in cells
-    }
+    """Make the content of sweep.json, without command, machines, versions and sources.
+
+    `scores` are by (label of the cell, seed), for all of them.
+    """
+    axes = []
+    for axis in sweep.grid:
+        fields = axis[0]
+        name = format_field_name(fields, sweep)
+        axes.append(GridAxis(name, list_fields(fields), list_axis_values(axis)))
+    networks: dict[str, None] = {}
+    for cell in cells:
+        networks |= dict.fromkeys(cell.experiment.networks)
+    reference_rows = {} if reference is None else _select_done(scores, reference, sweep.seeds)
+    results = []
+    for cell in cells:
+        others = {} if cell.label == reference else reference_rows
+        outcomes = {seed: scores[cell.label, seed].outcome for seed in sweep.seeds}
+        rows = _select_done(scores, cell.label, sweep.seeds)
+        results.append(_summarise_cell(cell, rows, outcomes, others))
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
         simulated=get_recorded(sweep.base) is None,
-        axes=[
-            GridAxis(
-                format_field_name(axis[0], sweep), list_fields(axis[0]), list_axis_values(axis)
-            )
-            for axis in sweep.grid
-        ],
+        axes=axes,
         seeds=sweep.seeds,
-        networks=list(
-            dict.fromkeys(network for cell in cells for network in cell.experiment.networks)
-        ),
+        networks=list(networks),
         spread=describe_intervals(len(sweep.seeds)),
         reference=reference,
-        cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
+        cells=results,
         base=to_json(get_base(sweep)),
     )
     return summary if sweep.grid else replace(summary, efficient=list_efficient(summary))
 
 
+def _select_done(
+    scores: Mapping[tuple[str, int], RowScores], label: str, seeds: Sequence[int]
+) -> dict[int, RowScores]:
+    rows = {seed: scores[label, seed] for seed in seeds}
+    return {seed: row for seed, row in rows.items() if row.outcome.status == "done"}
+
+
 def select_reproducible(summary: SweepResult) -> SweepResult:
-    """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
+    """Select what the same sweep on the same machine repeats bit for bit.
+
+    Times, memory and places are left out.
+    """
     cells = [replace(cell, costs={}) for cell in summary.cells]
     return replace(
         summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={}
     )
 
 
-def _cell(
-    cell: Cell,
-    sweep: Sweep,
-    measured: Mapping[tuple[str, int], RowScores],
-    done: Mapping[str, Mapping[int, RowScores]],
-    reference: str | None,
+def _summarise_cell(
+    cell: Cell, rows: Rows, outcomes: Mapping[int, Outcome], reference: Rows
 ) -> CellResult:
-    rows = done[cell.label]
-    other = done[reference] if reference is not None else {}
-    ended = {seed: measured[cell.label, seed].outcome for seed in sweep.seeds}
+    settings = {}
+    for fields, value in cell.changes:
+        for name, part in split_change(fields, value):
+            settings[name] = format_value(part)
+    failures = [
+        Failure(seed, outcome.reason)
+        for seed, outcome in outcomes.items()
+        if outcome.status != "done"
+    ]
+    names, costs = [field.name for field in dataclass_fields(Costs)], {}
+    for seed, row in rows.items():
+        costs[str(seed)] = Costs(**{name: getattr(row.outcome, name) for name in names})
     return CellResult(
         label=cell.label,
         point=cell.point,
-        settings={
-            name: format_value(part)
-            for fields, value in cell.changes
-            for name, part in split_change(fields, value)
-        },
+        settings=settings,
         seeds=list(rows),
         metric=get_metric_notes(rows),
         metrics=compute_metrics(rows),
-        difference=compute_differences(rows, other) if cell.label != reference else {},
+        difference=compute_differences(rows, reference),
         ablation=summarise_code_swaps(rows),
-        failures=[
-            Failure(seed, outcome.reason)
-            for seed, outcome in ended.items()
-            if outcome.status != "done"
-        ],
-        costs={
-            str(seed): Costs(
-                **{each.name: getattr(row.outcome, each.name) for each in dataclass_fields(Costs)}
-            )
-            for seed, row in rows.items()
-        },
+        failures=failures,
+        costs=costs,
     )
 
 
-def compute_metrics(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
-    """By metric: `mean` over seeds and contacts, its `compute_interval`, and the mean of every seed; figures of `TABLES` without one.
+def compute_metrics(rows: Rows) -> dict[str, Figure]:
+    """Compute the mean of each metric over seeds and contacts, with its interval.
 
-    Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`, edge angles where the
-    nearest edge has one direction `smooth: pose/<kind>/edge_deg`.
+    Metrics of further tests are called `<test>: <metric>`, likeness on one shape
+    `<shape>: ms_ssim/<kind>`, and errors of unambiguous edge angles
+    `smooth: pose/<kind>/edge_deg`. Figures of `TABLES` have no interval.
     """
-    found = {}
+    figures = {}
     for test, name in list_score_names(rows):
         values, poses = stack_seeds(rows, test, name), number_contact_poses(rows, test)
-        found[format_name(test, name)] = _figure(rows, values, poses)
-        for shape, inside in select_parts(rows, test, name).items():
-            found[format_name(test, name, shape)] = _figure(rows, values[:, inside], poses[inside])
-    found |= compute_recoveries(rows)
-    plain = {
-        seed: {
-            f"{name}/{kind}/{column}": value
-            for name in TABLES
-            for kind, columns in (getattr(row.outcome.evaluated_results, name) or {}).items()
-            for column, value in columns.items()
-            if value is not None
-        }
-        for seed, row in rows.items()
-    }
-    return found | _over_seeds(plain)
+        figures[format_name(test, name)] = _make_figure(rows, values, poses)
+        for part, contacts in _select_parts(rows, test, name).items():
+            figure = _make_figure(rows, values[:, contacts], poses[contacts])
+            figures[format_name(test, name, part)] = figure
+    figures |= _compute_recoveries(rows)
+    return figures | _average_over_seeds({seed: _list_table(row) for seed, row in rows.items()})
 
 
-def select_parts(rows: Mapping[int, RowScores], test: str, name: str) -> dict[str, np.ndarray]:
-    """Give the parts of a test (N,) that the metric `name` is also given of."""
+def _select_parts(rows: Rows, test: str, name: str) -> Parts:
+    """Select the parts of a test for which the metric `name` is also computed."""
     if name.startswith("ms_ssim/"):
         return select_by_shape(rows, test)
-    return (
-        select_smooth(rows, test) if name.startswith("pose/") and name.endswith("/edge_deg") else {}
-    )
+    if name.startswith("pose/") and name.endswith("/edge_deg"):
+        return select_smooth(rows, test)
+    return {}
 
 
-def _figure(rows: Mapping[int, RowScores], values: np.ndarray, poses: np.ndarray) -> Figure:
-    """Of values (seeds, N) at poses (N,)."""
+def _make_figure(rows: Rows, values: np.ndarray, poses: np.ndarray) -> Figure:
+    """Make the figure of values (seeds, N) at poses (N,)."""
     by_seed = {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)}
     return Figure(float(values.mean()), compute_interval(values, poses), by_seed)
 
 
-def compute_recoveries(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
-    """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval; on one shape
-    `<shape>: ...`.
+def _list_table(row: RowScores) -> dict[str, float]:
+    """List the figures of `TABLES` as `<table>/<kind>/<column>`."""
+    figures = {}
+    for name in TABLES:
+        table = getattr(row.outcome.evaluated_results, name) or {}
+        for kind, columns in table.items():
+            for column, value in columns.items():
+                if value is not None:
+                    figures[f"{name}/{kind}/{column}"] = value
+    return figures
 
-    Left out where the slide does no damage; without an interval where it does none in some of the resamples.
+
+def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
+    """Compute the recoveries of all metrics that have one, overall and on each shape.
+
+    They are called `pose_recovery/<kind>/<quantity>`.
     """
-    found: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     names = dict.fromkeys(list_score_names(rows))
     for test, name in names:
-        errors = collect_recovery_errors(rows, names, test, name)
+        errors = _collect_recovery_errors(rows, names, test, name)
         if errors is None:
             continue
-        own = name.replace("pose/", "pose_recovery/", 1)
-        figure = _recovery(list(rows), [(values, poses) for _, values, poses in errors])
-        found |= {format_name(test, own): figure} if figure else {}
-        for shape, inside in select_by_shape(rows, test).items() if errors[0][0] == test else ():
-            figure = _recovery(
-                list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors]
-            )
-            found |= {format_name(test, own, shape): figure} if figure else {}
-    return found
+        recovery_name = name.replace("pose/", "pose_recovery/", 1)
+        parts = {"": errors}
+        if errors.tap.test == test:
+            for shape, contacts in select_by_shape(rows, test).items():
+                parts[shape] = errors.select(contacts)
+        for shape, part in parts.items():
+            if figure := _compute_recovery(list(rows), part):
+                figures[format_name(test, recovery_name, shape)] = figure
+    return figures
 
 
-def collect_recovery_errors(
-    rows: Mapping[int, RowScores], names: Container[tuple[str, str]], test: str, name: str
-) -> list[tuple[str, np.ndarray, np.ndarray]] | None:
-    """Of tap, sheared and the kind that `pose/<kind>/<quantity>` names: the test, errors (seeds, N), and their poses (N,). None where one
-    of them is not among `names`, or the name is of no kind that is unsheared."""
+def _collect_recovery_errors(
+    rows: Rows, names: Container[tuple[str, str]], test: str, name: str
+) -> RecoveryErrors | None:
+    """Collect the errors for the recovery of `pose/<kind>/<quantity>`.
+
+    Returns None if the kind is not unsheared, or `names` lacks errors on taps or sheared contacts.
+    """
     table, kind, *quantity = name.split("/")
     if table != "pose" or kind in ("tap", "sheared"):
         return None
-    tap, sheared = (f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared"))
-    of_taps = next((where for where in (test, TAP_TEST) if (where, tap) in names), None)
-    if of_taps is None or (test, sheared) not in names:
+    tap, sheared = "/".join(["pose/tap", *quantity]), "/".join(["pose/sheared", *quantity])
+    tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
+    if tap_test is None or (test, sheared) not in names:
         return None
-    return [
-        (where, stack_seeds(rows, where, each), number_contact_poses(rows, where))
-        for where, each in ((of_taps, tap), (test, sheared), (test, name))
-    ]
-
-
-def _recovery(
-    seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> Figure | None:
-    """Of errors of tap, sheared and unsheared, (seeds, N) at poses (N,) each; None where the slide does no damage."""
-    tap, sheared, unsheared = (values.mean() for values, _ in errors)
-    if sheared <= tap:
-        return None
-    redrawn = resample_recovery(errors)
-    by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
-    return Figure(
-        float((sheared - unsheared) / (sheared - tap)),
-        None if redrawn is None else bootstrap.compute_interval(redrawn),
-        {
-            str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
-            for seed, row in zip(seeds, by_seed, strict=True)
-        },
+    return RecoveryErrors(
+        _read_errors(rows, tap_test, tap),
+        _read_errors(rows, test, sheared),
+        _read_errors(rows, test, name),
     )
 
 
-def resample_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
-    """The recovery in each of the resamples; None where the slide does no damage in some of them, as it then has no bounds."""
-    tap, sheared, unsheared = (resample_means(values, poses) for values, poses in errors)
+def _read_errors(rows: Rows, test: str, name: str) -> ScoredErrors:
+    return ScoredErrors(test, stack_seeds(rows, test, name), number_contact_poses(rows, test))
+
+
+def _compute_recovery(seeds: Sequence[int], errors: RecoveryErrors) -> Figure | None:
+    """Compute (sheared - unsheared) / (sheared - tap) of mean errors, with its interval.
+
+    Returns None if the slide does no damage. There is no interval if it does none in some of the
+    resamples, as the recovery then has no bounds.
+    """
+    tap, sheared = errors.tap.values.mean(), errors.sheared.values.mean()
+    if sheared <= tap:
+        return None
+    by_seed: dict[str, float | None] = {}
+    means = [each.values.mean(axis=1) for each in errors]
+    for seed, row in zip(seeds, np.stack(means, axis=1), strict=True):
+        recovery = float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
+        by_seed[str(seed)] = recovery
+    interval, samples = None, _resample_recovery(errors)
+    if samples is not None:
+        interval = bootstrap.compute_interval(samples)
+    recovery = (sheared - errors.unsheared.values.mean()) / (sheared - tap)
+    return Figure(float(recovery), interval, by_seed)
+
+
+def _resample_recovery(errors: RecoveryErrors) -> np.ndarray | None:
+    """Compute the recovery in each resample; None if slides do no damage in some of them."""
+    means = [resample_means(each.values, each.poses) for each in errors]
+    tap, sheared, unsheared = means
     return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None
 
 
-def compute_differences(
-    rows: Mapping[int, RowScores], other: Mapping[int, RowScores]
-) -> dict[str, Figure]:
-    """By metric that both have: `mean` and `compute_interval` of this less the other, over the seeds that both have.
+def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:
+    """Compute the mean of each metric less that of `other`, with its interval.
 
-    Empty where there is no such seed, or the test contacts are not the same. Likeness of images of different sizes is not compared.
+    It is over the seeds that both have; empty if there is none, or if the test contacts are not
+    the same. Likeness of images of different sizes is not compared.
     """
     common = [seed for seed in rows if seed in other]
-    rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
-    found = {}
-    one_size = all(
-        get_metric_notes(rows).get(name) == get_metric_notes(other).get(name)
-        for name in ("ms_ssim", "image_px")
-    )
+    rows, other = {seed: rows[seed] for seed in common}, {seed: other[seed] for seed in common}
+    notes, other_notes = get_metric_notes(rows), get_metric_notes(other)
+    same_images = all(notes.get(key) == other_notes.get(key) for key in ("ms_ssim", "image_px"))
+    figures = {}
     for test, name in list_score_names(rows):
-        if ("ms_ssim" in name or name.startswith("swap/")) and not one_size:
+        if ("ms_ssim" in name or name.startswith("swap/")) and not same_images:
             continue
         if (test, name) in list_score_names(other) and has_same_contacts(rows, other, test):
             values = stack_seeds(rows, test, name) - stack_seeds(other, test, name)
-            found[format_name(test, name)] = Figure(
-                float(values.mean()), compute_interval(values, number_contact_poses(rows, test))
-            )
-    return found
+            interval = compute_interval(values, number_contact_poses(rows, test))
+            figures[format_name(test, name)] = Figure(float(values.mean()), interval)
+    return figures
 
 
-def summarise_code_swaps(rows: Mapping[int, RowScores]) -> dict[str, Figure]:
-    """`<cell of the codes>/<metric>`: mean over seeds and each seed's; empty where it was not asked for."""
-    plain = {
-        seed: {
-            f"{line['name']}/{name}": value
-            for line in row.outcome.ablation
-            for name, value in line.items()
-            if isinstance(value, int | float) and not isinstance(value, bool)
-        }
-        for seed, row in rows.items()
-        if row.outcome.ablation
-    }
-    return _over_seeds(plain)
+def summarise_code_swaps(rows: Rows) -> dict[str, Figure]:
+    """Summarise code swaps as `<cell of the codes>/<metric>`; empty if none were measured."""
+    by_seed = {}
+    for seed, row in rows.items():
+        figures = {}
+        for line in row.outcome.ablation or ():
+            for name, value in line.items():
+                if isinstance(value, int | float) and not isinstance(value, bool):
+                    figures[f"{line['name']}/{name}"] = value
+        if row.outcome.ablation:
+            by_seed[seed] = figures
+    return _average_over_seeds(by_seed)
 
 
-def _over_seeds(plain: Mapping[int, Mapping[str, float]]) -> dict[str, Figure]:
-    """Figures that every seed has."""
-    first, *more = plain.values() or [{}]
-    names = [name for name in first if all(name in others for others in more)]
-    return {
-        name: Figure(
-            float(np.mean([figures[name] for figures in plain.values()])),
-            None,
-            {str(seed): figures[name] for seed, figures in plain.items()},
-        )
-        for name in names
-    }
+def _average_over_seeds(by_seed: Mapping[int, Mapping[str, float]]) -> dict[str, Figure]:
+    """Average the figures that every seed has; they have no interval."""
+    averages = {}
+    for name in next(iter(by_seed.values()), {}):
+        if all(name in figures for figures in by_seed.values()):
+            values = {str(seed): figures[name] for seed, figures in by_seed.items()}
+            averages[name] = Figure(float(np.mean(list(values.values()))), None, values)
+    return averages

@@ -1,7 +1,9 @@
-"""A task of a sweep is one folder and one process: task.json goes in, <kind>.json comes out, log.txt holds what was said.
+"""Tasks of a sweep: a folder and a process each, from task.json to <kind>.json.
 
-However the process ends (a refusal, a crash, a kill for memory), <kind>.json says so, and nothing but this task is lost. Where
-the sweep itself is stopped, or the disk is full, there is none, and the same task goes on from its checkpoints. Imports no JAX.
+However the process ends (a refusal, a crash, a kill for memory), <kind>.json says so, and nothing
+but this task is lost. The output of the process is in log.txt. If the sweep itself is stopped, or
+the disk is full, there is no <kind>.json, and the same task goes on from its checkpoints. Imports
+no JAX.
 """
 
 import os
@@ -25,16 +27,16 @@ DISK_FULL = 75  # exit code of a task that has no outcome, since the disk is ful
 
 @dataclass(frozen=True)
 class Task:
-    """What an engine needs to know: where, and after which other tasks."""
+    """One task, as an engine needs it."""
 
     folder: Path
     kind: str  # "data": the data sets; "training": one that rows share; "row"
-    needs: tuple[Path, ...] = ()  # folders of tasks
+    needs: tuple[Path, ...] = ()  # folders of the tasks that come before
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOrder:
-    """task.json: what the process of a task is to do."""
+    """The content of task.json: the work of the task's process."""
 
     kind: str
     data: str = ""  # folder of the data sets
@@ -42,9 +44,8 @@ class TaskOrder:
     experiments: Sequence[Settings] = ()  # whose data sets are made
     experiment: Settings | None = None
     networks: Sequence[str] | None = None  # to be trained, in this order
-    sources: Mapping[str, str] = field(
-        default_factory=dict
-    )  # by network: the folder of a training to be copied
+    # by network: the folder of a training to be copied
+    sources: Mapping[str, str] = field(default_factory=dict)
     ablation: bool = False
     label: str | None = None
     seed: int | None = None
@@ -52,32 +53,32 @@ class TaskOrder:
 
 
 def get_outcome_file(folder: Path, kind: str) -> Path:
-    """Where the outcome of a task is, once it has one."""
+    """Return the path of a task's outcome, which exists once the task has ended."""
     return Path(folder) / f"{kind}.json"
 
 
 def read_outcome(folder: Path, kind: str) -> Outcome | None:
-    """None while the task is not finished."""
+    """Read the outcome of a task; None while the task is not finished."""
     path = get_outcome_file(folder, kind)
-    return (
-        read_record(path, Outcome, "delete it and run the same command") if path.exists() else None
-    )
+    if not path.exists():
+        return None
+    return read_record(path, Outcome, "delete it and run the same command")
 
 
 def read_order(folder: Path) -> TaskOrder:
+    """Read the task.json in `folder`."""
     return read_record(folder / TASK, TaskOrder, "delete that folder and run the same command")
 
 
 def make_failure(order: TaskOrder, reason: str, folder: Path) -> Outcome:
-    """The outcome of a task that failed in `folder`; the reason is one line, and names files from there."""
-    line = " ".join(
-        reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name).split()
-    )
+    """Make the outcome of a failed task; the reason is one line, with paths from `folder`."""
+    relative = reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name)
+    line = " ".join(relative.split())
     return copy_order_fields(order, Outcome(status="failed", reason=line))
 
 
 def copy_order_fields(order: TaskOrder, outcome: Outcome) -> Outcome:
-    """`outcome` with what stands in it whatever it is: for whom it was done, with which settings."""
+    """Copy the label, seed, networks and settings of a task into its outcome."""
     return replace(
         outcome,
         label=order.label,
@@ -88,10 +89,10 @@ def copy_order_fields(order: TaskOrder, outcome: Outcome) -> Outcome:
 
 
 def run_task(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
-    """Runs the task of `folder` in a process of its own, to its outcome; if it leaves none, writes the failure.
+    """Run the task of `folder` in its own process; write a failure if that writes nothing.
 
-    Raises `UserError` where the disk is full: the next task would end there, too.
-    `quiet`: what the process prints goes to log.txt, else where this process prints.
+    If `quiet`, the output of the process goes to log.txt. Raises `UserError` if the disk is full,
+    since the next task would end the same way.
     """
     with (folder / LOG).open("ab") as log:
         output = log if quiet else None
@@ -111,20 +112,19 @@ def run_task(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: boo
     if code == DISK_FULL:
         raise UserError(f"{folder}: the disk is full; free some space, then run the same command")
     if not get_outcome_file(folder, kind).exists():
-        time.sleep(
-            0.2
-        )  # whoever kills all processes of a sweep kills this one next: that is no failure of the task
-        write_failure(folder, kind, _ending(code, folder))
+        # a kill of all processes of the sweep kills this one next, and is no failure of the task
+        time.sleep(0.2)
+        write_failure(folder, kind, _describe_exit(code, folder))
 
 
 def write_failure(folder: Path, kind: str, reason: str) -> None:
-    """Writes the outcome of a task that cannot do so itself, unless it did."""
+    """Write the outcome of a task that could not do so itself."""
     path = get_outcome_file(folder, kind)
     if not path.exists():
         write_record(path, make_failure(read_order(folder), reason, folder))
 
 
-def _ending(code: int, folder: Path) -> str:
+def _describe_exit(code: int, folder: Path) -> str:
     if code < 0:
         memory = " (out of memory?)" if -code == signal.SIGKILL else ""
         return f"killed by signal {-code}{memory}"

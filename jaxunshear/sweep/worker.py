@@ -1,6 +1,7 @@
-"""The process of one task: `python -m jaxunshear.sweep.worker FOLDER PARENT` does FOLDER/task.json and writes the outcome.
+"""The process of one task: `python -m jaxunshear.sweep.worker FOLDER PARENT`.
 
-It dies with its parent, and holds FOLDER/lock, so that never two of them work in one folder.
+It does FOLDER/task.json and writes the outcome. It dies with its parent, and holds FOLDER/lock, so
+that no two of them work in one folder.
 """
 
 import ctypes
@@ -44,13 +45,11 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def main(folder: Path, parent: int) -> int:
-    """Does the task in `folder`, unless it has an outcome already."""
+    """Do the task in `folder`, unless it has an outcome already."""
     exit_with_parent(parent)
-    read_source()  # as the code is now; it may be changed while this works
+    read_source()  # now, as the code may change while the task runs
     keep_freed_memory()
-    with hold_lock(
-        folder / LOCK, wait=True
-    ):  # one left over from a killed sweep may still be at its end
+    with hold_lock(folder / LOCK, wait=True):  # a worker of a killed sweep may still be ending
         order = read_order(folder)
         outcome = get_outcome_file(folder, order.kind)
         if not outcome.exists():
@@ -65,26 +64,31 @@ def main(folder: Path, parent: int) -> int:
 
 
 def exit_with_parent(parent: int) -> None:
-    """Has the system kill this process when `parent` ends, however it ends (Linux; elsewhere this task is finished first)."""
+    """Make the system kill this process when `parent` ends, however it ends.
+
+    It does so on Linux; on other systems the process finishes its task first.
+    """
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before we could ask
+    if os.getppid() != parent:  # it ended before the call above
         sys.exit("the sweep has ended")
 
 
 def run_order(order: TaskOrder, folder: Path) -> Outcome:
-    """What the task made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
-    began = time.perf_counter()
+    """Run the task and return its outcome, with its time and memory.
+
+    A full disk is no failure of the task and raises its error.
+    """
+    start = time.perf_counter()
     try:
-        check_variables()  # a machine of a cluster has its own
-        made = {"data": _data, "training": _training, "row": _row}[order.kind](order, folder)
-        outcome = copy_order_fields(order, made)
+        check_variables()  # each machine of a cluster has its own
+        run = {"data": _make_data, "training": _run_trainings, "row": _run_row}[order.kind]
+        outcome = copy_order_fields(order, run(order, folder))
     except UserError as error:
         if is_disk_full(error):
             raise
-        outcome = make_failure(
-            order, str(error) if order.kind == "data" else _to_retry(str(error)), folder
-        )
+        reason = str(error) if order.kind == "data" else _add_retry_option(str(error))
+        outcome = make_failure(order, reason, folder)
     except Exception as error:  # also a MemoryError, and what XLA makes of one
         if is_disk_full(error):
             raise
@@ -94,74 +98,79 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte
     return replace(
         outcome,
-        wall_seconds=time.perf_counter() - began,
+        wall_seconds=time.perf_counter() - start,
         peak_memory_bytes=max(peak, outcome.peak_memory_bytes),
         host=platform.node(),
     )
 
 
-def _to_retry(reason: str) -> str:
-    """`reason` with the option that tries a failed task again, where it asks for the same command."""
+def _add_retry_option(reason: str) -> str:
+    """Add the option that tries a failed task again to a reason that names the same command."""
     option = "--retry-failed"
-    return (
-        reason
-        if option in reason
-        else reason.replace("the same command", f"the same command with {option}")
-    )
+    if option in reason:
+        return reason
+    return reason.replace("the same command", f"the same command with {option}")
 
 
-def _data(order: TaskOrder, folder: Path) -> Outcome:
+def _make_data(order: TaskOrder, folder: Path) -> Outcome:
     from jaxunshear.data.generation import make_sets
 
-    for wanted in order.experiments:
-        make_sets(from_json(wanted, str(folder / TASK)), Path(order.data))
+    for settings in order.experiments:
+        make_sets(from_json(settings, str(folder / TASK)), Path(order.data))
     return Outcome(status="done", reason=None)
 
 
-def _training(order: TaskOrder, folder: Path) -> Outcome:
+def _run_trainings(order: TaskOrder, folder: Path) -> Outcome:
     experiment = _start_task(order, folder)
-    run_stages(
-        experiment, tuple(order.networks or ()), folder.parent, Path(order.data), order.command
-    )
+    networks = tuple(order.networks or ())
+    run_stages(experiment, networks, folder.parent, Path(order.data), order.command)
     return _summarise_trainings(order, folder)
 
 
-def _row(order: TaskOrder, folder: Path) -> Outcome:
+def _run_row(order: TaskOrder, folder: Path) -> Outcome:
     experiment = _start_task(order, folder)
     stages, data = (*(order.networks or ()), "evaluate"), Path(order.data)
     results = run_stages(experiment, stages, folder.parent, data, order.command)
     assert results is not None
-    spoilt = _measure_codes(experiment, folder, data, order.command) if order.ablation else None
-    made = replace(_summarise_trainings(order, folder), results=results, ablation=spoilt)
-    return replace(made, device=results.machine.device, ms_per_image=results.ms_per_image)
+    ablation = _measure_codes(experiment, folder, data, order.command) if order.ablation else None
+    return replace(
+        _summarise_trainings(order, folder),
+        results=results,
+        ablation=ablation,
+        device=results.machine.device,
+        ms_per_image=results.ms_per_image,
+    )
 
 
 def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
-    """What decoders make of exchanged codes, and what each code holds that it should not."""
+    """Measure the decoders on swapped codes, and the leakage of each code."""
     from jaxunshear.evaluation.code_swap_test import ablate
     from jaxunshear.evaluation.leakage import measure_leakage
     from jaxunshear.evaluation.leakage_table import build_sweep_rows
 
-    over = uses_pins(experiment)
-    rows = [] if over else ablate(experiment, folder, data, command)["rows"]
-    if experiment.pins.shear_code if over else experiment.unshear.shear_channels:
+    if uses_pins(experiment):
+        rows, has_shear_code = [], bool(experiment.pins.shear_code)
+    else:
+        rows = ablate(experiment, folder, data, command)["rows"]
+        has_shear_code = bool(experiment.unshear.shear_channels)
+    if has_shear_code:
         rows += build_sweep_rows(measure_leakage(experiment, folder, data, command, controls=False))
     return rows
 
 
 def _start_task(order: TaskOrder, folder: Path) -> Experiment:
-    """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
+    """Copy the trainings that other tasks have finished into `folder`; return the experiment."""
     for network, source in order.sources.items():
-        _reuse(Path(source), folder / network)
+        _copy_training(Path(source), folder / network)
     for file in order.files:
         run_file(Path(file))
     return from_json(order.experiment, str(folder / TASK))
 
 
-def _reuse(source: Path, target: Path) -> None:
-    """A copy of the finished training `source` as `target`, complete or not at all."""
+def _copy_training(source: Path, target: Path) -> None:
+    """Copy the finished training `source` to `target`, entirely or not at all."""
     if (target / "summary.json").exists():
         return
     if not (source / "summary.json").exists():
@@ -177,7 +186,7 @@ def _reuse(source: Path, target: Path) -> None:
 
 
 def _check_checkpoints(source: Path) -> None:
-    """Refuses to copy a training that is lost or damaged: its own folder is the one to delete, not that of the copy."""
+    """Refuse to copy a lost or damaged training, so that the error names its own folder."""
     from jaxunshear.training.checkpoint import has_model, load_best
 
     if not has_model(source):
@@ -188,25 +197,24 @@ def _check_checkpoints(source: Path) -> None:
 
 
 def _summarise_trainings(order: TaskOrder, folder: Path) -> Outcome:
-    """Time and memory of the trainings, those of other tasks with them."""
-    ended = {
-        network: read_record(
-            folder / network / "summary.json", TrainingSummary, "delete it and run the same command"
-        )
-        for network in order.networks or ()
-    }
-    others = {Path(source).parent for source in order.sources.values()}
-    outcomes = [
-        read_outcome(other, kind) for other in sorted(others) for kind in ("training", "row")
-    ]
+    """Summarise time and memory of the trainings, including those that other tasks did."""
+    train_seconds, images_per_second = {}, {}
+    for network in order.networks or ():
+        path, remedy = folder / network / "summary.json", "delete it and run the same command"
+        summary = read_record(path, TrainingSummary, remedy)
+        train_seconds[network] = summary.train_seconds
+        images_per_second[network] = summary.images_per_second
+    peak_memory_bytes = 0
+    for other in {Path(source).parent for source in order.sources.values()}:
+        for kind in ("training", "row"):
+            if outcome := read_outcome(other, kind):
+                peak_memory_bytes = max(peak_memory_bytes, outcome.peak_memory_bytes)
     return Outcome(
         status="done",
         reason=None,
-        train_seconds={network: summary.train_seconds for network, summary in ended.items()},
-        images_per_second={
-            network: summary.images_per_second for network, summary in ended.items()
-        },
-        peak_memory_bytes=max((one.peak_memory_bytes for one in outcomes if one), default=0),
+        train_seconds=train_seconds,
+        images_per_second=images_per_second,
+        peak_memory_bytes=peak_memory_bytes,
     )
 
 

@@ -1,4 +1,4 @@
-"""Over a hundred broken folders of recordings: the reader and the doctor name what is wrong, by file and row, and never fail otherwise."""
+"""Over a hundred broken folders of recordings: messages name the fault by file and row."""
 
 import hashlib
 import json
@@ -237,7 +237,7 @@ def refusal(root):
 
 
 def examined(root, capsys, *options):
-    """Code, lines and error of the doctor, which leaves what it examines as it is; the reader goes first."""
+    """Run the reader and the doctor, which changes no file; returns code, lines and error."""
     before = contents(root)
     assert "\n" not in refusal(root)
     code = main(["doctor", str(root), *options])

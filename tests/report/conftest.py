@@ -21,7 +21,10 @@ LIKENESS = {"sheared": 0.31, "entangled": 0.91, "disentangled": 0.94}
 
 
 def dots(slide, soft=False, lost=0.0):
-    """331 dots in rings, pushed outwards and then along `slide` most in the middle; their centres (P, 2) in px."""
+    """Draw 331 dots in rings, pushed outwards and then along `slide`, most in the middle.
+
+    Returns the image and the centres (P, 2) in px.
+    """
     rings = [(0.0, 1)] + [(ring * 5.4, 6 * ring) for ring in range(1, 11)]
     pins = [
         (radius * np.cos(2 * np.pi * k / count), radius * np.sin(2 * np.pi * k / count))
@@ -105,7 +108,10 @@ def make_run(folder):
     gathered = made_up_gathered()
     experiment = Experiment(
         name="made up",
-        claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report.",
+        claim=(
+            "Nothing here was measured: <b>numbers & images</b> from formulas, to look at the "
+            "report."
+        ),
     )
     results = to_builtins(build_results(experiment, gathered)) | {
         "ms_per_image": {

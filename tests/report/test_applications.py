@@ -5,7 +5,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes, write_json
 from jaxunshear.report import applications
-from jaxunshear.report.montage import png_address
+from jaxunshear.report.html import encode_pixels
 from jaxunshear.report.report import write_report
 
 GEOMETRY = {
@@ -109,4 +109,4 @@ def picture():
 
     import numpy as np
 
-    return base64.b64decode(png_address(np.zeros((2, 2), np.uint8)).partition(",")[2])
+    return base64.b64decode(encode_pixels(np.zeros((2, 2), np.uint8)).partition(",")[2])

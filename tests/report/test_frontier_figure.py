@@ -18,7 +18,7 @@ from jaxunshear.results.sweep import SweepResult
 
 
 def summary(settings, seeds=("0", "1")):
-    """A sweep's summary with (label, seconds, ms, error) for each cell; likeness is 1 less the error."""
+    """Make a summary from (label, seconds, ms, error) of each cell; likeness is 1 - error."""
     cells = []
     for label, seconds, ms, error in settings:
         value = {

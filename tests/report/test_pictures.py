@@ -1,4 +1,4 @@
-"""Pictures as a page of 1280 px shows them: no text beyond the picture's edge, none too small to read; and no table cut off."""
+"""Pictures and tables on a page of 1280 px: no text is cut off or too small to read."""
 
 import re
 import shutil
@@ -82,7 +82,7 @@ def test_walks_fit(drawn, count):
     tracks = np.repeat(line.points[None], 2 * count, 0)
     way = np.repeat(list(METHOD_TITLES)[:count], 2)
     end = np.where(np.arange(2 * count) % 2, CLOSED, CLOSED + 1)
-    plot_trajectories(SimpleNamespace(way=way, point=tracks, end=end), line, "disk")
+    plot_trajectories(SimpleNamespace(method=way, point=tracks, end=end), line, "disk")
     check(*drawn)
 
 
@@ -92,7 +92,7 @@ def test_heights_fit(drawn):
         name: np.exp(-np.sum(place**2, 1) / 30)[None]
         for name in ("sheared", *list(METHOD_TITLES)[2:7])
     }
-    plot_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
+    plot_recordings(SimpleNamespace(rest=place), (["a/recording.png"], kinds))
     check(*drawn)
 
 
@@ -105,7 +105,10 @@ def test_no_table_is_cut_off_at_1280_px(tmp_path):
         ["sheared, best translation (knows the tap)", *cells],
         ["unsheared, entangled (large)", *cells],
     ]
-    probe = "<script>for (const e of document.querySelectorAll('.wide')) document.title = e.scrollWidth - e.clientWidth</script>"
+    probe = (
+        "<script>for (const e of document.querySelectorAll('.wide')) "
+        "document.title = e.scrollWidth - e.clientWidth</script>"
+    )
     (tmp_path / "a.html").write_text(
         html.page("a", html.section("a", "b", html.table(head, rows, range(5, 9), [1])))
         + Markup(probe)

@@ -1,4 +1,4 @@
-"""The page of recorded runs, from the evaluation's tables of made-up scores: over images, over pins, of taps or slides alone."""
+"""The page of recorded runs with made-up scores: images, pins, only taps or only slides."""
 
 import json
 from dataclasses import replace
@@ -165,9 +165,10 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
             assert f"{value:.{3 if name.endswith('_mm') else 2}f}" in text, (kind, name)
     for value in results["pose_recovery"]["unsheared"].values():
         assert f"{value:.2f}" in text
+    sheared, unsheared = results["pose_mae"]["sheared"], results["pose_mae"]["unsheared"]
     for words in (
         "kept out of training: 24 taps and 24 slides (same session, random split).",
-        f"{results['pose_mae']['sheared']['y_mm']:.2f} \u2192 {results['pose_mae']['unsheared']['y_mm']:.2f} mm",
+        f"{sheared['y_mm']:.2f} \u2192 {unsheared['y_mm']:.2f} mm",
         f"taps: {results['pose_mae']['tap']['z_mm']:.2f}, learnt from slides directly",
         "Likeness to the partner (ms_ssim@4)",
         "0.68 \u2192 0.98",

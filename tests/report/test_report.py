@@ -1,4 +1,4 @@
-"""The report from a made-up run: complete, self-contained, escaped, the same bytes again, and clear about what is missing."""
+"""The report of a made-up run: complete, self-contained, escaped, and reproducible."""
 
 import base64
 import contextlib
@@ -15,7 +15,8 @@ from PIL import Image
 from jaxunshear.errors import UserError
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
-from jaxunshear.report.montage import MISSING, SURPLUS, difference, png_address
+from jaxunshear.report.html import encode_pixels
+from jaxunshear.report.montage import MISSING, SURPLUS, compare_images
 from jaxunshear.report.report import write_report
 
 
@@ -326,7 +327,7 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
 
 
 def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
-    """Where edge distance is none of them, and one kind of image is read for less than the others."""
+    """Edge distance is not a target, and one kind of image lacks a target of the others."""
     folder, results = made_up_run
     results = json.loads(json.dumps(results).replace('"edge_mm"', '"y_mm"'))
     del results["pose_mae"]["entangled"]["y_mm"]
@@ -376,7 +377,7 @@ def test_history_leaves_out_a_line_cut_short(made_up_run):
 def test_difference_colours():
     tap = np.array([[255, 255, 0, 0]], np.uint8)
     image = np.array([[255, 0, 255, 0]], np.uint8)
-    assert difference(image, tap)[0].tolist() == [
+    assert compare_images(image, tap)[0].tolist() == [
         [90, 90, 90],
         list(MISSING),
         list(SURPLUS),
@@ -384,7 +385,7 @@ def test_difference_colours():
     ]
 
 
-def test_png_address_keeps_the_pixels():
+def test_encoded_pixels_stay_the_same():
     pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    data = base64.b64decode(png_address(pixels).split(",")[1])
+    data = base64.b64decode(encode_pixels(pixels).split(",")[1])
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)

@@ -1,8 +1,9 @@
-"""A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/worker.py.
+"""A worker with made-up networks, data sets and evaluation, called like sweep/worker.py.
 
-And a sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
-`STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
-1/8 let it fail, 1/16 finds the disk full where `STAND_IN_FULL` is set.
+`python stand_in.py FOLDER PARENT` does one task; `python stand_in.py sweep OUT [ray|retry]` runs a
+sweep of such workers, for a test to kill. A training takes ten steps of `STAND_IN_PAUSE` seconds
+with a checkpoint each, and writes a line for every step to <data>/steps.txt. Learning rates of 1/2,
+1/4 and 1/8 make it fail; 1/16 finds the disk full if `STAND_IN_FULL` is set.
 """
 
 import errno
@@ -172,18 +173,17 @@ def main():
         )
         print(json.dumps(to_builtins(summary)))
         return 0
-    for name, functions in {
-        "code_swap_test": (ablate,),
-        "leakage": (measure_leakage,),
-        "leakage_table": (build_sweep_rows,),
+    for name, function in {
+        "code_swap_test": ablate,
+        "leakage": measure_leakage,
+        "leakage_table": build_sweep_rows,
     }.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
-        for function in functions:
-            setattr(module, function.__name__, function)
+        setattr(module, function.__name__, function)
     worker.keep_freed_memory = lambda: None  # would import JAX
     worker.run_stages = run_stages
     worker._check_checkpoints = check_checkpoints
-    worker._data = lambda order, folder: Outcome(status="done", reason=None)
+    worker._make_data = lambda order, folder: Outcome(status="done", reason=None)
     return worker.main(Path(sys.argv[1]), int(sys.argv[2]))
 
 

@@ -23,7 +23,7 @@ def scores(seeds: int, of_seed: float, of_pose: float, of_slide: float = 0.0) ->
 
 
 def width_expected(values: np.ndarray) -> float:
-    """Of additive effects: Student's t for the seeds' means, the normal distribution for the many poses'."""
+    """Additive effects: Student's t for the means of seeds, a normal distribution for poses."""
     of_seeds = values.mean(axis=1)
     of_poses = values.mean(axis=0).reshape(60, 2).mean(axis=1)
     seeds = t.ppf(0.975, len(of_seeds) - 1) ** 2 * of_seeds.var(ddof=1) / len(of_seeds)
@@ -55,8 +55,10 @@ def test_where_seeds_alone_vary_it_is_students_t(seeds):
     "effects", [(1.0, 0.0, 0.0), (0.2, 1.0, 1.0), (0.1, 1.0, 0.5), (0.0, 1.0, 1.0)]
 )
 def test_it_holds_the_true_mean_as_often_as_it_says(seeds, effects):
-    """Seeds, poses and what is left over vary; 800 sweeps, so that a share of .95 errs by .008. A plain bootstrap
-    of three seeds holds the mean in three cases of four."""
+    """Effects of seeds and poses and a rest vary; with 800 sweeps a share of .95 errs by .008.
+
+    A plain bootstrap of three seeds contains the mean in three cases of four.
+    """
     of_seed, of_pose, rest = effects
     random = np.random.default_rng(seeds)
     held = []

@@ -1,4 +1,4 @@
-"""Cells, rows and shared trainings: what is equal is one, and nothing that differs is taken for equal."""
+"""Cells, rows and shared trainings: equal ones are one, and different ones are not."""
 
 from dataclasses import fields, replace
 from functools import reduce
@@ -200,7 +200,7 @@ def asked(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("network", [network for network in TRAINABLE if network != RENDERER])
 def test_equal_parts_are_equal_trainings(asked, network):
-    """The part of an experiment asks for the very training that the full one does, so rows that share a part may share it."""
+    """A part needs the same training as its experiment, so rows with one part may share it."""
     full = Experiment(
         name="full",
         claim="none",

@@ -34,7 +34,10 @@ def test_a_cluster_that_is_not_there_is_one_line_at_once():
 
 @pytest.mark.long
 def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
-    """Two of the rows' Ray workers are killed; the table is that of the serial engine, and no step but theirs is done twice."""
+    """Two Ray workers are killed: the table equals that of the serial engine.
+
+    No other step than theirs is done twice.
+    """
     pytest.importorskip("ray")
     serial = subprocess.run(
         [*stand_in.WORKER, "sweep", str(tmp_path / "serial")], capture_output=True, check=True

@@ -1,4 +1,4 @@
-"""A sweep of real networks, at their smallest: killed, it ends with the very table of an undisturbed one."""
+"""A sweep of the smallest real networks: killed, it ends with the table of a full one."""
 
 import os
 import random

@@ -25,7 +25,8 @@ def reason(monkeypatch, tmp_path):
         def refuse(*_):
             raise error
 
-        monkeypatch.setattr(worker, f"_{kind}", refuse)
+        functions = {"data": "_make_data", "training": "_run_trainings", "row": "_run_row"}
+        monkeypatch.setattr(worker, functions[kind], refuse)
         outcome = worker.run_order(TaskOrder(kind=kind), tmp_path)
         assert outcome.status == "failed" and outcome.wall_seconds >= 0
         return outcome.reason
