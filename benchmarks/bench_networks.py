@@ -142,7 +142,11 @@ def _training_sides(size: int, batch: int) -> Sides:
     def theirs(compiled: bool) -> Work:
         torch, torch_networks = _import_torch_networks()
         torch.manual_seed(0)
-        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).train()
+        twin = (
+            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
+            .to(_place())
+            .train()
+        )
         step = torch_networks.training_step(twin, training, compiled)
         given = [
             torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place())
@@ -171,7 +175,11 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
     def theirs(compiled: bool) -> Work:
         torch, torch_networks = _import_torch_networks()
-        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).eval()
+        twin = (
+            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
+            .to(_place())
+            .eval()
+        )
         run = (
             torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
         )
@@ -221,9 +229,15 @@ def _stream_sides(size: int, batch: int) -> Sides:
 
     def theirs(compiled: bool) -> Work:
         torch, torch_networks = _import_torch_networks()
-        twin = torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net)).to(_place()).eval()
+        twin = (
+            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
+            .to(_place())
+            .eval()
+        )
         pose = (
-            torch_networks.use_channels_last(torch_networks.TorchPoseNet(pose_net, posenet.count_outputs(TARGETS)))
+            torch_networks.use_channels_last(
+                torch_networks.TorchPoseNet(pose_net, posenet.count_outputs(TARGETS))
+            )
             .to(_place())
             .eval()
         )
