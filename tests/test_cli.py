@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import cli
-from jaxunshear.cli.program import AGAIN
+from jaxunshear.cli.program import RESTART
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import load_sweep
@@ -264,7 +264,7 @@ def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, comman
         "jaxunshear.calibration.calibrate.calibrate", fails_with(KeyboardInterrupt())
     )
     answer = command("calibrate", "recordings")
-    assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
+    assert (answer.code, answer.err) == (130, f"stopped; {RESTART}\n")
 
 
 @pytest.mark.parametrize(
