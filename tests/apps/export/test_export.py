@@ -143,9 +143,9 @@ def test_a_full_circle_has_no_seam():
     angle = np.deg2rad(np.arange(-180, 181, 15, dtype=np.float64))
     outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
     graph, circle = OnnxGraph(), (targets.Target("edge_deg", "edge", 1, is_circular=True),)
-    graph.add_output("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
+    graph.add_output("pose", networks.add_pose(graph, circle, "outputs"), ("batch", 1))
     session = onnxruntime.InferenceSession(
-        graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
+        graph.build("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
     )
     off = session.run(None, {"outputs": outputs})[0][:, 0] - np.rad2deg(angle)
     np.testing.assert_allclose((off + 180) % 360 - 180, 0, atol=1e-4)

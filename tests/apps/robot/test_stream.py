@@ -161,7 +161,7 @@ def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(chann
 
 
 def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
-    cv2 = frame_sources._opencv()  # first, since it decides what OpenCV prints
+    cv2 = frame_sources._import_opencv()  # first, since it decides what OpenCV prints
     video = tmp_path / "touch.avi"
     grey = np.zeros((120, 160), np.uint8)
     grey[:, :80] = 255
@@ -195,7 +195,7 @@ def test_images_go_to_a_folder(tmp_path):
 
 def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
     frames = (SourceFrame(number, str(number), dots(), "") for number in range(40))
-    live = frame_sources._latest(frame_sources._at_pace(frames, fps=200))
+    live = frame_sources._yield_latest(frame_sources._play(frames, fps=200))
     summary, lines = run(live, live=True, seconds=0.03)
     assert summary.dropped > 10 and summary.used + summary.dropped == 40
     assert lines[-1]["frame"] == 39
@@ -208,7 +208,7 @@ def test_a_problem_in_the_reading_thread_is_reported():
         raise UserError("camera 0 gave no frame")
 
     with pytest.raises(UserError, match="camera 0 gave no frame"):
-        list(frame_sources._latest(broken()))
+        list(frame_sources._yield_latest(broken()))
 
 
 def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
