@@ -96,9 +96,9 @@ def pins(turned=0.0, convolved=(), read_by=()):
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
-    "no reader": lambda: images()._replace(pose_network=None, targets=(), way=""),
-    "reader alone": lambda: images()._replace(unshear_network=None, way="as_recorded"),
-    "reader of slides": lambda: images()._replace(way="learnt"),
+    "no reader": lambda: images()._replace(pose_network=None, targets=(), method=""),
+    "reader alone": lambda: images()._replace(unshear_network=None, method="as_recorded"),
+    "reader of slides": lambda: images()._replace(method="learnt"),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
     "pins, convolved": lambda: pins(convolved=(4, 6, 5)),

@@ -98,7 +98,7 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     def answer(least):
         sure, out = iter((True, True, False)), io.StringIO()
         robot = StreamModel(
-            lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least
+            lambda image: step(image)._replace(identified=next(sure)), preprocess, None, expected, least
         )
         summary = stream(
             iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number}
