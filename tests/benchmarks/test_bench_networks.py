@@ -80,7 +80,7 @@ def test_rows(bench, monkeypatch):
         others = row["name"].startswith("pytorch") or row["name"] == "onnxruntime"
         assert others or (row["name"], row["failed"]) == ("jaxunshear, XLA alone", "")
         assert row["failed"].count("is not installed") or row["images_per_s"] > 0
-    assert "jaxunshear" in bench_networks.table(rows)
+    assert "jaxunshear" in bench_networks.format_table(rows)
 
 
 def test_what_is_not_installed_has_not_failed():
@@ -93,7 +93,7 @@ def test_what_is_not_installed_has_not_failed():
     sides = iter(
         [("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)]
     )
-    said = bench_networks.table(bench_networks._compare_sides(sides, 32, 1, 1, (1, 0.0)))
+    said = bench_networks.format_table(bench_networks._compare_sides(sides, 32, 1, 1, (1, 0.0)))
     assert (
         "torch is not installed" in said
         and said.count("FAILED") == 1

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks import bench_pins
-from tests.perception.test_measuring import LATTICE, picture, slid
+from tests.perception.test_pin_refinement import LATTICE, picture, slid
 
 
 def test_errors_identities_and_times():
