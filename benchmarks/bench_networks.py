@@ -52,7 +52,10 @@ Sides = Iterator[tuple[str, Callable[[], Work]]]
 def bench_train(
     size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
 ) -> list[Json]:
-    """Time training steps, of TRAIN_CASES or of a size and batch. Raises UserError for a bad size."""
+    """Time training steps of TRAIN_CASES, or of a size and batch.
+
+    Raises UserError for a bad size.
+    """
     cases = list(TRAIN_CASES)
     if size is not None or batch is not None:
         cases = [(128 if size is None else size, 32 if batch is None else batch)]

@@ -4,8 +4,8 @@
 
 Each case is compiled with and without the part. `operations` are those of the compiled program, as
 XLA counts them, with kernels' gradients as convolutions (of other forms it counts none, or one turn
-of a loop). A part that is not needed must be gone from the program, not merely unused. Both programs
-take turns in being timed.
+of a loop). A part that is not needed must be gone from the program, not merely unused. Both
+programs take turns in being timed.
 """
 
 import time

@@ -2,10 +2,10 @@
 
     rows = bench_sim(level="auto", batch=64)
 
-There is a row for every level, batch, number of steps, tolerance, precision, mesh and solver. Errors
-are of all pins of 63 scenes of the paper's distribution, against `reference`. Times are wall clock
-of `simulate`, compiled but with every system set up anew; `ratio` is to a 2048 x 2048 float32 matrix
-product timed in between.
+There is a row for every level, batch, number of steps, tolerance, precision, mesh and solver.
+Errors are of all pins of 63 scenes of the paper's distribution, against `reference`. Times are wall
+clock of `simulate`, compiled but with every system set up anew; `ratio` is to a 2048 x 2048 float32
+matrix product timed in between.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,8 @@ All have the signature of `friction.solve_increment`, without its relaxation, ar
 without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
-- `solve_anderson`: the simulator's ADMM as a fixed point of one variable, extrapolated from its last
-  steps (Walker & Ni 2011)
+- `solve_anderson`: the simulator's ADMM as a fixed point of one variable, extrapolated from its
+  last steps (Walker & Ni 2011)
 - `solve_newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
 """
 
@@ -24,7 +24,7 @@ from jaxunshear.simulator.friction import (
     project,
 )
 
-Start = tuple[jax.Array, ...]  # force, dual, relaxation
+Start = tuple[jax.Array, ...]  # force f, dual, W f
 Solver = Callable[..., SolverResult]
 State = TypeVar("State")
 ANDERSON_DEPTH = 5  # earlier steps that Anderson's extrapolation uses

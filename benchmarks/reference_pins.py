@@ -1,6 +1,7 @@
 """Solves the contacts that errors are measured against, at a far stronger level.
 
-They are kept in the cache folder. A stored answer is used only for the same scenes, sensor, level, versions and source of the simulator.
+They are kept in the cache folder. A stored answer is used only for the same scenes, sensor, level,
+versions and source of the simulator.
 """
 
 import hashlib
@@ -23,7 +24,10 @@ from jaxunshear.simulator.simulate import simulate
 def solve_reference_pins(
     sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level
 ) -> np.ndarray:
-    """Solve the pin tips (B, P, 3) mm of scenes. Raises UserError if a contact does not converge."""
+    """Solve the pin tips (B, P, 3) mm of scenes.
+
+    Raises UserError if a contact does not converge.
+    """
     path = cache_folder() / f"pins-{_compute_digest(sensor, names, scenes, level)}.npz"
     try:
         pins = read_npz(path)["pins"]

@@ -1,5 +1,7 @@
-"""Puts a result into docs/results: `python -m docs.keep NAME FILE`. A file of several runs is made
-by `python -m docs.keep NAME 'standard, seed 0=FILE' 'standard, seed 1=FILE'`.
+"""Puts a result into docs/results: `python -m docs.keep NAME FILE`.
+
+A file of several runs is made by
+`python -m docs.keep NAME 'standard, seed 0=FILE' 'standard, seed 1=FILE'`.
 
 A result that cannot be published is refused: one without a checksum or a commit, one of code that
 was not committed, and one that names a path of one machine.

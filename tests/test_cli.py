@@ -1,4 +1,4 @@
-"""What cannot work is refused: exit code 2, one line that names the culprit, at once, and nothing lost."""
+"""What cannot work is refused at once: exit code 2, one line with the reason, nothing lost."""
 
 import errno
 import json
@@ -112,7 +112,7 @@ def is_one_line(answer) -> None:
 
 @pytest.fixture
 def stages(monkeypatch):
-    """`stages(act)`: whatever starts the stages of an experiment calls `act`, without all that the real ones import."""
+    """Return `stages(act)`, after which `act` runs instead of the stages of an experiment."""
 
     def replace(act):
         module = ModuleType("jaxunshear.run")
@@ -342,7 +342,8 @@ def test_help_and_refusals_take_nothing_heavy(words):
         "import sys\n"
         "from jaxunshear.cli import main\n"
         "code = main(sys.argv[1:])\n"
-        "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'} & set(sys.modules)\n"
+        "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)\n"
     )
     done = subprocess.run(

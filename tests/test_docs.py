@@ -1,4 +1,4 @@
-"""The documents: their figures are those of docs/results, their links lead somewhere, their commands exist."""
+"""Documents: figures are those of docs/results, links lead somewhere, commands exist."""
 
 import contextlib
 import re

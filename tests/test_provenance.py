@@ -1,6 +1,4 @@
-"""The results in docs/results: with which code each was made, that none was edited, and whether
-that code has changed since.
-"""
+"""Results in docs/results: their code, their seals, and whether that code has changed since."""
 
 import json
 import shutil
@@ -43,7 +41,7 @@ def test_results_without_a_commit_are_listed():
 
 @pytest.mark.parametrize("name", KEPT)
 def test_results_are_sealed(name):
-    """Their checksum holds, so neither a figure nor a command was edited; their code was committed."""
+    """Neither a figure nor a command was edited, and the code was committed."""
     assert CHECKSUM_FIELD in read_result(name), f"{name}.json bears no checksum: use docs/keep.py"
     read_json(ROOT / "docs" / "results" / f"{name}.json")
     for source in list_sources(read_result(name)):

@@ -1,4 +1,4 @@
-"""Error against run time: the rows, what counts as a failure, and that the scenes are always the same."""
+"""Error against run time: rows, what counts as a failure, and scenes that never change."""
 
 from dataclasses import replace
 

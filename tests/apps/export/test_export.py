@@ -1,4 +1,4 @@
-"""Models as files for a computer without JAX: they compute what JAX computes, say what they are, and are refused where they do not."""
+"""Models as files for a computer without JAX compute what JAX computes, or are refused."""
 
 import ast
 import dataclasses
@@ -59,7 +59,7 @@ EXPERIMENT = Experiment(
 
 
 def drawn(init):
-    """Variables of the shapes that `init` makes, as if trained: no two layers, and no two of their statistics, are alike."""
+    """Make variables of the shapes of `init`, as if trained: no two layers are alike."""
     random = np.random.default_rng(1)
 
     def draw(path, leaf):

@@ -81,7 +81,7 @@ def test_bad_frames_are_reported_and_skipped():
 
 
 def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
-    """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
+    """One is noise, another has no identified pins; with `force` only the latter is refused."""
     preprocess = EXPERIMENT.paired.preprocess
     expected = load_sensor_appearance(None, EXPERIMENT)
     known = compute_rest_lattice(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
@@ -98,7 +98,11 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     def answer(least):
         sure, out = iter((True, True, False)), io.StringIO()
         robot = StreamModel(
-            lambda image: step(image)._replace(identified=next(sure)), preprocess, None, expected, least
+            lambda image: step(image)._replace(identified=next(sure)),
+            preprocess,
+            None,
+            expected,
+            least,
         )
         summary = stream(
             iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number}
@@ -245,7 +249,7 @@ def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
 
 
 def disc(middle, size=240):
-    """A dark dome in a light surround, with something in it."""
+    """Make a dark dome in a light surround, with something in it."""
     row, column = np.mgrid[:size, :size]
     inside = np.hypot(row - size / 2, column - middle) < 80
     return np.where(inside, 40 + (row + column) % 9 * 4, 230).astype(np.uint8)
