@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import pytest
 
-# Many tests, their workers and the processes they start compile the same programs: once is enough. A
-# program is found again if XLA's flags are the same. They compute little, so it need not be
+# Many tests, their workers and the processes they start compile the same programs: once is enough.
+# A program is found again if XLA's flags are the same. They compute little, so it need not be
 # optimised: `XLA_FLAGS= make test` tests what users run, in twice the time. JAX reads all of these
 # when it is imported.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
