@@ -68,7 +68,7 @@ class _Iteration(NamedTuple, Generic[State]):
     state: State
     error: jax.Array  # (B,) mm
     iterations: jax.Array  # (B,)
-    count: jax.Array  # of all scenes
+    steps: jax.Array  # of all scenes
 
 
 def _iterate(
@@ -84,14 +84,14 @@ def _iterate(
     """
 
     def is_unfinished(now: _Iteration[State]) -> jax.Array:
-        return jnp.any(~(now.error <= tolerance)) & (now.count < limit)
+        return jnp.any(~(now.error <= tolerance)) & (now.steps < limit)
 
     def repeat(now: _Iteration[State]) -> _Iteration[State]:
         state, error = jax.lax.fori_loop(
             0, every, lambda _, both: step(both[0]), (now.state, now.error)
         )
         iterations = now.iterations + every * (now.error > tolerance)
-        return _Iteration(state, error, iterations, now.count + every)
+        return _Iteration(state, error, iterations, now.steps + every)
 
     error = jnp.where(jnp.isinf(tolerance), 0.0, jnp.inf).astype(tolerance.dtype)
     iterations = jnp.zeros(tolerance.shape, jnp.int32)

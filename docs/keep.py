@@ -55,7 +55,10 @@ def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
     if len(files) == 1 and files[0].endswith(".png"):
         return keep_picture(name, Path(files[0]), folder)
     out = folder / f"{name}.json"
-    labelled = {label: Path(file) for label, _, file in (each.rpartition("=") for each in files)}
+    labelled = {}
+    for each in files:
+        label, _, file = each.rpartition("=")
+        labelled[label] = Path(file)
     if len(labelled) < len(files) or ("" in labelled and len(files) > 1):
         raise UserError("several files need labels, each its own: LABEL=FILE LABEL=FILE")
     results = {label: _read_publishable(path) for label, path in labelled.items()}

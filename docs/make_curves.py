@@ -53,10 +53,12 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
 
 def _compute_inner_sizes(kernels: dict[str, list[float]]) -> list[float]:
     """Compute the mean size of the kernels between the outermost layers, by step."""
-    inner = [
-        sizes for name, sizes in kernels.items() if not any(part in name for part in OUTERMOST)
-    ]
+    inner = [sizes for name, sizes in kernels.items() if not _is_outermost(name)]
     return [fmean(sizes) for sizes in zip(*inner, strict=True)]
+
+
+def _is_outermost(layer: str) -> bool:
+    return any(part in layer for part in OUTERMOST)
 
 
 def plot_curves(curves: list[dict[str, Any]], path: Path) -> None:

@@ -47,13 +47,18 @@ def _convert_sweep(name: str) -> SweepResult:
 def load_runs(name: str, label_start: str = "") -> list[dict[str, Json]]:
     """Return the rows by name of the runs in a file whose label begins with `label_start`."""
     runs = load_result(name)["runs"]
-    selected = [run for label, run in runs.items() if label.startswith(label_start)]
-    return [{row["name"]: row for row in run["rows"]} for run in selected]
+    return [
+        _index_rows(run["rows"]) for label, run in runs.items() if label.startswith(label_start)
+    ]
 
 
 def load_rows(name: str) -> dict[str, dict[str, Any]]:
     """Return the rows of a file by their names."""
-    return {row["name"]: row for row in load_result(name)["rows"]}
+    return _index_rows(load_result(name)["rows"])
+
+
+def _index_rows(rows: list[Json]) -> dict[str, Json]:
+    return {row["name"]: row for row in rows}
 
 
 def load_locked_scores(name: str) -> dict[str, float]:

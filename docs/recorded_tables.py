@@ -101,7 +101,7 @@ def tabulate_few_labels() -> str:
     for share in SHARES:
         errors = []
         for unlabelled in UNLABELLED:
-            (metrics,) = (
+            metrics = next(
                 cell.metrics
                 for cell in cells
                 if f"labelled={share}," in cell.label and f"={unlabelled}:" in cell.label
@@ -118,7 +118,7 @@ def tabulate_pairings() -> str:
     """Tabulate errors by what a slide is paired with."""
     lines = start_table("| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |")
     for cell in load_cells("pairings"):
-        (name,) = (shown for pairing, shown in PAIRINGS.items() if pairing in cell.label)
+        name = next(shown for pairing, shown in PAIRINGS.items() if pairing in cell.label)
         errors = [
             format_interval(cell.metrics[f"pose/disentangled/{target}"], digits)
             for target, digits in TARGETS.items()
@@ -197,8 +197,10 @@ def tabulate_transfer() -> str:
 
 
 def _load_values(label_start: str) -> list[dict[str, float]]:
-    runs = load_runs("skin", label_start)
-    return [{name: row["value"] for name, row in run.items()} for run in runs]
+    values = []
+    for run in load_runs("skin", label_start):
+        values.append({name: row["value"] for name, row in run.items()})
+    return values
 
 
 def _compute_recovery(errors: dict[str, float], table: str, target: str) -> float:

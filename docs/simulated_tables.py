@@ -338,7 +338,9 @@ def tabulate_few_pairs() -> str:
     errors = {"pins/disentangled": 2}
     errors |= {f"pose/disentangled/{target}": digits for target, digits in EDGE_TARGETS.items()}
     complete = [cell.metrics for cell in cells if cell.label.startswith("100%")]
-    least = {name: min(metrics[name].mean for metrics in complete) for name in errors}
+    least = {}
+    for name in errors:
+        least[name] = min(metrics[name].mean for metrics in complete)
     lines = start_table(
         "| poses with their tap, what teaches | MS-SSIM@4 | pins, px rms | edge distance, mm "
         "| edge angle, deg | times all pairs' |"
