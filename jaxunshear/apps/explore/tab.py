@@ -191,5 +191,6 @@ def begin_outline(tab: Tab) -> None:
 
 async def lift(tab: Tab) -> None:
     """Tap where the slide ended."""
-    tab.line, tab.start = None, tab.touch.pose[:2]
+    x, y, *_ = tab.touch.pose
+    tab.line, tab.start = None, (x, y)
     await on_change(tab, move=(0.0, 0.0))
