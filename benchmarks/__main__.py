@@ -1,4 +1,4 @@
-"""`python -m benchmarks sim|train|infer|...`."""
+"""Runs `python -m benchmarks sim|train|infer|...`."""
 
 import sys
 

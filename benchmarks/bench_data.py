@@ -1,7 +1,8 @@
-"""What a simulated set takes: processor time and bytes a contact, step by step, by which larger ones are sized (docs/cluster.md).
+"""Measures processor time and bytes per contact of a simulated data set, step by step.
 
-Processor time is summed over cores, so that other work on the machine counts little. The set is made twice, and the second time
-counted: nothing is compiled then.
+Larger sets are sized by them (docs/cluster.md). Processor time is summed over cores, so other work
+on the machine counts little. The set is made twice, and only the second time counts, without
+compilation.
 """
 
 import dataclasses
@@ -21,56 +22,59 @@ from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
 
 POSES = 12  # of each shape: some hundred contacts
-PLAN_MULTIPLE = 20  # times as many are planned: what it costs once counts less
+PLAN_MULTIPLE = 20  # times as many are planned: costs of the start count less
 COLUMNS = ("name", "contacts", "cpu_ms", "bytes")
 
 
 def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
-    """A row a step: `cpu_ms` and `bytes` a contact, be it a tap or a slide; of the demo's paired images, 128 px, 331 pins."""
+    """Return a row for each step: `cpu_ms` and `bytes` per contact, a tap or a slide.
+
+    The set has paired images as in the demo, of 128 px and 331 pins.
+    """
     settings = dataclasses.replace(PAIRED["demo"], poses=poses)
     for _ in range(2):
         with tempfile.TemporaryDirectory() as folder:
-            rows = _steps(settings, Path(folder))
+            rows = _measure_steps(settings, Path(folder))
     return rows
 
 
-def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
+def _measure_steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     engine, chunks = make_engine(), get_unfinished_folder(settings, TACTIP_331, data)
-    drawn = [
-        sample_contacts(one)
-        for one in (settings, dataclasses.replace(settings, poses=PLAN_MULTIPLE * settings.poses))
-    ]
-    shots, many = drawn
-    counts = [len(each.scenes) for each in drawn]
+    contacts = sample_contacts(settings)
+    many = sample_contacts(dataclasses.replace(settings, poses=PLAN_MULTIPLE * settings.poses))
+    count = len(contacts.scenes)
+
+    def plan() -> int:
+        engine.plan(TACTIP_331, settings.stimuli, many.scenes)
+        return 0
 
     def simulate() -> int:
-        paths = simulate_chunks(settings, TACTIP_331, shots, chunks, engine)
+        paths = simulate_chunks(settings, TACTIP_331, contacts, chunks, engine)
         return sum(path.stat().st_size for path in paths)
 
     def read() -> int:
         stored = open_set(settings, data, TACTIP_331)
         return sum(field.nbytes for split in SPLITS for field in stored.rows(split).values())
 
-    plan = _step(
-        "plan", counts[1], lambda: 0 * len(engine.plan(TACTIP_331, settings.stimuli, many.scenes))
-    )
-    chunk = _step("simulate and draw", counts[0], simulate)
+    rows = [
+        _measure_step("plan", len(many.scenes), plan),
+        _measure_step("simulate and draw", count, simulate),
+    ]
     make_set(settings, TACTIP_331, data, engine)
-    files = sum(
-        path.stat().st_size for path in get_set_folder(settings, TACTIP_331, data).iterdir()
-    )
-    stored = {"name": "stored", "contacts": counts[0], "cpu_ms": None, "bytes": files / counts[0]}
-    return [plan, chunk, stored, _step("read into memory", counts[0], read)]
+    folder = get_set_folder(settings, TACTIP_331, data)
+    size = sum(path.stat().st_size for path in folder.iterdir())
+    rows.append({"name": "stored", "contacts": count, "cpu_ms": None, "bytes": size / count})
+    return [*rows, _measure_step("read into memory", count, read)]
 
 
-def _step(name: str, contacts: int, work: Callable[[], int]) -> dict[str, Any]:
-    """`work` returns the bytes that it made."""
-    began = time.process_time()
+def _measure_step(name: str, contacts: int, work: Callable[[], int]) -> dict[str, Any]:
+    """Measure `work`, which returns the bytes that it made."""
+    start = time.process_time()
     size = work()
-    spent = time.process_time() - began
+    seconds = time.process_time() - start
     return {
         "name": name,
         "contacts": contacts,
-        "cpu_ms": 1e3 * spent / contacts,
+        "cpu_ms": 1e3 * seconds / contacts,
         "bytes": size / contacts,
     }

@@ -1,8 +1,9 @@
-"""How long a picture of `explore` takes: places of the mouse at random, one after the other, once all is made ready.
+"""Measures how long a picture of `explore` takes, for random places of the mouse.
 
     rows = bench_explore()
 
-A picture is a slide and a tap, their images, pins and forces, and what the networks make of them; the browser's own part is left out.
+A picture is a slide and a tap, their images, pins and forces, and the outputs of the networks.
+Compilation and the browser are not measured.
 """
 
 import time
@@ -23,58 +24,55 @@ from jaxunshear.simulator.stimuli import get_stimulus
 
 STIMULI = ("disk", "clover", "edge", "surface")
 PICTURES = 100  # of each
-WITHIN_MM, TURNED_DEG = 5.0, 45.0
+WITHIN_MM, MAX_YAW_DEG = 5.0, 45.0
 COLUMNS = ("name", "pictures", "refused", "ms", "ms_p95", "most_ms")
 
 
 def bench_explore(
     stimuli: tuple[str, ...] = STIMULI, pictures: int = PICTURES, *, warm: bool = True
 ) -> list[Json]:
-    """A row a stimulus: pictures that came, those refused (with a line), ms a picture: median, 95 % and most."""
+    """Return a row for each stimulus: pictures, refused ones, and ms (median, 95 %, largest)."""
     keep_freed_memory()
     folder = find_model_folder(Path("standard"))
     explorer = make_explorer(folder, load_settings(folder))
     if warm:
         explorer.warm()
     with Progress("bench explore", pictures * len(stimuli), unit="pictures") as progress:
-        return [_row(explorer, name, pictures, progress.advance) for name in stimuli]
+        return [_measure_stimulus(explorer, name, pictures, progress.advance) for name in stimuli]
 
 
-def _row(explorer: Explorer, name: str, pictures: int, advance: Callable[[], object]) -> Json:
+def _measure_stimulus(
+    explorer: Explorer, name: str, pictures: int, advance: Callable[[], object]
+) -> Json:
     generator = np.random.default_rng(0)
-    spent, refused = [], 0
+    times_ms, refused = [], 0
     for _ in range(pictures):
         touch = _sample_touch(explorer, name, generator)
-        began = time.perf_counter()
+        start = time.perf_counter()
         try:
             explorer.simulate_picture(touch)
         except UserError:
             refused += 1
         else:
-            spent.append(1e3 * (time.perf_counter() - began))
+            times_ms.append(1e3 * (time.perf_counter() - start))
         advance()
-    median, late, most = (
-        np.percentile(spent, (50, 95, 100)).tolist() if spent else (None, None, None)
-    )
+    percentiles = np.percentile(times_ms, (50, 95, 100)).tolist() if times_ms else [None] * 3
     return {
         "name": name,
-        "pictures": len(spent),
+        "pictures": len(times_ms),
         "refused": refused,
-        "ms": median,
-        "ms_p95": late,
-        "most_ms": most,
+        **dict(zip(("ms", "ms_p95", "most_ms"), percentiles, strict=True)),
     }
 
 
 def _sample_touch(explorer: Explorer, name: str, generator: np.random.Generator) -> Touch:
-    """A slide of up to MOST_SLIDE_MM to a place about the target point, of the depths that data have."""
+    """Sample a slide of up to MOST_SLIDE_MM to a place about the target point."""
     x, y = generator.uniform(-WITHIN_MM, WITHIN_MM, 2)
     ranges = Ranges()
-    yaw, depth = (
-        generator.uniform(-TURNED_DEG, TURNED_DEG),
-        generator.uniform(ranges.depth_min_mm, ranges.depth_max_mm),
-    )
-    far, way = generator.uniform(0, MOST_SLIDE_MM), generator.uniform(0, 2 * np.pi)
-    move = (far * np.cos(way), far * np.sin(way))
+    yaw = generator.uniform(-MAX_YAW_DEG, MAX_YAW_DEG)
+    depth = generator.uniform(ranges.depth_min_mm, ranges.depth_max_mm)
+    length = generator.uniform(0, MOST_SLIDE_MM)
+    direction = generator.uniform(0, 2 * np.pi)
+    move = (length * np.cos(direction), length * np.sin(direction))
     stimulus = get_stimulus(name)
     return Touch(stimulus, explorer.experiment.sensor, (x, y, yaw, depth), move, stimulus.friction)

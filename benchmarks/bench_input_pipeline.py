@@ -1,9 +1,10 @@
-"""Whether a step of training ever waits for its examples: steps whose batches are drawn and read as in training, and steps whose batch is
-there already.
+"""Measures whether a training step ever waits for its examples.
 
     rows = bench_input()
 
-Both ways take turns, some steps at a time. Examples are noise, of which a training set's worth lies in memory, as a stored set does.
+Steps whose batches are drawn and read as in training are compared with steps whose batch is in
+memory. Both take turns, some steps at a time. Examples are noise; as many as a training set has lie
+in memory, as those of a stored set do.
 """
 
 import itertools
@@ -17,9 +18,11 @@ from scipy.stats import bootstrap
 
 from benchmarks.training_steps import make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader
@@ -30,56 +33,54 @@ from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.tasks import Task, make_unshear_task
 from verification.clock import time_call
 
-SECONDS = 60.0  # of each way
-LEAST_ROUNDS = 2
+SECONDS = 60.0  # of each kind of step
+MIN_ROUNDS = 2
 EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
 COLUMNS = (
-    "name",
-    "batch",
-    "ms_there",
-    "ms_drawn",
-    "ratio",
-    "ratio_low",
-    "ratio_high",
-    "ratio_p95",
-    "compile_s",
+    *("name", "batch", "ms_there", "ms_drawn"),
+    *("ratio", "ratio_low", "ratio_high", "ratio_p95", "compile_s"),
 )
 
 
 class Case(NamedTuple):
+    """A training to be timed."""
+
     name: str
     task: Task
     training: Training
     stored: Batch  # all training examples, as a set holds them
     size: int  # px
-    steps: int  # a turn: a third of a second of two cores
+    steps: int  # per turn: a third of a second of two cores
 
 
 def bench_input(
-    of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths
+    seconds: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths
 ) -> list[Json]:
-    """A row a kind of network, of turns of `of_each` s in all a way: ms a step with a batch that is there and with one that is
-    drawn; their ratio, median with its 95 % bootstrap interval, and 95 % of turns."""
+    """Measure both kinds of steps for `seconds` each, and return a row for each kind of network.
+
+    A row has ms per step with a batch in memory and with one that is drawn, and their ratio: the
+    median with its 95 % bootstrap interval, and the 95th percentile of turns.
+    """
     keep_freed_memory()
-    cases = [_images(widths), _pins()]
+    cases = [_make_image_case(widths), _make_pin_case()]
     with Progress("bench input", len(cases), unit="cases") as progress:
         rows = []
         for case in cases:
-            rows.append(_measure_case(case, of_each))
+            rows.append(_measure_case(case, seconds))
             progress.advance(1)
     return rows
 
 
-def _images(widths: tuple[int, ...]) -> Case:
+def _make_image_case(widths: tuple[int, ...]) -> Case:
     net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
     canonical, sheared = make_noise_images(EXAMPLES, net.size)[..., 0]
     stored = {"canonical": pack_bits(canonical), "sheared": pack_bits(sheared)}
     return Case(
-        "images", make_unshear_task(net, training), training, stored | _poses(), net.size, 2
+        "images", make_unshear_task(net, training), training, stored | _make_poses(), net.size, 2
     )
 
 
-def _pins() -> Case:
+def _make_pin_case() -> Case:
     training = replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3})
     pins = (
         np.random.default_rng(0)
@@ -88,29 +89,28 @@ def _pins() -> Case:
     )
     task = make_pin_unshear_task(PinUnshear(), training, pins[0].mean(axis=0), 20.0)
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
-    return Case("pins", task, training, stored | _poses(), 128, 40)
+    return Case("pins", task, training, stored | _make_poses(), 128, 40)
 
 
-def _poses() -> Batch:
+def _make_poses() -> Batch:
     return {"stimulus": np.zeros(EXAMPLES, int), "pose_id": np.arange(EXAMPLES) // SLIDES}
 
 
-def _measure_case(case: Case, of_each: float) -> Json:
+def _measure_case(case: Case, seconds: float) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
     reader = Reader(lambda split: case.stored, case.size)
-    stream = prefetch(
-        reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put
-    )
-    there = next(stream)
+    batches = reader.train_batches(training.batch, 0, training.shift, fields)
+    stream = prefetch(batches(0), jax.device_put)
+    repeated = itertools.repeat(next(stream))
     step, first = make_timed_step(case.task, training)
     state = [first]
-    lowered = jax.jit(step, donate_argnums=0).lower(state[0], there)
+    lowered = jax.jit(step, donate_argnums=0).lower(state[0], next(repeated))
     programs: list[jax.stages.Compiled] = []
     compile_s = time_call(lambda: programs.append(lowered.compile()))
 
-    def turn(batches: Iterator[Mapping[str, jax.Array]]) -> None:
-        """As training does it: steps are waited for one behind."""
+    def take_turn(batches: Iterator[Mapping[str, jax.Array]]) -> None:
+        """Run steps as training does: it waits for the step before the last."""
         batch, before = next(batches), None
         for _ in range(case.steps):
             state[0], metrics = programs[0](state[0], batch)
@@ -119,18 +119,15 @@ def _measure_case(case: Case, of_each: float) -> Json:
             before = metrics
         jax.block_until_ready(before)
 
-    turn(stream)
-    turn(itertools.repeat(there))
-    rounds = max(LEAST_ROUNDS, round(of_each / time_call(lambda: turn(itertools.repeat(there)))))
-    spent = np.array(
-        [
-            [time_call(lambda: turn(itertools.repeat(there))), time_call(lambda: turn(stream))]
-            for _ in range(rounds)
-        ]
-    )
-    ratio = spent[:, 1] / spent[:, 0]
+    take_turn(stream)
+    take_turn(repeated)
+    rounds = max(MIN_ROUNDS, round(seconds / time_call(lambda: take_turn(repeated))))
+    times = np.empty((rounds, 2))
+    for turn in times:
+        turn[:] = time_call(lambda: take_turn(repeated)), time_call(lambda: take_turn(stream))
+    ratio = times[:, 1] / times[:, 0]
     spread = bootstrap((ratio,), np.median, method="percentile", rng=0).confidence_interval
-    ms_there, ms_drawn = 1e3 * np.median(spent, axis=0) / case.steps
+    ms_there, ms_drawn = 1e3 * np.median(times, axis=0) / case.steps
     return {
         "name": case.name,
         "batch": training.batch,

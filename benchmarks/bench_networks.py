@@ -1,10 +1,12 @@
-"""Images per second of training, and milliseconds per image of inference, beside PyTorch in the same run.
+"""Measures the speed of training and inference, beside PyTorch in the same run.
 
     rows = bench_train(size=128, batch=32)
 
-The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
-the convolutions' multiplications over the product's. Compile time stands apart. Without the extras `torch` and `onnx` only our rows come.
-Where parts of the training are compiled for the processor (`models/fast/compiled_kernels.py`), training without them has a row of its own.
+The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in
+between: `share` is the rate of the convolutions' multiplications over that of the product. Compile
+time is separate. Without the extras `torch` and `onnx` there are only our rows. If parts of the
+training are compiled for the processor (`models/fast/compiled_kernels.py`), training without them
+has a row of its own.
 """
 
 import statistics
@@ -40,11 +42,9 @@ TRAIN_CASES = ((256, 8), (128, 32))  # size in px, batch
 INFER_SIZES = (256, 128)
 FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
 NOT_INSTALLED = "is not installed"  # which is no failure
-Rounds = tuple[int, float]
-ROUNDS: Rounds = (
-    7,
-    4.0,
-)  # and a round's seconds: threads that still spin for the other side's work do not count
+Rounds = tuple[int, float]  # how many, and seconds of each
+# long enough that threads that still spin for the other side's work do not count
+ROUNDS: Rounds = (7, 4.0)
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
@@ -52,69 +52,64 @@ Sides = Iterator[tuple[str, Callable[[], Work]]]
 def bench_train(
     size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
 ) -> list[Json]:
-    """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
-    plain = size is None and batch is None
-    cases = (
-        list(TRAIN_CASES)
-        if plain
-        else [(128 if size is None else size, 32 if batch is None else batch)]
-    )
-    return _measure_cases(
-        "bench train",
-        cases,
-        _training_sides,
-        lambda px: 6 * count_multiplications(UnshearNet(size=px), True),
-        rounds,
-    )
+    """Time training steps of TRAIN_CASES, or of a size and batch.
+
+    Raises UserError for a bad size.
+    """
+    cases = list(TRAIN_CASES)
+    if size is not None or batch is not None:
+        cases = [(128 if size is None else size, 32 if batch is None else batch)]
+
+    def count_operations(px: int) -> int:
+        return 6 * count_multiplications(UnshearNet(size=px), True)
+
+    return _measure_cases("bench train", cases, _make_training_sides, count_operations, rounds)
 
 
 def bench_infer(
     size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS
 ) -> list[Json]:
-    """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
-    cases = [
-        (px, 1 if batch is None else batch) for px in (INFER_SIZES if size is None else (size,))
-    ]
-    return _measure_cases(
-        "bench infer",
-        cases,
-        _inference_sides,
-        lambda px: 2 * count_multiplications(UnshearNet(size=px), False),
-        rounds,
-    )
+    """Time encoder and canonical decoder, for `batch` images at a time (1)."""
+    sizes = INFER_SIZES if size is None else (size,)
+    cases = [(px, 1 if batch is None else batch) for px in sizes]
+
+    def count_operations(px: int) -> int:
+        return 2 * count_multiplications(UnshearNet(size=px), False)
+
+    return _measure_cases("bench infer", cases, _make_inference_sides, count_operations, rounds)
 
 
 def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
-    """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
+    """Time encoder, canonical decoder and PoseNet, one image at a time as for a robot."""
     cases = [(px, 1) for px in (INFER_SIZES if size is None else (size,))]
 
-    def operations(px: int) -> int:
+    def count_operations(px: int) -> int:
         return 2 * (
             count_multiplications(UnshearNet(size=px), False)
             + count_posenet_multiplications(PoseNet(size=px))
         )
 
-    return _measure_cases("bench stream", cases, _stream_sides, operations, rounds)
+    return _measure_cases("bench stream", cases, _make_stream_sides, count_operations, rounds)
 
 
 def _measure_cases(
     title: str,
     cases: Sequence[tuple[int, int]],
-    sides: Callable[[int, int], Sides],
-    operations: Callable[[int], int],
+    make_sides: Callable[[int, int], Sides],
+    count_operations: Callable[[int], int],
     rounds: Rounds,
 ) -> list[Json]:
-    """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
+    """Time the sides of all cases; `count_operations` is of one image, by its size in px."""
     keep_freed_memory()
     rows = []
     with Progress(title, len(cases), unit="cases") as progress:
         for px, images in cases:
-            rows += _compare_sides(sides(px, images), px, images, operations(px), rounds)
+            rows += _compare_sides(make_sides(px, images), px, images, count_operations(px), rounds)
             progress.advance(1)
     return rows
 
 
-def _network(size: int, batch: int) -> UnshearNet:
+def _make_network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
@@ -122,19 +117,19 @@ def _network(size: int, batch: int) -> UnshearNet:
     return net
 
 
-def _training_sides(size: int, batch: int) -> Sides:
-    net, training = _network(size, batch), Training(batch=batch)
+def _make_training_sides(size: int, batch: int) -> Sides:
+    net, training = _make_network(size, batch), Training(batch=batch)
     canonical, sheared = make_noise_images(batch, size)
 
     def ours(form: str) -> Work:
         step, first = make_timed_step(make_unshear_task(net, training), training)
         state = [first]
         program = jax.jit(step, donate_argnums=0)
-        given = jax.device_put({"canonical": canonical, "sheared": sheared})
+        inputs = jax.device_put({"canonical": canonical, "sheared": sheared})
 
         def work() -> None:
             with compiled_kernels.use_form(form):
-                state[0], metrics = program(state[0], given)
+                state[0], metrics = program(state[0], inputs)
             jax.block_until_ready(metrics)
 
         return work
@@ -142,17 +137,13 @@ def _training_sides(size: int, batch: int) -> Sides:
     def theirs(compiled: bool) -> Work:
         torch, torch_networks = _import_torch_networks()
         torch.manual_seed(0)
-        twin = (
-            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
-            .to(_place())
-            .train()
-        )
-        step = torch_networks.training_step(twin, training, compiled)
-        given = [
-            torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place())
+        twin = _make_torch_unshearnet(net).train()
+        step = torch_networks.make_training_step(twin, training, compiled)
+        inputs = [
+            torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_get_torch_device())
             for images in (canonical, sheared)
         ]
-        return lambda: float(step(*given)) and None
+        return lambda: float(step(*inputs)) and None
 
     yield "jaxunshear", lambda: ours("compiled")
     if compiled_kernels.is_available():
@@ -161,34 +152,27 @@ def _training_sides(size: int, batch: int) -> Sides:
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _inference_sides(size: int, batch: int) -> Sides:
-    net = _network(size, batch)
+def _make_inference_sides(size: int, batch: int) -> Sides:
+    net = _make_network(size, batch)
     _, sheared = make_noise_images(batch, size)
 
     def ours() -> Work:
         variables = init_variables(partial(unshearnet.init, net))
-        run = jit_for_inference(
-            lambda variables, images: unshearnet.unshear(net, variables, images), variables
-        )
-        given = np.asarray(sheared, np.float32) / 255
-        return lambda: np.asarray(run(given)) is None
+        run = jit_for_inference(partial(unshearnet.unshear, net), variables)
+        inputs = np.asarray(sheared, np.float32) / 255
+        return lambda: np.asarray(run(inputs)) is None
 
     def theirs(compiled: bool) -> Work:
-        torch, torch_networks = _import_torch_networks()
-        twin = (
-            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
-            .to(_place())
-            .eval()
-        )
-        run = (
-            torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
-        )
+        torch, _ = _import_torch_networks()
+        run = _make_torch_unshearnet(net).eval().unshear
+        if compiled:
+            run = torch.compile(run, dynamic=False, options=FROZEN)
         image = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
         image = image.contiguous(memory_format=torch.channels_last)
 
         def work() -> None:
             with torch.inference_mode():
-                run(image.to(_place())).cpu().numpy()
+                run(image.to(_get_torch_device())).cpu().numpy()
 
         return work
 
@@ -197,74 +181,80 @@ def _inference_sides(size: int, batch: int) -> Sides:
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _stream_sides(size: int, batch: int) -> Sides:
-    net, pose_net = _network(size, batch), PoseNet(size=size)
+def _make_stream_sides(size: int, batch: int) -> Sides:
+    net, pose_net = _make_network(size, batch), PoseNet(size=size)
     image = make_noise_images(batch, size)[1, 0, ..., 0]
-
-    def fresh_variables() -> dict[str, Any]:
-        reader = init_variables(partial(posenet.init, pose_net, posenet.count_outputs(TARGETS)))
-        return {DISENTANGLED: init_variables(partial(unshearnet.init, net)), POSENET: reader}
 
     def ours() -> Work:
         forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = jit_for_inference(
-            make_perceive_function(forward, list_target_names(TARGETS)), fresh_variables()
-        )
+        perceive = make_perceive_function(forward, list_target_names(TARGETS))
+        run = jit_for_inference(perceive, _init_stream_variables(net, pose_net))
         return lambda: jax.device_get(run(image)) is None
 
-    def make_exported() -> Work:
-        from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-
-        if jax.default_backend() != "cpu":
-            raise RuntimeError(
-                f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}"
-            )
-        known = jax.device_get(fresh_variables())
-        reads = ExportedNetwork(pose_net, known[POSENET])
-        parts = ExportedModel(
-            ExportedNetwork(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size
-        )
-        run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
-        return lambda: run(image[None]) is None
-
-    def theirs(compiled: bool) -> Work:
-        torch, torch_networks = _import_torch_networks()
-        twin = (
-            torch_networks.use_channels_last(torch_networks.TorchUnshearNet(net))
-            .to(_place())
-            .eval()
-        )
-        pose = (
-            torch_networks.use_channels_last(
-                torch_networks.TorchPoseNet(pose_net, posenet.count_outputs(TARGETS))
-            )
-            .to(_place())
-            .eval()
-        )
-
-        def perceive(image: Any) -> tuple[Any, Any]:
-            after = twin.unshear(image[None, None].float() / 255)
-            return after, pose(after)
-
-        run = torch.compile(perceive, dynamic=False, options=FROZEN) if compiled else perceive
-        given = torch.from_numpy(image.copy())
-
-        def work() -> None:
-            with torch.inference_mode():
-                after, answer = run(given.to(_place()))
-                after.cpu().numpy(), answer.cpu().numpy()
-
-        return work
-
     yield "jaxunshear", ours
-    yield "onnxruntime", make_exported
-    yield "pytorch", lambda: theirs(False)
-    yield "pytorch, compiled", lambda: theirs(True)
+    yield "onnxruntime", lambda: _make_exported_work(net, pose_net, image)
+    yield "pytorch", lambda: _make_torch_stream_work(net, pose_net, image, False)
+    yield "pytorch, compiled", lambda: _make_torch_stream_work(net, pose_net, image, True)
+
+
+def _init_stream_variables(net: UnshearNet, pose_net: PoseNet) -> dict[str, Any]:
+    outputs = posenet.count_outputs(TARGETS)
+    return {
+        POSENET: init_variables(partial(posenet.init, pose_net, outputs)),
+        DISENTANGLED: init_variables(partial(unshearnet.init, net)),
+    }
+
+
+def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -> Work:
+    from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+
+    if jax.default_backend() != "cpu":
+        raise RuntimeError(
+            f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}"
+        )
+    variables = jax.device_get(_init_stream_variables(net, pose_net))
+    parts = ExportedModel(
+        ExportedNetwork(net, variables[DISENTANGLED]),
+        ExportedNetwork(pose_net, variables[POSENET]),
+        TARGETS,
+        UNSHEARED,
+        None,
+        net.size,
+    )
+    run = make_onnx_runner(build_onnx(parts, 1, None, {}), parts)
+    return lambda: run(image[None]) is None
+
+
+def _make_torch_stream_work(
+    net: UnshearNet, pose_net: PoseNet, image: np.ndarray, compiled: bool
+) -> Work:
+    torch, torch_networks = _import_torch_networks()
+    unshear_twin = _make_torch_unshearnet(net).eval()
+    outputs = posenet.count_outputs(TARGETS)
+    pose_twin = torch_networks.use_channels_last(torch_networks.TorchPoseNet(pose_net, outputs))
+    pose_twin = pose_twin.to(_get_torch_device()).eval()
+
+    def perceive(image: Any) -> tuple[Any, Any]:
+        unsheared = unshear_twin.unshear(image[None, None].float() / 255)
+        return unsheared, pose_twin(unsheared)
+
+    run = torch.compile(perceive, dynamic=False, options=FROZEN) if compiled else perceive
+    inputs = torch.from_numpy(image.copy())
+
+    def work() -> None:
+        with torch.inference_mode():
+            unsheared, pose = run(inputs.to(_get_torch_device()))
+            unsheared.cpu().numpy(), pose.cpu().numpy()
+
+    return work
 
 
 def _import_torch_networks() -> tuple[Any, Any]:
-    """PyTorch, and our networks in it. Each size is compiled for itself (`dynamic=False`): one for all sizes is what PyTorch makes of
-    the second, and slower."""
+    """Import PyTorch, and our networks in it.
+
+    Each size is compiled for itself (`dynamic=False`): from the second size on PyTorch compiles one
+    program for all sizes, which is slower.
+    """
     import torch
 
     from benchmarks import torch_networks
@@ -272,65 +262,78 @@ def _import_torch_networks() -> tuple[Any, Any]:
     return torch, torch_networks
 
 
-def _place() -> str:
-    """PyTorch's name of JAX' device."""
+def _make_torch_unshearnet(net: UnshearNet) -> Any:
+    _, torch_networks = _import_torch_networks()
+    twin = torch_networks.TorchUnshearNet(net)
+    return torch_networks.use_channels_last(twin).to(_get_torch_device())
+
+
+def _get_torch_device() -> str:
+    """Return PyTorch's name of JAX' device."""
     return "cuda" if jax.default_backend() == "gpu" else "cpu"
 
 
 def _compare_sides(
     sides: Sides, size: int, batch: int, operations: int, rounds: Rounds
 ) -> list[Json]:
-    """One row a side."""
-    ready: dict[str, Work] = {}
+    """Time the sides in turns, and return a row for each."""
+    works: dict[str, Work] = {}
     rows: dict[str, Json] = {}
-    for name, make in sides:
+    for name, make_work in sides:
         rows[name] = {"name": name, "size": size, "batch": batch}
         try:
-            work = make()
-            started = time.perf_counter()
+            work = make_work()
+            start = time.perf_counter()
             work()
-            rows[name]["compile_s"] = time.perf_counter() - started
+            rows[name]["compile_s"] = time.perf_counter() - start
             work()
-            ready[name] = work
-        except ModuleNotFoundError as missing:
+            works[name] = work
+        except Exception as error:
             if name == "jaxunshear":
                 raise
-            extra = "torch" if missing.name == "torch" else "onnx"
-            rows[name]["failed"] = (
-                f"{missing.name} {NOT_INSTALLED}: pip install -c constraints.txt '.[{extra}]'"
-            )
-        except Exception as crash:
-            if name == "jaxunshear":
-                raise
-            rows[name]["failed"] = f"{type(crash).__name__}: {get_first_line(crash)}"
-    times: dict[str, list[float]] = {name: [] for name in ready}
-    product, yard = make_matrix_product(), []
-    for _ in range(rounds[0]):
-        for name, work in ready.items():
-            end = time.perf_counter() + rounds[1]
-            while True:
-                times[name].append(time_call(work))
-                if time.perf_counter() >= end:
-                    break
-        yard += [time_call(product) for _ in range(3)]
-    rate = 2 * SIZE**3 / statistics.median(yard)
-    for name, spent in times.items():
-        median, late = np.median(spent), np.percentile(spent, 95)
+            rows[name]["failed"] = _describe_failure(error)
+    times, product_s = _time_in_turns(works, rounds)
+    rate = 2 * SIZE**3 / product_s
+    for name, seconds in times.items():
+        median = np.median(seconds)
         rows[name] |= {
             "images_per_s": float(batch / median),
             "ms_per_image": float(1e3 * median / batch),
-            "ms_p95": float(1e3 * late / batch),
-            "ms_p99": float(1e3 * np.percentile(spent, 99) / batch),
+            "ms_p95": float(1e3 * np.percentile(seconds, 95) / batch),
+            "ms_p99": float(1e3 * np.percentile(seconds, 99) / batch),
             "share": float(batch * operations / median / rate),
-            "steps": len(spent),
-            "product_ms": 1e3 * statistics.median(yard),
+            "steps": len(seconds),
+            "product_ms": 1e3 * product_s,
             "failed": "",
         }
     return list(rows.values())
 
 
-def table(rows: Sequence[Json]) -> str:
-    """For people."""
+def _describe_failure(error: Exception) -> str:
+    if isinstance(error, ModuleNotFoundError):
+        extra = "torch" if error.name == "torch" else "onnx"
+        return f"{error.name} {NOT_INSTALLED}: pip install -c constraints.txt '.[{extra}]'"
+    return f"{type(error).__name__}: {get_first_line(error)}"
+
+
+def _time_in_turns(works: dict[str, Work], rounds: Rounds) -> tuple[dict[str, list[float]], float]:
+    """Return the seconds of each work, and the median of a matrix product in between."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    product, product_times = make_matrix_product(), []
+    count, seconds = rounds
+    for _ in range(count):
+        for name, work in works.items():
+            end = time.perf_counter() + seconds
+            while True:
+                times[name].append(time_call(work))
+                if time.perf_counter() >= end:
+                    break
+        product_times += [time_call(product) for _ in range(3)]
+    return times, statistics.median(product_times)
+
+
+def format_table(rows: Sequence[Json]) -> str:
+    """Format rows for people."""
     lines = [f"{'':22} px   batch  images/s  ms/image     p95  share  compile s"]
     for row in rows:
         head = f"{row['name']:22} {row['size']:<4} {row['batch']:<5}"

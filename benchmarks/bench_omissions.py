@@ -1,16 +1,18 @@
-"""What leaving out saves: operations and seconds of the same work with and without a part that it may not need.
+"""Measures operations and seconds of the same work with and without a part that it may not need.
 
     rows = bench_needs(size=128)
 
-Each case is compiled both ways. `operations` are those of the compiled program, as XLA counts them, with kernels' gradients as
-convolutions (of other forms it counts none, or one turn of a loop): a part that is not needed must be gone from it, not merely
-unused. Both ways take turns in being timed.
+Each case is compiled with and without the part. `operations` are those of the compiled program, as
+XLA counts them, with kernels' gradients as convolutions (of other forms it counts none, or one turn
+of a loop). A part that is not needed must be gone from the program, not merely unused. Both
+programs take turns in being timed.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -38,7 +40,7 @@ WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 
 @dataclass
 class Computation:
-    """A function of arrays, and its arguments; several cases may hold the same one."""
+    """A function of arrays, and its arguments; several cases may share one."""
 
     call: Callable[..., object]
     arguments: tuple[object, ...]
@@ -46,86 +48,95 @@ class Computation:
     @cached_property
     def compiled_program(self) -> tuple[Callable[..., object], float]:
         """The program, and the seconds that compiling it took."""
-        lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
-        return lowered.compile(), time.perf_counter() - started
+        lowered = jax.jit(self.call).lower(*self.arguments)
+        start = time.perf_counter()
+        return lowered.compile(), time.perf_counter() - start
 
     @cached_property
     def operations(self) -> float:
+        """The operations of the program, as XLA counts them."""
         with compiled_kernels.use_form("counted"):
-            counted = (
-                jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
-            )
-        return float((counted.cost_analysis() or {})["flops"])
+            function = jax.jit(lambda *arguments: self.call(*arguments))
+            program = function.lower(*self.arguments).compile()
+        return float((program.cost_analysis() or {})["flops"])
+
+
+class Case(NamedTuple):
+    """Some work, with and without a part."""
+
+    name: str
+    left_out: str
+    full: Computation
+    reduced: Computation
 
 
 def bench_needs(
     size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS
 ) -> list[Json]:
-    """A row a case: `operations`, `time_call` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
+    """Return a row for each case, with operations and times by "with" and "without".
+
+    Raises UserError for a bad size.
+    """
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
     unshearnet.check_net(net)
-    cases = list(_cases(net))
+    cases = list(_list_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:
-        for name, left_out, full, less in cases:
-            rows.append(
-                {"name": name, "left_out": left_out, "size": size}
-                | _measure_case(full, less, rounds)
-            )
+        for case in cases:
+            row = {"name": case.name, "left_out": case.left_out, "size": size}
+            rows.append(row | _measure_case(case, rounds))
             progress.advance(1)
     return rows
 
 
-def _measure_case(full: Computation, less: Computation, rounds: int) -> Json:
+def _measure_case(case: Case, rounds: int) -> Json:
     works: dict[str, Callable[[], object]] = {}
-    found: dict[str, dict[str, float]] = {}
-    for kind, way in (("with", full), ("without", less)):
-        run, spent = way.compiled_program
-        found[kind] = {"operations": way.operations, "compile_s": spent}
-        works[kind] = partial(_run, run, way.arguments)
+    row: dict[str, dict[str, float]] = {}
+    for kind, computation in (("with", case.full), ("without", case.reduced)):
+        program, compile_s = computation.compiled_program
+        row[kind] = {"operations": computation.operations, "compile_s": compile_s}
+        works[kind] = partial(_run, program, computation.arguments)
         works[kind]()
     times: dict[str, list[float]] = {kind: [] for kind in works}
     for _ in range(rounds):
         for kind, work in works.items():
             times[kind].append(time_call(work))
     for kind, laps in times.items():
-        found[kind] |= {"seconds": float(np.median(laps)), "p95": float(np.percentile(laps, 95))}
+        row[kind] |= {"seconds": float(np.median(laps)), "p95": float(np.percentile(laps, 95))}
     ratios = {
-        f"{name}_ratio": found["without"][name] / found["with"][name]
+        f"{name}_ratio": row["without"][name] / row["with"][name]
         for name in ("operations", "seconds")
     }
-    return found | ratios
+    return row | ratios
 
 
 def _run(compiled: Callable[..., object], arguments: tuple[object, ...]) -> object:
     return jax.block_until_ready(compiled(*arguments))
 
 
-def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Computation, Computation]]:
-    """Name, what is left out, with it, without it."""
+def _list_cases(net: UnshearNet) -> Iterator[Case]:
     variables = init_variables(partial(unshearnet.init, net))
     images = np.zeros((1, net.size, net.size, 1), np.float32)
-    yield (
+    yield Case(
         "unshear one image",
         "shear code and DS",
-        Computation(lambda v, x: _both_decoders(net, v, x), (variables, images)),
+        Computation(lambda v, x: _decode_both(net, v, x), (variables, images)),
         Computation(lambda v, x: unshearnet.unshear(net, v, x), (variables, images)),
     )
     training = Training(batch=BATCH)
-    regular, usual = replace(training, l1=1e-3, l2=1e-3), _step(net, training)
-    yield (
-        "training step",
-        "crops: lambda 0",
-        usual,
-        _step(net, replace(training, losses={"supervised": 1.0, "reconstruction": 1.0})),
-    )
-    yield "training step", "shear channels", usual, _step(replace(net, shear_channels=0), training)
-    yield "training step", "weights on kernels: l1 and l2 of 0", _step(net, regular), usual
-    yield _evaluation(net, variables)
+    usual = _make_step(net, training)
+    name = "training step"
+    no_patches = _make_step(net, replace(training, losses={"supervised": 1.0, "reconstruction": 1.0}))
+    yield Case(name, "crops: lambda 0", usual, no_patches)
+    no_shear_code = _make_step(replace(net, shear_channels=0), training)
+    yield Case(name, "shear channels", usual, no_shear_code)
+    regularised = _make_step(net, replace(training, l1=1e-3, l2=1e-3))
+    yield Case(name, "weights on kernels: l1 and l2 of 0", regularised, usual)
+    yield _make_evaluation_case(net, variables)
 
 
-def _both_decoders(
+def _decode_both(
     net: UnshearNet, variables: Variables, images: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     z_p, z_s = unshearnet.encode(net, variables, images)
@@ -133,13 +144,13 @@ def _both_decoders(
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
-def _step(net: UnshearNet, training: Training) -> Computation:
+def _make_step(net: UnshearNet, training: Training) -> Computation:
     step, state = make_timed_step(make_unshear_task(net, training), training)
     canonical, sheared = make_noise_images(training.batch, net.size)
     return Computation(step, (state, {"canonical": canonical, "sheared": sheared}))
 
 
-def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Computation, Computation]:
+def _make_evaluation_case(net: UnshearNet, variables: Variables) -> Case:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = make_range_targets((), Ranges())
@@ -150,27 +161,27 @@ def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Comput
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
-    def way(names: tuple[str, ...]) -> Computation:
+    def make_computation(names: tuple[str, ...]) -> Computation:
         run = make_image_run({name: nets[name] for name in names}, dict.fromkeys(names, targets))
         return Computation(run, ({name: values[name] for name in names}, None, images, images))
 
-    return (
+    return Case(
         "evaluation of a batch",
         "networks that are not asked for",
-        way(tuple(nets)),
-        way((ENTANGLED,)),
+        make_computation(tuple(nets)),
+        make_computation((ENTANGLED,)),
     )
 
 
-def table(rows: list[Json]) -> str:
-    """For people."""
+def format_table(rows: list[Json]) -> str:
+    """Format rows for people."""
     lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
     for row in rows:
-        operations, times = (
-            [row[kind][name] for kind in ("with", "without")] for name in ("operations", "seconds")
-        )
+        full, reduced = row["with"], row["without"]
         lines.append(
-            f"{row['name']:22} {row['left_out']:35} {operations[0] / 1e6:10.1f} {operations[1] / 1e6:9.1f} {row['operations_ratio']:6.2f} "
-            f"{1e3 * times[0]:10.2f} {1e3 * times[1]:9.2f} {row['seconds_ratio']:6.2f}"
+            f"{row['name']:22} {row['left_out']:35} {full['operations'] / 1e6:10.1f} "
+            f"{reduced['operations'] / 1e6:9.1f} {row['operations_ratio']:6.2f} "
+            f"{1e3 * full['seconds']:10.2f} {1e3 * reduced['seconds']:9.2f} "
+            f"{row['seconds_ratio']:6.2f}"
         )
     return "\n".join(lines)

@@ -1,7 +1,8 @@
-"""Pins of simulated frames with noise, specks, glints and drift, against where the simulator put them: error against run time.
+"""Measures error and run time of finding the pins of simulated frames.
 
-A row for each sensor, image size and kind of contact. `sure` is the share of frames whose identities were said to be sure, `wrong` how
-many of those have a pin with another one's name.
+The frames have noise, specks, glints and drift. There is a row for each sensor, image size and kind
+of contact. `sure` is the share of frames whose pins were identified, `wrong` how many of these
+frames have a pin with the number of another pin.
 """
 
 import time
@@ -22,24 +23,28 @@ from jaxunshear.perception.pin_tracking import fit_motion_prior, track_pins
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
 
-CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
+CONFIGS = ("tiny", "demo", "calibrated")  # for sensor and camera
 SIZES = (128, 256)
 FRAMES = 400
+COLUMNS = (
+    *("name", "size", "frames", "sure", "wrong", "rms_px", "missed", "extra"),
+    *("find_ms", "follow_ms", "ms", "ms_p95"),
+)
 
 
 def bench_pins(size: int | None = None, seed: int = 0) -> list[Json]:
-    """Rows of about FRAMES taps and as many slides for each sensor; another `seed` gives other contacts."""
+    """Return rows of about FRAMES taps and as many slides for each sensor."""
     rows = []
     sizes = SIZES if size is None else (size,)
     with Progress("bench pins", len(CONFIGS) * len(sizes), unit="sensors and sizes") as progress:
         for config in CONFIGS:
             for px in sizes:
-                rows += _rows(config, px, seed)
+                rows += _measure_sensor(config, px, seed)
                 progress.advance()
     return rows
 
 
-def _rows(config: str, size: int, seed: int) -> list[Json]:
+def _measure_sensor(config: str, size: int, seed: int) -> list[Json]:
     before = PAIRED[config]
     paired = replace(
         before,
@@ -50,50 +55,46 @@ def _rows(config: str, size: int, seed: int) -> list[Json]:
     experiment = Experiment("bench_pins", "none", sensor=get_config_sensor(config), paired=paired)
     contacts = simulate_contacts(experiment, FRAMES, seed)
     lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
-    seen = {
+    frames = {
         "tap": (contacts.tap, contacts.tap_pins),
         "sheared": (contacts.sheared, contacts.sheared_pins),
     }
-    return [
-        {
-            "name": f"{experiment.sensor.name}/{kind}",
-            "sensor": experiment.sensor.name,
-            "kind": kind,
-            "size": size,
-        }
-        | compare_pins(lattice, images, true)
-        for kind, (images, true) in seen.items()
-    ]
+    sensor = experiment.sensor.name
+    rows = []
+    for kind, (images, pins) in frames.items():
+        row = {"name": f"{sensor}/{kind}", "sensor": sensor, "kind": kind, "size": size}
+        rows.append(row | compare_pins(lattice, images, pins))
+    return rows
 
 
 def compare_pins(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
-    """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
-    found, find_ms = _time_items(detect_pins, images)
-    tracks, follow_ms = _time_items(lambda each: track_pins(lattice, each), found)
-    usual = fit_motion_prior(lattice, tracks)
+    """Compare the pins in images (N, S, S) with true pins (N, P, 2) px: errors and times."""
+    detections, find_ms = _time_items(detect_pins, images)
+    tracks, follow_ms = _time_items(lambda each: track_pins(lattice, each), detections)
+    prior = fit_motion_prior(lattice, tracks)
     for row, track in enumerate(tracks):
-        if usual is not None and not track.identified:
-            (tracks[row],), more = _time_items(
-                lambda each: track_pins(lattice, each, usual), found[row : row + 1]
+        if prior is not None and not track.identified:
+            (tracks[row],), more_ms = _time_items(
+                lambda each: track_pins(lattice, each, prior), detections[row : row + 1]
             )
-            follow_ms[row] += more[0]
+            follow_ms[row] += more_ms[0]
     motion = np.array([track.motion for track in tracks])
-    off = np.linalg.norm(lattice.rest + motion - true, axis=-1)
-    mistaken = off > 0.5 * lattice.spacing
-    sure = np.array([track.identified for track in tracks])
-    right = off[~np.isnan(off) & ~mistaken]
-    full = find_ms + follow_ms
+    error_px = np.linalg.norm(lattice.rest + motion - true, axis=-1)
+    mistaken = error_px > 0.5 * lattice.spacing
+    identified = np.array([track.identified for track in tracks])
+    right_px = error_px[~np.isnan(error_px) & ~mistaken]
+    total_ms = find_ms + follow_ms
     return {
         "frames": len(images),
-        "sure": float(sure.mean()),
-        "wrong": int(np.sum(mistaken.any(axis=-1) & sure)),
-        "rms_px": float(np.sqrt(np.mean(right**2))) if len(right) else None,
+        "sure": float(identified.mean()),
+        "wrong": int(np.sum(mistaken.any(axis=-1) & identified)),
+        "rms_px": float(np.sqrt(np.mean(right_px**2))) if len(right_px) else None,
         "missed": float(np.mean([track.missed for track in tracks])),
         "extra": float(np.mean([track.extra for track in tracks])),
         "find_ms": float(np.median(find_ms)),
         "follow_ms": float(np.median(follow_ms)),
-        "ms": float(np.median(full)),
-        "ms_p95": float(np.percentile(full, 95)),
+        "ms": float(np.median(total_ms)),
+        "ms_p95": float(np.percentile(total_ms, 95)),
     }
 
 
@@ -104,26 +105,10 @@ Answer = TypeVar("Answer")
 def _time_items(
     work: Callable[[Item], Answer], items: Iterable[Item]
 ) -> tuple[list[Answer], np.ndarray]:
-    """Answers, and milliseconds (N,) of each."""
-    answers, spent = [], []
+    """Return the answers, and milliseconds (N,) of each."""
+    answers, times_ms = [], []
     for item in items:
-        began = time.perf_counter()
+        start = time.perf_counter()
         answers.append(work(item))
-        spent.append(1e3 * (time.perf_counter() - began))
-    return answers, np.array(spent)
-
-
-COLUMNS = (
-    "name",
-    "size",
-    "frames",
-    "sure",
-    "wrong",
-    "rms_px",
-    "missed",
-    "extra",
-    "find_ms",
-    "follow_ms",
-    "ms",
-    "ms_p95",
-)
+        times_ms.append(1e3 * (time.perf_counter() - start))
+    return answers, np.array(times_ms)

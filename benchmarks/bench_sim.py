@@ -1,9 +1,11 @@
-"""Error against run time of the simulator: a row for every level, batch, number of steps, tolerance, precision, mesh and solver.
+"""Measures error against run time of the simulator.
 
     rows = bench_sim(level="auto", batch=64)
 
-Errors are of all pins of 63 scenes of the paper's distribution, against `reference`. Times are wall clock of `simulate`, warm
-but with every system set up anew; `ratio` is to a 2048 x 2048 float32 matrix product timed in between.
+There is a row for every level, batch, number of steps, tolerance, precision, mesh and solver.
+Errors are of all pins of 63 scenes of the paper's distribution, against `reference`. Times are wall
+clock of `simulate`, compiled but with every system set up anew; `ratio` is to a 2048 x 2048 float32
+matrix product timed in between.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,12 +37,11 @@ FINEST_MM = 0.7
 
 @dataclass(frozen=True)
 class Effort:
-    """What is measured: how many scenes for errors (each shape in turn) and for times, repeats and their budget, which scenes they are,
-    and against what."""
+    """How much is measured, on which scenes, and against which level."""
 
-    compared: int = 63
-    timed: int = 256
-    slow_timed: int = 63  # timed, of rows that take a second a state
+    compared: int = 63  # scenes for errors, each shape in turn
+    timed: int = 256  # scenes for times
+    slow_timed: int = 63  # scenes for times of rows that take a second per state
     repeats: int = 5
     budget_s: float = 15.0
     scenes: Callable[[str, int], Scenes] = sample_paper_scenes  # by kind and number
@@ -63,7 +64,7 @@ class Setting:
 
 
 def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Iterator[Setting]:
-    """Level by level and batch by batch: what `--level` and `--batch` choose from."""
+    """Yield the settings that `--level` and `--batch` choose from."""
     for batch in batches:
         for name in ("auto", "fast"):
             yield Setting(
@@ -79,41 +80,35 @@ def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> 
             "default": LEVELS["default"],
             "reference": LEVELS["reference"],
         }
-        for name, how in full.items():
+        for name, level_settings in full.items():
             label = "auto, nothing left out" if name == "unabridged" else name
             few = max(effort.slow_timed // (9 if batch < 64 else 1), 1)
-            yield Setting(f"{label}, batch {batch}", name, how, batch, scenes=few)
+            yield Setting(f"{label}, batch {batch}", name, level_settings, batch, scenes=few)
 
 
 def list_variations(effort: Effort) -> Iterator[Setting]:
-    """`auto` at batch 64 with one thing changed."""
+    """Yield `auto` at batch 64 with one setting changed."""
     auto = LEVELS["auto"]
     for tolerance in (1.0, 0.5, 0.1, 0.05, 0.02):
-        how = replace(auto, tolerance=tolerance, limit=5000)
-        yield Setting(f"auto, tolerance {tolerance:g}", "auto", how)
+        changed = replace(auto, tolerance=tolerance, limit=5000)
+        yield Setting(f"auto, tolerance {tolerance:g}", "auto", changed)
     for factor in (4, 2, 0.5, 0.25):
-        how = replace(auto, press_mm=factor * auto.press_mm, slide_mm=factor * auto.slide_mm)
-        yield Setting(f"auto, steps times {1 / factor:g}", "auto", how)
+        changed = replace(auto, press_mm=factor * auto.press_mm, slide_mm=factor * auto.slide_mm)
+        yield Setting(f"auto, steps times {1 / factor:g}", "auto", changed)
     yield Setting("auto, float64", "auto", replace(auto, precision="float64"))
     for solver in OTHER_SOLVERS:
         if solver == OWN_SOLVER:
             continue
-        for tolerance in (0.5, 0.2, 0.05) if solver != "newton, cold" else (0.2,):
-            how = replace(auto, tolerance=tolerance, limit=2000)
-            batch, scenes = (
-                (1, min(7, effort.slow_timed))
-                if solver == "newton, cold"
-                else (64, effort.slow_timed)
-            )
+        is_newton = solver == "newton, cold"
+        for tolerance in (0.2,) if is_newton else (0.5, 0.2, 0.05):
             yield Setting(
                 f"{solver}, tolerance {tolerance:g}",
                 "auto",
-                how,
-                batch,
-                solver,
-                None,
-                ("slide",),
-                scenes,
+                replace(auto, tolerance=tolerance, limit=2000),
+                batch=1 if is_newton else 64,
+                solver=solver,
+                kinds=("slide",),
+                scenes=min(7, effort.slow_timed) if is_newton else effort.slow_timed,
             )
     for mesh in (2.0, 1.5, 1.0, FINEST_MM):
         against = f"tight auto at {FINEST_MM:g} mm"
@@ -148,24 +143,72 @@ def bench_sim(
     settings: Sequence[Setting] | None = None,
     keep: Callable[[list[Json]], None] = lambda rows: None,
 ) -> list[Json]:
-    """Rows, slides and taps apart; `keep` gets those so far after each. Raises `UserError` for an unknown level."""
+    """Return rows, slides and taps separately; `keep` gets the rows so far after each.
+
+    Raises UserError for an unknown level.
+    """
     effort = effort or Effort()
     settings = select_settings(effort, level, batch) if settings is None else settings
     work = [(setting, kind) for setting in settings for kind in setting.kinds]
     rows: list[Json] = []
     with Progress("bench sim", len(work), unit="rows") as progress:
         for setting, kind in work:
-            rows.append(measure(sensor, setting, kind, effort))
+            rows.append(measure_setting(sensor, setting, kind, effort))
             keep(rows)
             progress.advance(1)
     return rows
 
 
-def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json:
-    """One row. A solver that crashes is a row too."""
+def measure_setting(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json:
+    """Measure one row. A solver that crashes is a row, too."""
     scenes = effort.scenes(kind, setting.scenes or effort.timed)
     compared = scenes.take(np.arange(min(effort.compared, len(scenes))))
-    row: Json = {
+    row = _describe_setting(sensor, setting, kind) | {
+        "scenes": len(compared),
+        "timed_scenes": len(scenes),
+    }
+    pins = _solve_truth(sensor, setting, kind, effort)[: len(compared)]
+    contacts: list[Contacts] = []
+    meshed = sensor if setting.mesh_mm is None else set_ring_spacing(sensor, setting.mesh_mm)
+    level = replace(setting.level_settings, solver=OTHER_SOLVERS[setting.solver])
+
+    def work() -> None:
+        systems.build_system.cache_clear()
+        contacts[:] = [simulator.simulate(meshed, NAMES, scenes, level, setting.batch, retry=False)]
+
+    systems.load_shared_dome(meshed)
+    jax.clear_caches()
+    product = make_matrix_product()
+    try:
+        first = time_call(work)
+        times = time_repeats(work, product, effort.repeats, effort.budget_s)
+    except Exception as crash:
+        return {**row, "failed": f"crashed: {type(crash).__name__}: {get_first_line(crash)}"}
+    plan_s = min(
+        time_call(lambda: simulator.plan(meshed, NAMES, scenes, level, setting.batch))
+        for _ in range(2)
+    )
+    ms_per_state = 1e3 * times.work / len(scenes)
+    result = contacts[0]
+    error = compute_pin_error(sensor, result.pins[: len(compared)], pins)
+    return row | {
+        "ms_per_state": float(np.median(ms_per_state)),
+        "ms_p95": float(np.percentile(ms_per_state, 95)),
+        "ratio": times.ratio / len(scenes),
+        "product_ms": float(1e3 * np.median(times.product)),
+        "repeats": len(ms_per_state),
+        "compile_s": max(float(first - times.work[0]), 0.0),
+        "plan_ms": 1e3 * plan_s / len(scenes),
+        **error._asdict(),
+        "iterations": float(result.iterations.mean()),
+        "converged": float(result.converged.mean()),
+        "nodes": float(result.nodes.mean()),
+        "failed": _describe_failure(result, error.rms_px, setting),
+    }
+
+
+def _describe_setting(sensor: Sensor, setting: Setting, kind: str) -> Json:
+    return {
         "name": setting.name,
         "level": setting.level,
         "kind": kind,
@@ -177,115 +220,75 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
         "solver": setting.solver,
         "mesh_mm": setting.mesh_mm or compute_ring_spacing(sensor),
         "against": setting.against,
-        "scenes": len(compared),
-        "timed_scenes": len(scenes),
     }
-    pins = _truth(sensor, setting, kind, effort)[: len(compared)]
-    contacts: list[Contacts] = []
-    here = sensor if setting.mesh_mm is None else set_ring_spacing(sensor, setting.mesh_mm)
-    how = replace(setting.level_settings, solver=OTHER_SOLVERS[setting.solver])
-
-    def work() -> None:
-        systems.build_system.cache_clear()
-        contacts[:] = [simulator.simulate(here, NAMES, scenes, how, setting.batch, retry=False)]
-
-    systems.load_shared_dome(here)
-    jax.clear_caches()
-    product = make_matrix_product()
-    try:
-        first = time_call(work)
-        spent = time_repeats(work, product, effort.repeats, effort.budget_s)
-    except Exception as crash:
-        return {**row, "failed": f"crashed: {type(crash).__name__}: {get_first_line(crash)}"}
-    planned = min(
-        time_call(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2)
-    )
-    each = 1e3 * spent.work / len(scenes)
-    part = contacts[0]
-    error = compute_pin_error(sensor, part.pins[: len(compared)], pins)
-    found = {
-        "ms_per_state": float(np.median(each)),
-        "ms_p95": float(np.percentile(each, 95)),
-        "ratio": spent.ratio / len(scenes),
-        "product_ms": float(1e3 * np.median(spent.product)),
-        "repeats": len(each),
-        "compile_s": max(float(first - spent.work[0]), 0.0),
-        "plan_ms": 1e3 * planned / len(scenes),
-        **error._asdict(),
-        "iterations": float(part.iterations.mean()),
-        "converged": float(part.converged.mean()),
-        "nodes": float(part.nodes.mean()),
-    }
-    return {**row, **found, "failed": _failure(part, error.rms_px, setting)}
 
 
-def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.ndarray:
-    """(effort.compared, P, 3) mm: always of all scenes that errors are measured on, so that one answer serves every row."""
+def _solve_truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.ndarray:
+    """Solve what a row is compared with: pins (effort.compared, P, 3) mm.
+
+    It is always of all scenes for errors, so one answer serves every row.
+    """
     scenes = effort.scenes(kind, effort.compared)
     if setting.against == "reference":
         return solve_reference_pins(sensor, NAMES, scenes, effort.truth)
     finest = set_ring_spacing(sensor, FINEST_MM)
-    return solve_reference_pins(
-        finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000)
-    )
+    tight = replace(LEVELS["auto"], tolerance=0.02, limit=5000)
+    return solve_reference_pins(finest, NAMES, scenes, tight)
 
 
-def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
-    """Why the row counts as a failure, or nothing."""
+def _describe_failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
+    """Say why a row counts as a failure; empty if it does not."""
     if not np.isfinite(contacts.pins).all():
-        lost = int(np.sum(~np.isfinite(contacts.pins).all(axis=(1, 2))))
-        return f"{lost} of {len(contacts.pins)} states are not finite"
+        count = int(np.sum(~np.isfinite(contacts.pins).all(axis=(1, 2))))
+        return f"{count} of {len(contacts.pins)} states are not finite"
     if not contacts.converged.all():
-        lost = int(np.sum(~contacts.converged))
-        return f"{lost} of {len(contacts.pins)} states do not converge, rms error {rms_px:.2g} px"
+        count = int(np.sum(~contacts.converged))
+        return f"{count} of {len(contacts.pins)} states do not converge, rms error {rms_px:.2g} px"
     if rms_px > WRONG_PX and setting.solver != OWN_SOLVER:
         return f"converges to something else: rms error {rms_px:.2g} px"
     return ""
 
 
-def table(rows: Sequence[Json]) -> str:
-    """For people, slides and taps apart."""
+def format_table(rows: Sequence[Json]) -> str:
+    """Format rows for people, slides and taps separately."""
     lines = []
     for kind in KINDS:
-        shown = [row for row in rows if row["kind"] == kind]
-        if not shown:
+        rows_of_kind = [row for row in rows if row["kind"] == kind]
+        if not rows_of_kind:
             continue
-        width = max(len(row["name"]) for row in shown)
+        width = max(len(row["name"]) for row in rows_of_kind)
         lines.append(
-            f"\n{kind}s\n{'':{width}}  ms/state    p95   ratio  compile s  plan ms   rms px  p95 px   rms mm  p95 mm  iter.  conv."
+            f"\n{kind}s\n{'':{width}}  ms/state    p95   ratio  compile s  plan ms   "
+            "rms px  p95 px   rms mm  p95 mm  iter.  conv."
         )
-        lines += [_line(row, width) for row in shown]
-    return "\n".join([*lines, "", *_verdicts(rows)])
+        lines += [_format_row(row, width) for row in rows_of_kind]
+    return "\n".join([*lines, "", *_describe_gains(rows)])
 
 
-def _line(row: Json, width: int) -> str:
+def _format_row(row: Json, width: int) -> str:
     if "ratio" not in row:
         return f"{row['name']:{width}}  FAILED: {row['failed']}"
     note = f"  FAILED: {row['failed']}" if row["failed"] else ""
     if row["against"] != "reference":
         note = f"  (against {row['against']}){note}"
     return (
-        f"{row['name']:{width}}  {row['ms_per_state']:8.3g} {row['ms_p95']:6.3g} {row['ratio']:7.3f} {row['compile_s']:10.1f} "
-        f"{row['plan_ms']:8.2f} {row['rms_px']:8.3f} {row['p95_px']:7.3f} {row['rms_mm']:8.4f} {row['p95_mm']:7.4f} "
+        f"{row['name']:{width}}  {row['ms_per_state']:8.3g} {row['ms_p95']:6.3g} "
+        f"{row['ratio']:7.3f} {row['compile_s']:10.1f} {row['plan_ms']:8.2f} "
+        f"{row['rms_px']:8.3f} {row['p95_px']:7.3f} {row['rms_mm']:8.4f} {row['p95_mm']:7.4f} "
         f"{row['iterations']:6.0f} {row['converged']:6.2f}{note}"
     )
 
 
-def _verdicts(rows: Sequence[Json]) -> Iterator[str]:
-    """What `auto` at batch 64 gains over the same level with nothing left out, both timed with the same scenes: as is its row among
-    the meshes, but for small efforts not that of the batches."""
+def _describe_gains(rows: Sequence[Json]) -> Iterator[str]:
+    """Say what `auto` at batch 64 gains over the same level with nothing left out.
+
+    Both must be timed on the same scenes. The row of `auto` among the meshes is, but for small
+    efforts its row among the batches is not.
+    """
+    measured = {(row["kind"], row["name"]): row for row in reversed(rows) if "ratio" in row}
     for kind in KINDS:
-        pair = [
-            next(
-                (
-                    row
-                    for row in rows
-                    if (row["kind"], row["name"]) == (kind, name) and "ratio" in row
-                ),
-                None,
-            )
-            for name in (f"auto, mesh {RING_MM:g} mm", "auto, nothing left out, batch 64")
-        ]
-        if pair[0] and pair[1] and pair[0]["timed_scenes"] == pair[1]["timed_scenes"]:
-            share = pair[0]["ratio"] / pair[1]["ratio"]
+        auto = measured.get((kind, f"auto, mesh {RING_MM:g} mm"))
+        full = measured.get((kind, "auto, nothing left out, batch 64"))
+        if auto and full and auto["timed_scenes"] == full["timed_scenes"]:
+            share = auto["ratio"] / full["ratio"]
             yield f"{kind}s: what auto leaves out brings it to {share:.3f} of the time"

@@ -1,4 +1,7 @@
-"""The commands of `python -m benchmarks`. Everything heavy is imported when it is needed."""
+"""Commands of `python -m benchmarks`.
+
+Everything heavy is imported when it is needed.
+"""
 
 import argparse
 import sys
@@ -12,7 +15,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.simulator.level import LEVELS
 
-Found = tuple[list[Json], str]  # rows, and what is printed of them
+Measurement = tuple[list[Json], str]  # rows, and a table of them
 COMMANDS = {
     "sim": "the simulator's error against its run time",
     "train": "a training step, beside PyTorch where it is installed",
@@ -53,10 +56,10 @@ def make_parser() -> Parser:
     parser = Parser(prog="python -m benchmarks", description="Measures error against run time.")
     commands = add_commands(parser)
     for name, text in COMMANDS.items():
-        each = new_parser(commands, name, text)
+        command = new_parser(commands, name, text)
         for option in OPTIONS.get(name, ()):
-            each.add_argument(f"--{option}", **_ARGUMENTS[option])
-        add_json(each, ROWS)
+            command.add_argument(f"--{option}", **_ARGUMENTS[option])
+        add_json(command, ROWS)
     return parser
 
 
@@ -68,18 +71,18 @@ def _run(arguments: argparse.Namespace, keep: Keep) -> int:
     seed = getattr(arguments, "seed", 0)
     if seed < 0:
         raise UserError(f"--seed {seed}: use 0 or more")
-    rows, text = _MEASURES.get(arguments.command, _plain)(arguments, keep)
+    rows, text = _MEASURES.get(arguments.command, _measure_without_options)(arguments, keep)
     print(text)
     keep(rows)
     return 0
 
 
-def _sim(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _sim(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_figure, bench_sim
     from jaxunshear.files import write_bytes
 
     rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
-    text = bench_sim.table(rows)
+    text = bench_sim.format_table(rows)
     if arguments.out is not None:
         figure = arguments.out / "work_precision.png"
         write_bytes(figure, bench_figure.plot_work_precision(rows))
@@ -87,35 +90,35 @@ def _sim(arguments: argparse.Namespace, keep: Keep) -> Found:
     return rows, text
 
 
-def _train(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _train(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_networks
 
     rows = bench_networks.bench_train(arguments.size, arguments.batch)
-    return rows, bench_networks.table(rows)
+    return rows, bench_networks.format_table(rows)
 
 
-def _infer(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _infer(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_networks
 
     rows = bench_networks.bench_infer(arguments.size, arguments.batch)
-    return rows, bench_networks.table(rows)
+    return rows, bench_networks.format_table(rows)
 
 
-def _stream(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _stream(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_networks
 
     rows = bench_networks.bench_stream(arguments.size)
-    return rows, bench_networks.table(rows)
+    return rows, bench_networks.format_table(rows)
 
 
-def _needs(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _needs(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_omissions
 
     rows = bench_omissions.bench_needs(arguments.size or 128)
-    return rows, bench_omissions.table(rows)
+    return rows, bench_omissions.format_table(rows)
 
 
-def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
+def _pins(arguments: argparse.Namespace, keep: Keep) -> Measurement:
     from benchmarks import bench_pins
     from jaxunshear.text_table import format_text_table
 
@@ -125,8 +128,8 @@ def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
     return rows, format_text_table(rows, bench_pins.COLUMNS)
 
 
-def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
-    """Measure what takes no option."""
+def _measure_without_options(arguments: argparse.Namespace, keep: Keep) -> Measurement:
+    """Run a benchmark that has no option."""
     from benchmarks import bench_data, bench_explore, bench_input_pipeline, bench_pin_networks
     from jaxunshear.text_table import format_text_table
 
@@ -141,7 +144,7 @@ def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     return rows, format_text_table(rows, columns)
 
 
-_MEASURES: dict[str, Callable[[argparse.Namespace, Keep], Found]] = {
+_MEASURES: dict[str, Callable[[argparse.Namespace, Keep], Measurement]] = {
     "sim": _sim,
     "train": _train,
     "infer": _infer,

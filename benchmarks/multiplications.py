@@ -1,4 +1,4 @@
-"""Multiplications of the convolutions in one pass of an image through the networks."""
+"""Counts multiplications of the networks in one pass of an image."""
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PoseNet, UnshearNet
@@ -9,7 +9,10 @@ TARGETS = make_range_targets((), Ranges())
 
 
 def count_multiplications(net: UnshearNet, training: bool) -> int:
-    """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
+    """Count multiplications of all convolutions in one forward pass of an image.
+
+    With `training` False only encoder, pose code and DC count.
+    """
     widths, side, count = net.widths, net.size, 0
     for before, width in zip((1, *widths), widths, strict=False):
         side //= 2
@@ -18,9 +21,8 @@ def count_multiplications(net: UnshearNet, training: bool) -> int:
     pose = net.pose_channels if net.disentangled else 0
     codes = [pose or widths[-1]] + ([pose + shear] if shear else [])
     if net.apart:  # dense layers from and to numbers without place; z_s by a PoseNet
-        count += widths[-1] * side * side * (pose + sum(codes)) + (
-            count_posenet_multiplications(PoseNet(net.size)) if shear else 0
-        )
+        count += widths[-1] * side * side * (pose + sum(codes))
+        count += count_posenet_multiplications(PoseNet(net.size)) if shear else 0
     else:
         count += 9 * widths[-1] * (pose + shear) * side * side
     decoders = [widths[-1] for _ in codes] if net.apart else codes
@@ -33,16 +35,11 @@ def count_multiplications(net: UnshearNet, training: bool) -> int:
 
 
 def count_posenet_multiplications(net: PoseNet) -> int:
-    """Of one image's pass through PoseNet."""
+    """Count multiplications of PoseNet in one forward pass of an image."""
     first, second, *rest = net.widths
     side = net.size // 4
     count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
-    count += (
-        9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2
-        + 9 * rest[1] * rest[2] * (side // 4) ** 2
-    )
-    return (
-        count
-        + (side // 4) ** 2 * rest[2] * net.hidden
-        + net.hidden * posenet.count_outputs(TARGETS)
-    )
+    count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2
+    count += 9 * rest[1] * rest[2] * (side // 4) ** 2
+    count += (side // 4) ** 2 * rest[2] * net.hidden
+    return count + net.hidden * posenet.count_outputs(TARGETS)

@@ -1,6 +1,7 @@
-"""What errors are measured against: contacts solved at a far stronger level, kept in the cache folder.
+"""Solves the contacts that errors are measured against, at a far stronger level.
 
-A stored answer is used only for the same scenes, sensor, level, versions and source of the simulator.
+They are kept in the cache folder. A stored answer is used only for the same scenes, sensor, level,
+versions and source of the simulator.
 """
 
 import hashlib
@@ -23,32 +24,35 @@ from jaxunshear.simulator.simulate import simulate
 def solve_reference_pins(
     sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level
 ) -> np.ndarray:
-    """(B, P, 3) mm. Raises `UserError` where a contact does not converge: nothing can be measured against it."""
-    path = cache_folder() / f"pins-{_key(sensor, names, scenes, level)}.npz"
+    """Solve the pin tips (B, P, 3) mm of scenes.
+
+    Raises UserError if a contact does not converge.
+    """
+    path = cache_folder() / f"pins-{_compute_digest(sensor, names, scenes, level)}.npz"
     try:
         pins = read_npz(path)["pins"]
         if pins.shape == (len(scenes), sensor.pins, 3) and np.isfinite(pins).all():
             return pins
     except BROKEN_NPZ:
-        pass  # not there, or damaged: only a lost shortcut
+        pass  # missing or damaged: solve again
     with Progress("reference", len(scenes), unit="contacts") as progress:
         contacts = simulate(sensor, names, scenes, level, retry=False, progress=progress)
-    lost = np.flatnonzero(~contacts.converged)
-    if len(lost):
+    unsolved = np.flatnonzero(~contacts.converged)
+    if len(unsolved):
         raise UserError(
-            f"the reference does not converge for scenes {lost.tolist()}: no error can be measured against it"
+            f"the reference does not converge for scenes {unsolved.tolist()}: "
+            "no error can be measured against it"
         )
     write_npz(path, {"pins": contacts.pins})
     return contacts.pins
 
 
-def _key(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> str:
-    found = hashlib.sha256(
-        json.dumps([asdict(sensor), names, asdict(level), list_versions()], sort_keys=True).encode()
-    )
+def _compute_digest(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> str:
+    settings = [asdict(sensor), names, asdict(level), list_versions()]
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for field in (scenes.stimulus.astype(np.int64), scenes.pose, scenes.move, scenes.friction):
-        found.update(np.ascontiguousarray(field).tobytes())
+        digest.update(np.ascontiguousarray(field).tobytes())
     for source in sorted(files("jaxunshear.simulator").iterdir(), key=lambda file: file.name):
         if source.name.endswith(".py"):
-            found.update(source.read_bytes())
-    return found.hexdigest()[:16]
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]

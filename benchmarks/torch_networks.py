@@ -1,11 +1,11 @@
-"""The same networks and the same training step in PyTorch, to be timed beside ours. Needs the extra `torch`.
+"""Our networks and training step in PyTorch, to be timed beside ours. Needs the extra `torch`.
 
     twin = use_channels_last(TorchUnshearNet(net))
     twin.load(variables)                       # of `unshearnet.init`
-    step = training_step(twin, training)       # step(canonical, sheared) -> loss
+    step = make_training_step(twin, training)       # step(canonical, sheared) -> loss
 
-Layers, losses, regularisation, Adam and the moving averages are those of `unshearnet` and `training`; tests hold outputs and
-gradients of the two together.
+Layers, losses, regularisation, Adam and the moving averages are those of `unshearnet` and
+`training`. Tests compare outputs and gradients.
 """
 
 from collections.abc import Callable, Iterable
@@ -82,7 +82,7 @@ class TorchUnshearNet(nn.Module):
         return self.DC(z_p), self.DS(torch.cat([z_p, self.shear(z)], 1))
 
     def load(self, variables: Json) -> None:
-        """Takes the values of our variables."""
+        """Copy the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         downs = ("First_0", *(f"Down_{i}" for i in range(len(self.net.widths) - 1)))
         _load_layers(self.E, params["E"], stats["E"], downs, False)
@@ -120,20 +120,15 @@ class TorchPoseNet(nn.Module):
         )
 
     def forward(self, images: Tensor) -> Tensor:
-        seen = self.layers(images).permute(0, 2, 3, 1)  # flat in the order of ours
-        return torch.sigmoid(self.dense(seen.reshape(len(seen), -1)))
+        channels_last = self.layers(images).permute(0, 2, 3, 1)  # flat in the order of ours
+        return torch.sigmoid(self.dense(channels_last.reshape(len(images), -1)))
 
     def load(self, variables: Json) -> None:
-        """Takes the values of our variables."""
+        """Copy the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         convolutions = [layer for layer in self.layers if isinstance(layer, nn.Sequential)]
-        names = (
-            "First_0",
-            "Down_0",
-            "Same_1",
-            "Same_0",
-            "Same_2",
-        )  # Flax counts an outer call before the inner one
+        # Flax counts an outer call before the inner one
+        names = ("First_0", "Down_0", "Same_1", "Same_0", "Same_2")
         for layer, name in zip(convolutions, names, strict=True):
             _load_layer(layer, params[name], stats[name], False)
         linear: list[nn.Module] = [self.dense[0], self.dense[2]]
@@ -146,7 +141,7 @@ TorchModule = TypeVar("TorchModule", bound=nn.Module)
 
 
 def use_channels_last(twin: TorchModule) -> TorchModule:
-    """The layout in which PyTorch's convolutions are fastest on a CPU."""
+    """Change to the layout in which PyTorch's convolutions are fastest on a CPU."""
     return twin.to(memory_format=torch.channels_last)
 
 
@@ -165,10 +160,8 @@ def _load_layer(
     layer: nn.Sequential, params: Variables, stats: Variables, transposed: bool
 ) -> None:
     kernel = params["kernel"]
-    _set(
-        layer[0].weight,
-        _transpose_kernel(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)),
-    )
+    weight = _transpose_kernel(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1))
+    _set(layer[0].weight, weight)
     _set(layer[1].weight, params["norm"]["scale"])
     _set(layer[1].bias, params["norm"]["bias"])
     _set(layer[1].running_mean, stats["norm"]["mean"])
@@ -176,7 +169,7 @@ def _load_layer(
 
 
 def _transpose_kernel(kernel: ArrayLike) -> np.ndarray:
-    """Flax' transposed convolutions correlate where PyTorch's convolve."""
+    """Flip a kernel: Flax' transposed convolutions correlate, those of PyTorch convolve."""
     return np.transpose(np.asarray(kernel)[::-1, ::-1], (2, 3, 0, 1))
 
 
@@ -188,64 +181,59 @@ def _set(tensor: Tensor, value: ArrayLike) -> None:
 def compute_losses(
     twin: TorchUnshearNet, training: Training, canonical: Tensor, sheared: Tensor
 ) -> Tensor:
-    """The sum that is minimised, of images (B, 1, S, S) in [0, 1]."""
-    logits, again = twin(sheared)
+    """Compute the total loss of images (B, 1, S, S) in [0, 1]."""
+    logits, sheared_logits = twin(sheared)
     image = torch.sigmoid(logits)
     total = torch.mean((image - canonical) ** 2)
     if "patch" in training.losses:
-        counts = _coverage(len(image), twin.net.size, training, image.device)
-        far = torch.abs(image - canonical)[:, 0]
-        total = total + training.losses["patch"] * torch.mean(
-            (counts * far).sum((1, 2)) / counts.sum((1, 2))
-        )
-    if again is not None and "reconstruction" in training.losses:
-        total = total + training.losses["reconstruction"] * torch.mean(
-            (torch.sigmoid(again) - sheared) ** 2
-        )
+        counts = _count_crops(len(image), twin.net.size, training, image.device)
+        difference = torch.abs(image - canonical)[:, 0]
+        patch = (counts * difference).sum((1, 2)) / counts.sum((1, 2))
+        total = total + training.losses["patch"] * torch.mean(patch)
+    if sheared_logits is not None:
+        reconstruction = torch.mean((torch.sigmoid(sheared_logits) - sheared) ** 2)
+        total = total + training.losses.get("reconstruction", 0.0) * reconstruction
     if training.l1 or training.l2:
         for name, kernel in twin.named_parameters():
             if name.endswith("weight") and kernel.ndim == 4:
-                weights = 1 if training.kernels == "sum" else kernel.numel()
-                total = (
-                    total
-                    + (training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()) / weights
-                )
+                count = 1 if training.kernels == "sum" else kernel.numel()
+                penalty = training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()
+                total = total + penalty / count
     return total
 
 
-def _coverage(images: int, size: int, training: Training, device: torch.device) -> Tensor:
-    """As `training.losses.coverage`, of random crops."""
-    start = torch.randint(
-        0, size - training.crop_px + 1, (images, training.crops, 2), device=device
-    )[..., None]
+def _count_crops(images: int, size: int, training: Training, device: torch.device) -> Tensor:
+    """Count how many random crops cover each pixel."""
+    shape = (images, training.crops, 2, 1)
+    start = torch.randint(0, size - training.crop_px + 1, shape, device=device)
     pixel = torch.arange(size, device=device)
     covered = ((pixel >= start) & (pixel < start + training.crop_px)).float()
     return torch.einsum("bkr,bkc->brc", covered[:, :, 0], covered[:, :, 1])
 
 
-def training_step(
+def make_training_step(
     twin: TorchUnshearNet, training: Training, compiled: bool = False
 ) -> Callable[[Tensor, Tensor], Tensor]:
-    """A step of Adam with moving averages of weights and statistics, on images (B, 1, S, S) uint8 of {0, 255}."""
-    kept = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
-    average = [tensor.detach().clone() for tensor in kept]
+    """Make a step of Adam with moving averages, on images (B, 1, S, S) uint8 of {0, 255}."""
+    tensors = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
+    average = [tensor.detach().clone() for tensor in tensors]
     adam = torch.optim.Adam(
         twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True
     )
-    loss_of = torch.compile(compute_losses, dynamic=False) if compiled else compute_losses
+    compute = torch.compile(compute_losses, dynamic=False) if compiled else compute_losses
 
     def step(canonical: Tensor, sheared: Tensor) -> Tensor:
-        canonical, sheared = (_unit(images) for images in (canonical, sheared))
+        canonical, sheared = _scale_to_unit(canonical), _scale_to_unit(sheared)
         adam.zero_grad(set_to_none=True)
-        loss = loss_of(twin, training, canonical, sheared)
+        loss = compute(twin, training, canonical, sheared)
         loss.backward()
         adam.step()
         with torch.no_grad():
-            torch._foreach_lerp_(average, kept, 1 - training.averaging)
+            torch._foreach_lerp_(average, tensors, 1 - training.averaging)
         return loss.detach()
 
     return step
 
 
-def _unit(images: Tensor) -> Tensor:
+def _scale_to_unit(images: Tensor) -> Tensor:
     return (images.float() / 255).contiguous(memory_format=torch.channels_last)

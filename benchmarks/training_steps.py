@@ -1,4 +1,4 @@
-"""A training to be timed: its step, its first state, and what it sees."""
+"""Makes trainings to be timed: step, first state and inputs."""
 
 from collections.abc import Callable
 
@@ -13,19 +13,19 @@ from jaxunshear.training.trainer import get_compile_options, make_first_state
 
 
 def init_variables(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
-    """Fresh ones."""
+    """Initialise the variables of a network."""
     return jax.jit(init, compiler_options=get_compile_options())(jax.random.key(seed))
 
 
 def make_timed_step(
     task: Task, training: Training
 ) -> tuple[Callable[[State, Batch], tuple[State, dict[str, jax.Array]]], State]:
-    """The step, not yet compiled, and the state before the first one."""
+    """Make a training step, not yet compiled, and the state before the first step."""
     optimiser = make_optimiser(training, 1000, 100)
     step = make_step(task, training, optimiser, jax.random.key(1))
     return step, make_first_state(task, optimiser, jax.random.key(0))
 
 
 def make_noise_images(images: int, size: int) -> np.ndarray:
-    """Noise in the place of taps and of slides, (2, images, size, size, 1) uint8 of {0, 255}."""
+    """Make noise instead of taps and slides, (2, images, size, size, 1) uint8 of {0, 255}."""
     return 255 * np.random.default_rng(0).integers(0, 2, (2, images, size, size, 1), np.uint8)

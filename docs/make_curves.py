@@ -1,5 +1,8 @@
-"""How trainings went, from their logs: `python -m docs.make_curves runs/sweeps/appendix_b` writes docs/results/appendix_b_curves.json and
-.png, for a sweep or a single run: sizes of kernels (root mean square of their weights) and validation loss over steps."""
+"""Draws how trainings went, from their logs: `python -m docs.make_curves runs/sweeps/appendix_b`.
+
+It writes docs/results/appendix_b_curves.json and .png, for a sweep or a single run: sizes of
+kernels (root mean square of their weights) and validation loss over steps.
+"""
 
 import json
 import shlex
@@ -9,92 +12,93 @@ from statistics import fmean
 from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxunshear.files import add_checksum, write_text
+from docs.keep import keep_picture, write_result
+from docs.provenance import RESULTS
+from jaxunshear.files import add_checksum
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.serialization import to_builtins
 from jaxunshear.style import DPI, LABEL, STYLE
 
-RESULTS = Path(__file__).parent / "results"
-NETWORK, RANK = "disentangled", "supervised"
+NETWORK, LOSS = "disentangled", "supervised"
 OUTERMOST = ("First", "Last")  # layers of one channel: not drawn
-LINES = ("#1f6feb", "#d9822b", "#2a9d6f", "#b3554d", "#8250df", "#7c8b3d")
+COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#b3554d", "#8250df", "#7c8b3d")
 
 
-def curves(folder: Path) -> list[dict[str, Any]]:
-    """A line per training: label, seed, and by step the terms of training and validation, each kernel's size, and `inner`."""
+def read_curves(folder: Path) -> list[dict[str, Any]]:
+    """Read the curves of each training: label, seed, and by step the losses and kernel sizes."""
     rows = sorted(folder.glob("rows/*/"))
-    made = [(row, json.loads((row / "task.json").read_text())) for row in rows] or [
-        (folder, {"label": "", "seed": 0})
-    ]
-    found = []
-    for place, task in made:
-        log = [
-            json.loads(line) for line in (place / NETWORK / "log.jsonl").read_text().splitlines()
-        ]
-        kept = {
+    tasks = [(row, json.loads((row / "task.json").read_text())) for row in rows]
+    if not tasks:
+        tasks = [(folder, {"label": "", "seed": 0})]
+    curves = []
+    for row, task in tasks:
+        lines = (row / NETWORK / "log.jsonl").read_text().splitlines()
+        log = [json.loads(line) for line in lines]
+        curve = {
             "label": task["label"],
             "seed": task["seed"],
             "step": [line["step"] for line in log],
         }
         for group in ("train", "validation", "kernels"):
-            kept[group] = {
-                name: [_short(line[group][name]) for line in log] for name in log[0][group]
-            }
-        kept["inner"] = [_short(size) for size in _inner(kept["kernels"])]
-        found.append(kept)
-    return found
+            curve[group] = {}
+            for name in log[0][group]:
+                curve[group][name] = [_round(line[group][name]) for line in log]
+        curve["inner"] = [_round(size) for size in _compute_inner_sizes(curve["kernels"])]
+        curves.append(curve)
+    return curves
 
 
-def _inner(kernels: dict[str, list[float]]) -> list[float]:
-    """The mean size of the kernels between the outermost layers, by step."""
-    between = [
-        sizes for name, sizes in kernels.items() if not any(part in name for part in OUTERMOST)
-    ]
-    return [fmean(sizes) for sizes in zip(*between, strict=True)]
+def _compute_inner_sizes(kernels: dict[str, list[float]]) -> list[float]:
+    """Compute the mean size of the kernels between the outermost layers, by step."""
+    inner = [sizes for name, sizes in kernels.items() if not _is_outermost(name)]
+    return [fmean(sizes) for sizes in zip(*inner, strict=True)]
 
 
-def picture(rows: list[dict[str, Any]], path: Path) -> None:
-    """Sizes and losses over steps, a colour a label, a line a seed."""
-    labels = list(dict.fromkeys(row["label"] for row in rows))
+def _is_outermost(layer: str) -> bool:
+    return any(part in layer for part in OUTERMOST)
+
+
+def plot_curves(curves: list[dict[str, Any]], path: Path) -> None:
+    """Plot sizes and losses over steps, with a colour for each label and a line for each seed."""
+    labels = list(dict.fromkeys(curve["label"] for curve in curves))
     with rc_context(STYLE):
         figure = Figure(figsize=(10, 4.2), layout="constrained")
-        sizes, losses = figure.subplots(1, 2)
-        for row in rows:
-            place = labels.index(row["label"])
-            first = next(other for other in rows if other["label"] == row["label"]) is row
+        size_axes, loss_axes = figure.subplots(1, 2)
+        labelled: set[str] = set()
+        for curve in curves:
+            label = curve["label"]
             style: dict[str, Any] = {
-                "color": LINES[place % len(LINES)],
-                "label": row["label"] if first else None,
+                "color": COLOURS[labels.index(label) % len(COLOURS)],
+                "label": None if label in labelled else label,
             }
-            sizes.plot(row["step"], row["inner"], **style)
-            losses.plot(row["step"], row["validation"][RANK], **style)
-        sizes.set(
-            xlabel="steps",
-            yscale="log",
-            title="inner kernels, root mean square (0.02 at the start)",
-        )
-        losses.set(
-            xlabel="steps",
-            yscale="log",
-            title="validation loss: mean squared difference to the tap",
-        )
-        for axes in (sizes, losses):
-            axes.locator_params(axis="x", nbins=6)
+            labelled.add(label)
+            size_axes.plot(curve["step"], curve["inner"], **style)
+            loss_axes.plot(curve["step"], curve["validation"][LOSS], **style)
+        _set_up(size_axes, "inner kernels, root mean square (0.02 at the start)")
+        _set_up(loss_axes, "validation loss: mean squared difference to the tap")
         if len(labels) > 1:
             figure.legend(loc="outside lower center", ncols=3, fontsize=LABEL)
         figure.savefig(path, dpi=DPI, metadata={"Software": ""})
 
 
-def _short(value: float | None) -> float | None:
+def _set_up(axes: Axes, title: str) -> None:
+    axes.set(xlabel="steps", yscale="log", title=title)
+    axes.locator_params(axis="x", nbins=6)
+
+
+def _round(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.5g}")
 
 
 if __name__ == "__main__":
     run = Path(sys.argv[1])
-    rows = curves(run)
-    made = describe_provenance(shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]]))
-    held = add_checksum(to_builtins(made | {"network": NETWORK, "rows": rows}))
-    write_text(RESULTS / f"{run.name}_curves.json", json.dumps(held) + "\n")
-    picture(rows, RESULTS / f"{run.name}_curves.png")
+    curves = read_curves(run)
+    command = shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]])
+    result = describe_provenance(command) | {"network": NETWORK, "rows": curves}
+    name = f"{run.name}_curves"
+    write_result(RESULTS / f"{name}.json", add_checksum(to_builtins(result)))
+    plot_curves(curves, RESULTS / f"{name}.png")
+    keep_picture(name, RESULTS / f"{name}.png")

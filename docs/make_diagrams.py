@@ -1,8 +1,9 @@
-"""The drawings of the documents.
+"""Draws the diagrams of the documents.
 
 python docs/make_diagrams.py          # writes docs/figures/*.svg
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -36,10 +37,8 @@ STEPS = (
 )
 
 
-def blank(
-    width: float, height: float, limits: tuple[float, float, float, float]
-) -> tuple[Figure, Axes]:
-    """A figure in inches without axes, over x and y in `limits`."""
+def make_figure(width: float, height: float, limits: Sequence[float]) -> tuple[Figure, Axes]:
+    """Make a figure in inches without axes, over x and y in `limits`: left, right, bottom, top."""
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
@@ -49,7 +48,7 @@ def blank(
     return figure, axes
 
 
-def arrow(
+def draw_arrow(
     axes: Axes,
     start: tuple[float, float],
     end: tuple[float, float],
@@ -66,7 +65,7 @@ def arrow(
         axes.annotate(text, end, xytext=(4, 2), textcoords="offset points", color=colour)
 
 
-def box(
+def draw_box(
     axes: Axes, middle: tuple[float, float], size: tuple[float, float], text: str, colour: str = GEL
 ) -> None:
     corner = (middle[0] - size[0] / 2, middle[1] - size[1] / 2)
@@ -78,8 +77,8 @@ def box(
     axes.text(*middle, text, ha="center", va="center")
 
 
-def dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
-    """A section with its apex at (x, 0) mm; `lag` is how far the lowest pins are held back."""
+def draw_dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
+    """Draw a section with its apex at (x, 0) mm, the lowest pins held back by `lag` mm."""
     radius = sensor.dome_radius_mm
     axes.add_patch(Wedge((x, radius), radius, 180, 360, fc=SKIN, ec="none"))
     axes.add_patch(Wedge((x, radius), radius - sensor.skin_mm, 180, 360, fc=GEL, ec="none"))
@@ -99,9 +98,9 @@ def dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
             )
 
 
-def sensor_section() -> Figure:
-    figure, axes = blank(6, 4.2, (-34, 46, -4, 52))
-    dome(axes, TACTIP_331, 0.0)
+def draw_sensor_section() -> Figure:
+    figure, axes = make_figure(6, 4.2, (-34, 46, -4, 52))
+    draw_dome(axes, TACTIP_331, 0.0)
     axes.add_patch(Polygon([(-4, 44), (4, 44), (4, 49), (-4, 49)], fc=SKIN, ec="none"))
     for side in (-1, 1):
         axes.plot([side * 1.5, side * 17], [44, 21], color=FAINT, linewidth=0.8, linestyle="--")
@@ -113,22 +112,22 @@ def sensor_section() -> Figure:
         ("apex", (10, -3), (0.4, -0.3)),
     ):
         axes.annotate(text, to, at, va="center", arrowprops={"arrowstyle": "-", "color": FAINT})
-    arrow(axes, (-28, 0), (-28, 10), "z")
-    arrow(axes, (-28, 0), (-18, 0), "x")
+    draw_arrow(axes, (-28, 0), (-28, 10), "z")
+    draw_arrow(axes, (-28, 0), (-18, 0), "x")
     axes.text(-30, -3.4, "sensor frame", color=FAINT)
     return figure
 
 
-def frames() -> Figure:
-    figure, axes = blank(6, 4, (-26, 24, -16, 17))
+def draw_frames() -> Figure:
+    figure, axes = make_figure(6, 4, (-26, 24, -16, 17))
     angle = np.linspace(-0.75, 0.75, 60)
     outline = np.stack([-22 + 22 * np.cos(angle), 22 * np.sin(angle)], axis=1)
     axes.add_patch(
         Polygon([*outline, (-26, outline[-1, 1]), (-26, outline[0, 1])], fc=OBJECT, ec=INK)
     )
     axes.text(-24, -1, "object")
-    arrow(axes, (0, 0), (13, 0), "x: outward normal")
-    arrow(axes, (0, 0), (0, 13), "y")
+    draw_arrow(axes, (0, 0), (13, 0), "x: outward normal")
+    draw_arrow(axes, (0, 0), (0, 13), "y")
     axes.plot(0, 0, "o", color=INK)
     axes.text(-1.2, -1.8, "target point", ha="right", color=INK)
     place, yaw = np.array([5.0, -8.0]), np.radians(25)
@@ -138,7 +137,7 @@ def frames() -> Figure:
     )
     axes.add_patch(Polygon(ring, fc=GEL, ec=BLUE, alpha=0.8))
     for direction in ((1.0, 0.0), (0.0, 1.0)):
-        arrow(axes, tuple(place), tuple(place + 7 * turn @ direction), colour=BLUE)
+        draw_arrow(axes, tuple(place), tuple(place + 7 * turn @ direction), colour=BLUE)
     axes.plot([place[0], place[0] + 9], [place[1], place[1]], color=FAINT, linestyle=":")
     axes.text(14.5, -6.8, "yaw", color=BLUE)
     axes.text(5.0, -15, "sensor at (x, y)", ha="center", color=BLUE)
@@ -149,33 +148,33 @@ def frames() -> Figure:
     return figure
 
 
-def tap_slide() -> Figure:
-    figure, axes = blank(7, 3, (-28, 92, -12, 32))
+def draw_tap_slide() -> Figure:
+    figure, axes = make_figure(7, 3, (-28, 92, -12, 32))
     for x, text, lag in ((0.0, "tap: canonical", 0.0), (58.0, "slide: sheared", 5.0)):
         axes.add_patch(
             Polygon(
                 [(x - 26, -10), (x + 8, -10), (x + 8, 2.5), (x - 26, 2.5)], fc=OBJECT, ec="none"
             )
         )
-        dome(axes, TACTIP_331, x, lag)
+        draw_dome(axes, TACTIP_331, x, lag)
         axes.text(x, 28, text, ha="center")
-    arrow(axes, (-24, 24), (-24, 12), colour=BLUE)
-    arrow(axes, (34, 24), (34, 14), colour=BLUE)
-    arrow(axes, (34, 12), (48, 12), colour=BLUE)
+    draw_arrow(axes, (-24, 24), (-24, 12), colour=BLUE)
+    draw_arrow(axes, (34, 24), (34, 14), colour=BLUE)
+    draw_arrow(axes, (34, 12), (48, 12), colour=BLUE)
     axes.text(49, -7, "friction holds the pins back", ha="center", color=ORANGE)
     return figure
 
 
-def networks() -> Figure:
-    figure, axes = blank(8, 3, (-0.4, 10.2, -0.3, 3.3))
-    box(axes, (0.6, 1.5), (1.3, 0.8), "sheared\nimage")
-    box(axes, (2.6, 1.5), (1.1, 0.8), "E", "#cfe0fb")
-    box(axes, (4.7, 2.5), (1.5, 0.7), "pose code $z_p$", "#d5efe2")
-    box(axes, (4.7, 0.5), (1.5, 0.7), "shear code $z_s$", "#f6e3cc")
-    box(axes, (7.0, 2.5), (1.1, 0.7), "DC", "#cfe0fb")
-    box(axes, (7.0, 0.5), (1.1, 0.7), "DS", "#cfe0fb")
-    box(axes, (9.3, 2.5), (1.5, 0.7), "tap")
-    box(axes, (9.3, 0.5), (1.5, 0.7), "sheared\nimage")
+def draw_networks() -> Figure:
+    figure, axes = make_figure(8, 3, (-0.4, 10.2, -0.3, 3.3))
+    draw_box(axes, (0.6, 1.5), (1.3, 0.8), "sheared\nimage")
+    draw_box(axes, (2.6, 1.5), (1.1, 0.8), "E", "#cfe0fb")
+    draw_box(axes, (4.7, 2.5), (1.5, 0.7), "pose code $z_p$", "#d5efe2")
+    draw_box(axes, (4.7, 0.5), (1.5, 0.7), "shear code $z_s$", "#f6e3cc")
+    draw_box(axes, (7.0, 2.5), (1.1, 0.7), "DC", "#cfe0fb")
+    draw_box(axes, (7.0, 0.5), (1.1, 0.7), "DS", "#cfe0fb")
+    draw_box(axes, (9.3, 2.5), (1.5, 0.7), "tap")
+    draw_box(axes, (9.3, 0.5), (1.5, 0.7), "sheared\nimage")
     for start, end in (
         ((1.3, 1.5), (2.0, 1.5)),
         ((3.2, 1.6), (3.9, 2.4)),
@@ -186,12 +185,12 @@ def networks() -> Figure:
         ((7.6, 2.5), (8.5, 2.5)),
         ((7.6, 0.5), (8.5, 0.5)),
     ):
-        arrow(axes, start, end)
+        draw_arrow(axes, start, end)
     return figure
 
 
-def flow() -> Figure:
-    figure, axes = blank(9, 3, (-0.2, 11.2, -0.4, 3.2))
+def draw_flow() -> Figure:
+    figure, axes = make_figure(9, 3, (-0.2, 11.2, -0.4, 3.2))
     places = [
         (0.9, 0.4),
         (0.9, 2.4),
@@ -203,7 +202,7 @@ def flow() -> Figure:
         (10.1, 2.4),
     ]
     for (name, what), place in zip(STEPS, places, strict=True):
-        box(axes, place, (1.9, 0.9), "")
+        draw_box(axes, place, (1.9, 0.9), "")
         axes.text(place[0], place[1] + 0.13, name, ha="center", va="center", weight="bold")
         axes.text(
             place[0], place[1] - 0.2, what, ha="center", va="center", fontsize=7.5, color=SKIN
@@ -213,16 +212,16 @@ def flow() -> Figure:
         along = ay == by
         tail = (ax + 1.0, ay) if along else (ax, ay + (0.5 if by > ay else -0.5))
         head = (bx - 1.0, by) if along else (bx, by - (0.5 if by > ay else -0.5))
-        arrow(axes, tail, head)
+        draw_arrow(axes, tail, head)
     return figure
 
 
 DIAGRAMS = {
-    "sensor": sensor_section,
-    "frames": frames,
-    "tap_slide": tap_slide,
-    "networks": networks,
-    "flow": flow,
+    "sensor": draw_sensor_section,
+    "frames": draw_frames,
+    "tap_slide": draw_tap_slide,
+    "networks": draw_networks,
+    "flow": draw_flow,
 }
 
 

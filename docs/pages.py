@@ -1,5 +1,8 @@
-"""What `make docs` changes in the pages: README becomes the first one, files at the top of the repository are pages, too, and the flow
-that a forge draws is a picture."""
+"""Changes pages for `make docs`.
+
+README becomes the first page, files at the top of the repository become pages, and the flow that a
+forge draws becomes a picture.
+"""
 
 import re
 from pathlib import Path
@@ -18,7 +21,7 @@ FLOW = "![The way of the data](figures/flow.svg)"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages at the top of the repository, and the files that pages lead to."""
+    """Add the pages at the top of the repository, and the files that pages lead to."""
     for source, page in TOP.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
     for path in (
@@ -37,7 +40,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Links as they lead from the site's folder: all pages lie where docs/ does."""
+    """Change links to lead from the site's folder: all pages lie where docs/ does."""
     text = re.sub(r"```mermaid\n.*?```", FLOW, text, flags=re.DOTALL)
     text = text.replace("](../", "](").replace("](docs/", "](")
     text = re.sub(

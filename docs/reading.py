@@ -10,52 +10,83 @@ from jaxunshear.files import Json
 from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 
-USED: list[str] = []  # results that were taken since it was emptied
+USED: list[str] = []  # results that were loaded since it was emptied
+KINDS = {  # what a pose is predicted from, or an image compared with
+    "tap": "tap",
+    "sheared": "sheared",
+    "translated": "sheared, best translation",
+    "mean_tap": "mean training tap",
+    "nearest_tap": "nearest training tap",
+    "entangled": "entangled",
+    "entangled_large": "entangled, as many parameters",
+    "unet": "U-Net",
+    "disentangled": "disentangled",
+    "sheared_learnt": "PoseNet that learnt slides",
+}
+TARGETS = {"x_mm": 2, "yaw_deg": 1, "edge_mm": 2, "edge_deg": 1}  # of simulated poses, with digits
+EDGE_TARGETS = {"edge_mm": 2, "edge_deg": 1}
 
 
-def take(name: str) -> Json:
+def load_result(name: str) -> Json:
     """Return docs/results/<name>.json."""
     USED.append(name)
     return read_result(name)
 
 
-def swept(name: str) -> Sequence[CellResult]:
+def load_cells(name: str) -> Sequence[CellResult]:
     """Return the cells of a sweep."""
-    take(name)
-    return _sweep(name).cells
+    load_result(name)
+    return _convert_sweep(name).cells
 
 
 @cache
-def _sweep(name: str) -> SweepResult:
+def _convert_sweep(name: str) -> SweepResult:
     return convert_record(read_result(name), SweepResult, f"{name}.json", "make it again")
 
 
-def runs_of(name: str, begins: str = "") -> list[dict[str, Json]]:
-    """Return the rows by name of each run in a file of several, of those whose label begins so."""
-    runs = take(name)["runs"]
+def load_runs(name: str, label_start: str = "") -> list[dict[str, Json]]:
+    """Return the rows by name of the runs in a file whose label begins with `label_start`."""
+    runs = load_result(name)["runs"]
     return [
-        {row["name"]: row for row in run["rows"]}
-        for label, run in runs.items()
-        if label.startswith(begins)
+        _index_rows(run["rows"]) for label, run in runs.items() if label.startswith(label_start)
     ]
 
 
-def by_name(name: str) -> dict[str, dict[str, Any]]:
+def load_rows(name: str) -> dict[str, dict[str, Any]]:
     """Return the rows of a file by their names."""
-    return {row["name"]: row for row in take(name)["rows"]}
+    return _index_rows(load_result(name)["rows"])
 
 
-def as_line(name: str, cells: Sequence[str]) -> str:
-    """Return a line of a table."""
+def _index_rows(rows: list[Json]) -> dict[str, Json]:
+    return {row["name"]: row for row in rows}
+
+
+def load_locked_scores(name: str) -> dict[str, float]:
+    """Return scores by name that others made on recordings that are not here."""
+    return {row["name"]: row["value"] for row in load_result(f"locked/{name}")["rows"]}
+
+
+def start_table(header: str) -> list[str]:
+    """Return the first two lines of a table."""
+    return [header, "|---" * (header.count("|") - 1) + "|"]
+
+
+def format_line(name: str, cells: Sequence[str]) -> str:
+    """Format a line of a table."""
     return f"| {name} | {' | '.join(cells)} |"
 
 
-def with_interval(metric: Figure, digits: int) -> str:
-    """Print a mean with its interval."""
-    low, high = metric.interval
-    return f"{metric.mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def format_interval(figure: Figure, digits: int) -> str:
+    """Format a mean with its interval."""
+    low, high = figure.interval
+    return f"{figure.mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def with_range(values: Sequence[float], digits: int) -> str:
-    """Print a mean with the least and the most."""
+def format_range(values: Sequence[float], digits: int) -> str:
+    """Format a mean with the least and the largest value."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
+
+
+def format_seeds(figure: Figure, digits: int = 2) -> str:
+    """Format the mean of the seeds with the least and the largest one."""
+    return format_range(list(figure.per_seed.values()), digits)

@@ -3,7 +3,7 @@
 import re
 from statistics import fmean
 
-from docs.reading import as_line, by_name, take
+from docs.reading import format_line, load_result, load_rows, start_table
 
 FITS = {
     "calibrate_edge_2d": "edge, taps and slides",
@@ -28,7 +28,8 @@ LEFT_BEHIND = {
     "central pins left behind": f"central pins left behind by a slide of {', '.join(SLIDES)}",
     "outermost ring left behind": "outermost ring left behind, the same",
 }
-PROBLEMS = {  # what a line shows: the group, and the beginnings of the problems, each with its largest error
+# what a line shows: the group, and the beginnings of the problems, each with its largest error
+PROBLEMS = {
     "Hertz: force, radius, peak pressure": ("Hertz", ("force", "contact radius", "peak pressure")),
     "Cattaneo and Mindlin: pull, stick radius": ("Cattaneo-Mindlin", ("pull", "stick radius")),
     "flat punch: force, pull, moment": ("flat punch", ("force", "stuck pull", "stuck moment")),
@@ -51,9 +52,23 @@ PROBLEMS = {  # what a line shows: the group, and the beginnings of the problems
         ("edge passed by taps", "edge passed by slides"),
     ),
 }
-LARGE = re.compile(
-    r"(\d) mm deep.* their ([\d.]+) px.* p95 ([\d.]+).*force x ([\d.]+), radius x ([\d.]+).*beyond 20 % in (\d+) %"
+LARGE_STRAIN = re.compile(
+    r"(?P<depth>\d) mm deep.* their (?P<motion>[\d.]+) px.* p95 (?P<p95>[\d.]+).*"
+    r"force x (?P<force>[\d.]+), radius x (?P<radius>[\d.]+).*beyond 20 % in (?P<strained>\d+) %"
 )
+REFITTED = {
+    "frame": "the object's frame, found in other contacts",
+    "friction": "friction",
+    "skin_to_gel": "stiffness, skin : gel",
+    "skin_mm": "skin's thickness, mm",
+    "pin_length_mm": "pins' length, mm",
+    "skin_poisson": "skin's Poisson's ratio",
+    "gel_poisson": "gel's Poisson's ratio",
+    "dome_radius_mm": "dome's radius, mm",
+    "mm_across": "camera: mm across",
+    "distance_mm": "camera: distance, mm",
+    "all": "all values together",
+}
 LEVELS = {
     "fast, batch 64": "`fast`",
     "auto, batch 64": "`auto`",
@@ -63,189 +78,180 @@ LEVELS = {
     "reference, batch 64": "`reference`",
 }
 COMPILED, XLA = "jaxunshear", "jaxunshear, XLA alone"
-TRAINED_ON = {"bench_train": "AMD EPYC", "bench_train_xeon": "Intel Xeon"}
+PROCESSORS = {"bench_train": "AMD EPYC", "bench_train_xeon": "Intel Xeon"}
 TORCH = ("pytorch", "pytorch, compiled")
 
 
-def fits() -> str:
-    """What was fitted to recordings, with its interval."""
-    lines = [
-        "| recordings | contacts | friction | skin : gel | pins apart, mm | rings apart before / after, px of 128 |",
-        "|---|---|---|---|---|---|",
-    ]
-    for name, shown in FITS.items():
-        held = take(name)
-        fitted = {each["name"]: each for each in held["parameters"]}
-        cells = [
-            f"{one['after']:.{digits}f} [{one['low']:.{digits}f}, {one['high']:.{digits}f}]"
-            if (one := fitted[parameter])["determined"]
-            else "not determined"
-            for parameter, digits in FITTED.items()
-        ]
-        rings = held["ring_error_px"]
-        apart = f"{rings['before']:.1f} / {rings['after']:.2f}"
-        lines.append(as_line(shown, [str(sum(held["images"].values())), *cells, apart]))
+def tabulate_fits() -> str:
+    """Tabulate what was fitted to recordings, with its interval."""
+    lines = start_table(
+        "| recordings | contacts | friction | skin : gel | pins apart, mm "
+        "| rings apart before / after, px of 128 |"
+    )
+    for name, label in FITS.items():
+        result = load_result(name)
+        parameters = {row["name"]: row for row in result["parameters"]}
+        cells = [str(sum(result["images"].values()))]
+        for parameter, digits in FITTED.items():
+            row = parameters[parameter]
+            low, high = row["low"], row["high"]
+            fit = f"{row['after']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+            cells.append(fit if row["determined"] else "not determined")
+        rings = result["ring_error_px"]
+        cells.append(f"{rings['before']:.1f} / {rings['after']:.2f}")
+        lines.append(format_line(label, cells))
     return "\n".join(lines)
 
 
-def fitted_images() -> str:
-    """Statistics of recorded images, and of those simulated before and after the fit."""
-    rows = by_name("calibrate_edge_2d")
-    whens = ("real", "before", "after")
-    lines = ["| | recorded | before | after |", "|---|---|---|---|"]
-    for shown, (names, digits) in STATISTICS.items():
+def tabulate_fitted_images() -> str:
+    """Tabulate statistics of recorded images, and of those simulated before and after the fit."""
+    rows = load_rows("calibrate_edge_2d")
+    columns = ("real", "before", "after")
+    lines = start_table("| | recorded | before | after |")
+    for label, (names, digits) in STATISTICS.items():
+        cells = []
+        for column in columns:
+            cells.append(", ".join(f"{rows[name][column]:.{digits}f}" for name in names))
+        lines.append(format_line(label, cells))
+    for statistic, label in LEFT_BEHIND.items():
+        cells = []
+        for column in columns:
+            means = []
+            for lengths in SLIDES.values():
+                selected = [rows[f"{statistic}, slide {length} mm"] for length in lengths]
+                weights = [row["images"] for row in selected]
+                means.append(f"{fmean([row[column] for row in selected], weights):.1f}")
+            cells.append(", ".join(means))
+        lines.append(format_line(label, cells))
+    return "\n".join(lines)
+
+
+def tabulate_validation() -> str:
+    """Tabulate simulated against recorded pins on contacts that the fit never saw."""
+    rows = load_rows("validate")
+    lines = start_table(
+        "| | R2 of the pins' motion | left over, mm | R2 of a regression from the labels |"
+    )
+    for kind, label in (("tap", "taps"), ("slide", "slides")):
+        r2 = rows[f"r2.{kind}"]["value"]
+        residual_mm = rows[f"residual_mm.{kind}"]["value"]
+        ceiling = rows[f"ceiling_r2.{kind}"]["value"]
+        lines.append(format_line(label, [f"{r2:.2f}", f"{residual_mm:.3f}", f"{ceiling:.2f}"]))
+    return "\n".join(lines)
+
+
+def tabulate_refit() -> str:
+    """Tabulate what the simulator gains on contacts kept out, by each value that was refitted."""
+    values = {name: row["value"] for name, row in load_rows("validate_refit").items()}
+    lines = start_table("| changed | before | after | R2 gained, taps | R2 gained, slides |")
+    for name, label in REFITTED.items():
+        cells = []
+        for time in ("before", "after"):
+            key = f"{time}.{name}"
+            cells.append(f"{values[key]:.3g}" if key in values else "")
+        cells += [f"{values[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]
+        lines.append(format_line(label, cells))
+    for prefix, label in (("before.", "R2 before the refit, frame found"), ("", "R2 after it")):
+        scores = [f"{values[f'{prefix}r2.{kind}']:.3f}" for kind in ("tap", "slide")]
+        lines.append(format_line(label, ["", "", *scores]))
+    return "\n".join(lines)
+
+
+def tabulate_problems() -> str:
+    """Tabulate the largest errors against closed forms and other solvers, with their limits."""
+    lines = start_table("| problem | error | bar |")
+    rows = load_result("verify")["rows"]
+    for label, (group, starts) in PROBLEMS.items():
+        limited = [row for row in rows if row["group"] == group and row["bar"] is not None]
+        errors, bars = [], []
+        for start in starts:
+            selected = [row for row in limited if re.match(start, row["problem"])]
+            scale, unit = (1, "px") if selected[0]["px"] else (100, "%")
+            errors.append(f"{scale * max(abs(row['error']) for row in selected):.2g}")
+            bars.append(f"{scale * selected[0]['bar']:g}")
+        if len(set(bars)) == 1:
+            bars = bars[:1]
         lines.append(
-            as_line(
-                shown,
-                [", ".join(f"{rows[name][when]:.{digits}f}" for name in names) for when in whens],
-            )
-        )
-    for what, shown in LEFT_BEHIND.items():
-        together = [
-            [rows[f"{what}, slide {each} mm"] for each in names] for names in SLIDES.values()
-        ]
-        lines.append(
-            as_line(
-                shown,
-                [
-                    ", ".join(f"{_over_images(each, when):.1f}" for each in together)
-                    for when in whens
-                ],
-            )
+            format_line(label, [f"{', '.join(errors)} {unit}", f"{', '.join(bars)} {unit}"])
         )
     return "\n".join(lines)
 
 
-def _over_images(rows: list[dict], when: str) -> float:
-    return fmean([row[when] for row in rows], [row["images"] for row in rows])
-
-
-def compared() -> str:
-    """Simulated against recorded pins on contacts that the fit never saw."""
-    rows = {name: row["value"] for name, row in by_name("validate").items()}
-    lines = [
-        "| | R2 of the pins' motion | left over, mm | R2 of a regression from the labels |",
-        "|---|---|---|---|",
-    ]
-    for kind, shown in (("tap", "taps"), ("slide", "slides")):
-        r2, left, ceiling = (rows[f"{name}.{kind}"] for name in ("r2", "residual_mm", "ceiling_r2"))
-        lines.append(as_line(shown, [f"{r2:.2f}", f"{left:.3f}", f"{ceiling:.2f}"]))
-    return "\n".join(lines)
-
-
-def problems() -> str:
-    """The largest errors against closed forms and other solvers, and what they may be."""
-    rows = take("verify")["rows"]
-    lines = ["| problem | error | bar |", "|---|---|---|"]
-    for shown, (group, begins) in PROBLEMS.items():
-        known = [row for row in rows if row["group"] == group and row["bar"] is not None]
-        found = [[row for row in known if re.match(begin, row["problem"])] for begin in begins]
-        px = found[0][0]["px"]
-        scale, unit = (1, "px") if px else (100, "%")
-        errors = ", ".join(
-            f"{scale * max(abs(row['error']) for row in each):.2g}" for each in found
-        )
-        bars = [f"{scale * each[0]['bar']:g}" for each in found]
-        lines.append(
-            as_line(
-                shown,
-                [
-                    f"{errors} {unit}",
-                    f"{', '.join(bars if len(set(bars)) > 1 else bars[:1])} {unit}",
-                ],
-            )
-        )
-    return "\n".join(lines)
-
-
-def large_strain() -> str:
-    """The linear dome against a neo-Hookean one, by depth."""
-    lines = [
-        "| depth mm | pins move, rms | error rms / 95 % | force | radius | gel strained beyond 20 % |",
-        "|---|---|---|---|---|---|",
-    ]
-    for row in take("verify")["rows"]:
+def tabulate_large_strain() -> str:
+    """Tabulate the linear dome against a neo-Hookean one, by depth."""
+    lines = start_table(
+        "| depth mm | pins move, rms | error rms / 95 % | force | radius "
+        "| gel strained beyond 20 % |"
+    )
+    for row in load_result("verify")["rows"]:
         if row["group"].startswith("the model's own error"):
-            depth, move, p95, force, radius, strained = LARGE.search(
-                f"{row['problem']} {row['note']}"
-            ).groups()
-            cells = (
-                f"{row['measured']:.2f} / {p95}",
-                f"x {float(force):.2f}",
-                f"x {float(radius):.2f}",
-                f"{strained} %",
-            )
-            lines.append(as_line(depth, [move, *cells]))
+            match = LARGE_STRAIN.search(f"{row['problem']} {row['note']}")
+            cells = [
+                match["motion"],
+                f"{row['measured']:.2f} / {match['p95']}",
+                f"x {float(match['force']):.2f}",
+                f"x {float(match['radius']):.2f}",
+                f"{match['strained']} %",
+            ]
+            lines.append(format_line(match["depth"], cells))
     return "\n".join(lines)
 
 
-def levels() -> str:
-    """Time and error of a contact by level."""
-    rows = {(row["name"], row["kind"]): row for row in take("bench_sim")["rows"]}
-    lines = [
-        "| | slide: ratio, ms | rms / 95 % px | tap: ratio, ms | rms / 95 % px |",
-        "|---|---|---|---|---|",
-    ]
-    for name, shown in LEVELS.items():
+def tabulate_levels() -> str:
+    """Tabulate time and error of a contact by level."""
+    rows = {(row["name"], row["kind"]): row for row in load_result("bench_sim")["rows"]}
+    lines = start_table("| | slide: ratio, ms | rms / 95 % px | tap: ratio, ms | rms / 95 % px |")
+    for name, label in LEVELS.items():
         cells = []
         for kind in ("slide", "tap"):
             row = rows[name, kind]
-            exact = name.startswith(row["against"])
+            is_reference = name.startswith(row["against"])
+            error = f"{row['rms_px']:.2f} / {row['p95_px']:.2f}"
             cells.append(f"{row['ratio']:.3g}, {row['ms_per_state']:.3g}")
-            cells.append("0" if exact else f"{row['rms_px']:.2f} / {row['p95_px']:.2f}")
-        lines.append(as_line(shown, cells))
+            cells.append("0" if is_reference else error)
+        lines.append(format_line(label, cells))
     return "\n".join(lines)
 
 
-def training() -> str:
-    """Images a second in training, and the convolutions' rate over that of a matrix product."""
-    lines = [
-        "| images a second | jaxunshear | by XLA alone | PyTorch | PyTorch, compiled |",
-        "|---|---|---|---|---|",
-    ]
-    for name, processor in TRAINED_ON.items():
-        rows = {(row["name"], row["size"]): row for row in take(name)["rows"]}
-        apart = any(kind == XLA for kind, _ in rows)  # earlier there was one form, by XLA
-        kinds = (COMPILED, XLA, *TORCH) if apart else ("", COMPILED, *TORCH)
+def tabulate_training() -> str:
+    """Tabulate images per second in training, and the rate over that of a matrix product."""
+    lines = start_table(
+        "| images a second | jaxunshear | by XLA alone | PyTorch | PyTorch, compiled |"
+    )
+    for name, processor in PROCESSORS.items():
+        rows = {(row["name"], row["size"]): row for row in load_result(name)["rows"]}
+        separate = any(kind == XLA for kind, _ in rows)  # earlier there was one form, by XLA
+        kinds = (COMPILED, XLA, *TORCH) if separate else ("", COMPILED, *TORCH)
         for size in dict.fromkeys(size for _, size in rows):
-            found = [rows.get((kind, size)) for kind in kinds]
-            cells = [
-                f"{row['images_per_s']:.1f} ({row['share']:.2f})" if row else "not measured"
-                for row in found
-            ]
+            cells = []
+            for kind in kinds:
+                row = rows.get((kind, size))
+                rate = f"{row['images_per_s']:.1f} ({row['share']:.2f})" if row else "not measured"
+                cells.append(rate)
             batch = rows[COMPILED, size]["batch"]
-            lines.append(as_line(f"{processor}, {size} px, batch {batch}", cells))
+            lines.append(format_line(f"{processor}, {size} px, batch {batch}", cells))
     return "\n".join(lines)
 
 
-def inference() -> str:
-    """Milliseconds to unshear one image."""
-    rows = {(row["name"], row["size"]): row for row in take("bench_infer")["rows"]}
-    lines = ["| | jaxunshear | PyTorch | PyTorch, compiled |", "|---|---|---|---|"]
+def tabulate_inference() -> str:
+    """Tabulate milliseconds to unshear one image."""
+    rows = {(row["name"], row["size"]): row for row in load_result("bench_infer")["rows"]}
+    lines = start_table("| | jaxunshear | PyTorch | PyTorch, compiled |")
     for size in (256, 128):
-        found = [rows[kind, size] for kind in (COMPILED, *TORCH)]
-        lines.append(
-            as_line(
-                f"{size} px", [f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in found]
-            )
-        )
+        times = []
+        for kind in (COMPILED, *TORCH):
+            row = rows[kind, size]
+            times.append(f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})")
+        lines.append(format_line(f"{size} px", times))
     return "\n".join(lines)
 
 
-def needs() -> str:
-    """Operations and milliseconds of work with and without a part."""
-    lines = [
-        "| work | left out | Mflop, before and after | ms, before and after |",
-        "|---|---|---|---|",
-    ]
-    for row in take("bench_needs")["rows"]:
+def tabulate_omissions() -> str:
+    """Tabulate operations and milliseconds of work with and without a part."""
+    lines = start_table("| work | left out | Mflop, before and after | ms, before and after |")
+    for row in load_result("bench_needs")["rows"]:
         both = (row["with"], row["without"])
         operations = ", ".join(f"{each['operations'] / 1e6:.0f}" for each in both)
         times = ", ".join(f"{1e3 * each['seconds']:.1f}" for each in both)
-        lines.append(as_line(row["name"], [row["left_out"], operations, times]))
+        lines.append(format_line(row["name"], [row["left_out"], operations, times]))
     return "\n".join(lines)
-
-
-CALIBRATION = (fits, fitted_images, compared)
-SIMULATOR = (problems, large_strain, levels)
-SPEED = (training, inference, needs)

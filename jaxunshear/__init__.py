@@ -1,8 +1,8 @@
 """A soft tactile dome in simulation, and networks that take the slide out of its images.
 
-The way of the data is the layout: scene -> contact -> image -> dataset -> model -> training -> evaluation -> report.
-Every step can be imported and used by itself. `load_model` is the short way to a trained model; nothing is imported before it is called, so
-the command line starts quickly.
+The packages are the steps of the data: simulator -> perception -> data -> models -> training ->
+evaluation -> report. Every step can be imported and used by itself. `load_model` loads a trained
+model; nothing is imported before it is called, so the command line starts quickly.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if typing.TYPE_CHECKING:
 
 
 def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
-    """See `jaxunshear.api.load_model`."""
+    """Load a trained model: see `jaxunshear.api.load_model`."""
     from jaxunshear.api import load_model
 
     return load_model(name, like, force)

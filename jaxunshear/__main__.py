@@ -1,4 +1,4 @@
-"""`jaxunshear` and `python -m jaxunshear`."""
+"""Runs `jaxunshear` and `python -m jaxunshear`."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ INTERRUPTED = 130
 
 
 def run(program: str = "jaxunshear.cli") -> int:
-    """Run the `main` of a program, in a process of its own."""
+    """Run the `main` of a program and return its exit code."""
     try:
         main = import_module(program).main
     except MemoryError:
@@ -16,7 +16,7 @@ def run(program: str = "jaxunshear.cli") -> int:
         return 2
     code = main()
     if code == INTERRUPTED:
-        # threads of readers and checkpoints may be at work still, and crash in an interpreter that is taken down
+        # threads of readers and checkpoints may still work, and crash while Python shuts down
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         os._exit(code)

@@ -1,8 +1,9 @@
-"""Freed memory is kept in the process. Does not import JAX when it is imported.
+"""Keeps freed memory in the process. Does not import JAX when it is imported.
 
-XLA allocates one block for a step's intermediate arrays and frees it after each step; glibc returns such large blocks
-to the kernel, and getting them back, page by page, cost a third of a training step on two cores. What other threads than the
-first allocate is returned whatever one asks for. So computations run in the thread that calls them.
+XLA allocates one block for a step's intermediate arrays and frees it after each step. glibc returns
+such large blocks to the kernel, and getting them back, page by page, cost a third of a training
+step on two cores. glibc always returns what threads other than the first allocate, so computations
+run in the thread that calls them.
 """
 
 import ctypes
@@ -12,9 +13,9 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Makes glibc keep large freed blocks, and JAX compute in the calling thread, whose blocks they then are.
+    """Make glibc keep large freed blocks, and JAX compute in the calling thread.
 
-    The first does nothing where the C library is another, the second where JAX has computed already.
+    The first has no effect with another C library, the second none if JAX has computed already.
     """
     import jax
 

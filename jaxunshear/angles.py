@@ -1,10 +1,10 @@
-"""Angles on their circle, and rotations of the plane.
+"""Wraps angles and rotates vectors of the plane.
 
 >>> wrap_degrees(np.array([190.0, -180.0]))                  # [-170, 180]
 >>> rotate_2d(np.array([[1.0, 0.0]]), np.pi / 2)             # [[0, 1]]
->>> xy @ rotation_2d(angle).T                                # the same of all points, by one matrix
+>>> xy @ rotation_2d(angle).T                                # all points, by one matrix
 
-NumPy's arrays give NumPy's, JAX's give JAX's.
+Arrays of NumPy give arrays of NumPy, arrays of JAX give arrays of JAX.
 """
 
 from typing import TypeVar
@@ -16,16 +16,16 @@ Values = TypeVar("Values", np.ndarray, jax.Array)
 
 
 def wrap_degrees(degrees: Values) -> Values:
-    """Bring angles into (-180, 180]; of a difference this is the short way round."""
+    """Bring angles into (-180, 180]."""
     return 180 - (180 - degrees) % 360
 
 
 def rotate_2d(xy: Values, radians: Values) -> Values:
     """Rotate vectors (..., 2) from x towards y, by angles that broadcast against (...)."""
-    like = xy.__array_namespace__()
-    cosine, sine = like.cos(radians), like.sin(radians)
+    xp = xy.__array_namespace__()
+    cosine, sine = xp.cos(radians), xp.sin(radians)
     x, y = xy[..., 0], xy[..., 1]
-    return like.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+    return xp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
 def rotation_2d(radians: np.ndarray | float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The code that a process runs: its version, and of a git checkout the commit. Imports no JAX."""
+"""Reads the version of the code, and the commit of a git checkout. Imports no JAX."""
 
 import os
 import subprocess
@@ -10,17 +10,13 @@ from jaxunshear import __version__
 from jaxunshear.results.measurement import Source
 
 ROOT = Path(__file__).resolve().parents[1]
-# what decides a result
-CODE_PATHS = (
+CODE_PATHS = (  # what decides a result
     *("jaxunshear", "verification", "benchmarks", "data_specs", "experiments"),
     *("pyproject.toml", "constraints.txt"),
 )
-GIT_VARIABLES = (
-    "GIT_DIR",
-    "GIT_WORK_TREE",
-    "GIT_INDEX_FILE",
-)  # a hook of another repository sets them
-SECONDS = 20
+# a hook of another repository sets them
+GIT_VARIABLES = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")
+TIMEOUT_S = 20
 
 
 @cache
@@ -33,13 +29,13 @@ def read_source() -> Source:
 
 
 def read_commit(root: Path) -> tuple[str | None, bool | None]:
-    """Return the commit of the checkout at `root`, and whether its CODE is as committed.
+    """Return the commit of the checkout at `root`, and whether CODE_PATHS are as committed.
 
     Both are None if there is none.
     """
     if not (root / ".git").exists():  # a checkout may hold this package in an environment alone
         return None, None
-    words = [
+    command = [
         "git",
         "--no-optional-locks",
         "status",
@@ -48,15 +44,15 @@ def read_commit(root: Path) -> tuple[str | None, bool | None]:
         "--",
         *CODE_PATHS,
     ]
-    here = {name: value for name, value in os.environ.items() if name not in GIT_VARIABLES}
+    variables = {name: value for name, value in os.environ.items() if name not in GIT_VARIABLES}
     try:
         done = subprocess.run(
-            words, cwd=root, env=here, capture_output=True, text=True, timeout=SECONDS
+            command, cwd=root, env=variables, capture_output=True, text=True, timeout=TIMEOUT_S
         )
     except (OSError, subprocess.TimeoutExpired):
         return None, None
     lines = done.stdout.splitlines()
-    named = [line.split()[-1] for line in lines if line.startswith("# branch.oid ")]
-    if done.returncode or not named or named[0] == "(initial)":
+    commits = [line.split()[-1] for line in lines if line.startswith("# branch.oid ")]
+    if done.returncode or not commits or commits[0] == "(initial)":
         return None, None
-    return named[0], all(line.startswith("#") for line in lines)
+    return commits[0], all(line.startswith("#") for line in lines)

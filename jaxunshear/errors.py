@@ -1,14 +1,17 @@
-"""What is meant for people: an error, caught at the edge, printed as one line, exit code 2; and a note, which hinders nothing."""
+"""Errors and notes for people.
+
+The command line prints either as one line; an error ends the command with exit code 2.
+"""
 
 
 class UserError(Exception):
-    """What went wrong, where (file or field), and the remedy, in one line."""
+    """An error that says in one line what went wrong, where (file or field), and the remedy."""
 
 
 class Note(UserWarning):
-    """What works, but not as well as it could, in one line."""
+    """A warning about what works, but not as well as it could, in one line."""
 
 
 def get_first_line(error: BaseException) -> str:
-    """What an error of another library says, in one line of at most 200 characters; its kind where it says nothing."""
+    """Return the first 200 characters of an error's first line, or its type if it has no text."""
     return (str(error).strip() or type(error).__name__).splitlines()[0][:200]

@@ -1,6 +1,7 @@
-"""Files are written beside their place and moved into it: a killed run leaves the old file or the new one, never half.
+"""Reads and writes files.
 
-Symbolic links are followed. Pipes and devices are written into as they are.
+Files are written beside their place and moved into it: a killed run leaves the old file or the new
+one, never half. Symbolic links are followed. Pipes and devices are written into as they are.
 
 >>> write_json(Path("runs/demo/results.json"), {"ms_ssim": 0.9})
 >>> read_object(Path("runs/demo/results.json"))["ms_ssim"]
@@ -26,13 +27,29 @@ if TYPE_CHECKING:
     import numpy as np
 
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
-
-
 CHECKSUM_FIELD = "checksum"  # of an object of JSON, beside its fields
+FULL_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT)
+MACHINE_ERRORS = (  # names, as some systems lack some of them
+    *("EACCES", "EPERM", "EMFILE", "ENFILE", "ENOMEM"),
+    *("EIO", "ESTALE", "EROFS", "ENOSPC", "EDQUOT"),
+)
+BROKEN_NPZ = (  # what `read_npz` raises
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    RuntimeError,
+    zlib.error,
+    zipfile.BadZipFile,
+    tokenize.TokenError,
+)
 
 
 def cache_folder() -> Path:
-    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder. Raises `UserError` where none is known."""
+    """Return $JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder.
+
+    Raises UserError if none is known.
+    """
     if os.environ.get("JAXUNSHEAR_CACHE"):
         return Path(os.environ["JAXUNSHEAR_CACHE"])
     from platformdirs import user_cache_path  # only for this: help must be quick
@@ -46,32 +63,18 @@ def cache_folder() -> Path:
 
 
 def explain_os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
-    """The line for people that an `OSError` at `path` deserves."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    """Turn an OSError at `path` into a line for people."""
+    if error.errno in FULL_DISK_ERRORS:
         return UserError(
             f"cannot {verb} {path}: the disk is full; free some space, then run the same command"
         )
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
-MACHINE_ERRORS = (
-    "EACCES",
-    "EPERM",
-    "EMFILE",
-    "ENFILE",
-    "ENOMEM",
-    "EIO",
-    "ESTALE",
-    "EROFS",
-    "ENOSPC",
-    "EDQUOT",
-)
-
-
 def raise_machine_error(path: Path, error: BaseException) -> None:
-    """Raises a `UserError` where `error`, met in reading `path`, says nothing about the file: no memory, no right, no place.
+    """Raise UserError if an error in reading `path` is the machine's: no memory, right or space.
 
-    Also when a library wrapped it in one of its own. So nobody is asked to delete what is sound.
+    So nobody is asked to delete a sound file. Errors that a library wrapped in its own count, too.
     """
     codes = {getattr(errno, name, None) for name in MACHINE_ERRORS}
     cause: BaseException | None = error
@@ -84,9 +87,9 @@ def raise_machine_error(path: Path, error: BaseException) -> None:
 
 
 def is_disk_full(error: BaseException | None) -> bool:
-    """Also when a library wrapped the operating system's error in one of its own."""
+    """Return whether an error, or one that a library wrapped in it, says that the disk is full."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if isinstance(error, OSError) and error.errno in FULL_DISK_ERRORS:
             return True
         if "No space left on device" in str(error) or "Disk quota exceeded" in str(error):
             return True
@@ -94,22 +97,12 @@ def is_disk_full(error: BaseException | None) -> bool:
     return False
 
 
-# Of `read_npz`.
-BROKEN_NPZ = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    RuntimeError,
-    zlib.error,
-    zipfile.BadZipFile,
-    tokenize.TokenError,
-)
-
-
 def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
-    """All arrays by name. np.load trusts a header before it has compared the checksum, so that a damaged one may be another array;
-    here it is compared first. Raises one of BROKEN_NPZ."""
+    """Read all arrays by name. Raises one of BROKEN_NPZ.
+
+    np.load trusts a header before it has compared the checksum, so a damaged header may give
+    another array. Here the checksum is compared first.
+    """
     import numpy as np
 
     with zipfile.ZipFile(file) as members:
@@ -118,9 +111,9 @@ def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replace the file at `path`, or the one a link leads to, by `data` in one step; make missing folders.
+    """Replace the file at `path`, or the one a link leads to, by `data`; make missing folders.
 
-    Pipes and devices are written into, never replaced. Raises `UserError` that names the path.
+    Pipes and devices are written into, never replaced. Raises UserError that names the path.
     """
     try:
         if is_device(path):
@@ -133,7 +126,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Replace the file at `path` by `data`: all of it is there, or the old file stays. Raises OSError."""
+    """Replace a file in one step: all of `data` is there, or the old file stays. Raises OSError."""
     part = path.with_name(path.name + ".part")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -149,12 +142,12 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def follow_link(path: Path) -> Path:
-    """Return the absolute place of `path`; where it is a link, the place that this leads to."""
+    """Return the absolute path; of a link, that of the place it leads to."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path.absolute()
 
 
 def is_device(path: Path) -> bool:
-    """Say whether `path` is neither file nor folder but a pipe, a device or the like, or leads to one."""
+    """Return whether `path` is, or leads to, neither a file nor a folder but a pipe or a device."""
     return path.exists() and not (path.is_file() or path.is_dir())
 
 
@@ -173,21 +166,23 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, obj: object) -> None:
-    """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither. Objects are sealed."""
-    held = to_builtins(obj)
-    write_text(
-        path,
-        json.dumps(
-            add_checksum(held) if isinstance(held, dict) else held, indent=2, allow_nan=False
-        )
-        + "\n",
-    )
+    """Replace `path` by `obj` as indented JSON in one step; an object gets a checksum.
+
+    NaN and infinity become null, as JSON has neither.
+    """
+    content = to_builtins(obj)
+    if isinstance(content, dict):
+        content = add_checksum(content)
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> object:
-    """What `path` holds, without its seal. Raises `UserError` where it is missing, is no JSON, or is not what was sealed."""
+    """Read JSON without its checksum.
+
+    Raises UserError if the file is missing, is no JSON, or differs from its checksum.
+    """
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise explain_os_error(path, error, "read") from error
     except (ValueError, RecursionError) as error:
@@ -195,53 +190,54 @@ def read_json(path: Path) -> object:
             f"{path} is not valid JSON ({error}): delete it and make it again"
         ) from error
     try:
-        return check_and_remove_checksum(held)
+        return check_and_remove_checksum(content)
     except ValueError as error:
-        remedy = (
-            f"make it again, or, where you changed it by hand, delete its line '{CHECKSUM_FIELD}'"
-        )
-        raise UserError(f"{path} is damaged ({error}): {remedy}") from error
+        raise UserError(
+            f"{path} is damaged ({error}): make it again, or, where you changed it by hand, "
+            f"delete its line '{CHECKSUM_FIELD}'"
+        ) from error
 
 
 def compute_checksum(obj: object) -> str:
-    """Of what JSON keeps of `obj`: its values, whatever their order and spacing in a file."""
-    return hashlib.blake2b(
-        json.dumps(to_builtins(obj), sort_keys=True).encode(), digest_size=16
-    ).hexdigest()
+    """Compute a checksum of the values of `obj`, whatever their order and spacing in a file."""
+    text = json.dumps(to_builtins(obj), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def add_checksum(held: Json) -> Json:
-    """With its checksum beside it: a bit that flips in a digit leaves valid JSON, of another figure."""
-    bare = {name: value for name, value in held.items() if name != CHECKSUM_FIELD}
+def add_checksum(content: Json) -> Json:
+    """Return an object with its checksum: a bit that flips in a digit leaves valid JSON."""
+    bare = {name: value for name, value in content.items() if name != CHECKSUM_FIELD}
     return bare | {CHECKSUM_FIELD: compute_checksum(bare)}
 
 
-def check_and_remove_checksum(held: Any) -> Any:
-    """Without its checksum; what bears none is taken as it is. Raises ValueError where it is of something else, or its name is damaged."""
-    if not isinstance(held, dict) or not held:
-        return held
-    *names, last = held
-    kept = {name: held[name] for name in names}
-    agrees = held[last] == compute_checksum(kept)
+def check_and_remove_checksum(content: Any) -> Any:
+    """Return an object without its checksum; what has none is returned as it is.
+
+    Raises ValueError if the checksum is of something else, or its name is damaged.
+    """
+    if not isinstance(content, dict) or not content:
+        return content
+    *names, last = content
+    bare = {name: content[name] for name in names}
+    agrees = content[last] == compute_checksum(bare)
     if agrees and last == CHECKSUM_FIELD:
-        return kept
-    if agrees or CHECKSUM_FIELD in held:
+        return bare
+    if agrees or CHECKSUM_FIELD in content:
         raise ValueError("its checksum differs")
-    return held
+    return content
 
 
 def read_object(path: Path) -> Json:
-    """An object that `path` holds, as `read_json`. Raises `UserError` where it holds anything else, such as a list."""
-    held = read_json(path)
-    if not isinstance(held, dict):
-        raise UserError(
-            f"{path} holds no JSON object but a {type(held).__name__}: delete it and make it again"
-        )
-    return held
+    """Read an object like `read_json`. Raises UserError if the file holds anything else."""
+    content = read_json(path)
+    if not isinstance(content, dict):
+        kind = type(content).__name__
+        raise UserError(f"{path} holds no JSON object but a {kind}: delete it and make it again")
+    return content
 
 
 def read_object_if_sound(path: Path) -> Json | None:
-    """What `path` holds; None where it is missing or damaged, for files that are not worth stopping for."""
+    """Read an object; return None if the file is missing or damaged."""
     try:
         return read_object(path)
     except UserError:

@@ -1,4 +1,4 @@
-"""Locks on folders, so that never two processes write into one. Imports no JAX."""
+"""Locks folders, so that never two processes write into one. Imports no JAX."""
 
 import contextlib
 from collections.abc import Iterator
@@ -11,15 +11,15 @@ from jaxunshear.files import explain_os_error
 
 @contextlib.contextmanager
 def hold_lock(path: Path, wait: bool) -> Iterator[bool]:
-    """Holds the lock file `path` while open, for no other process to hold it; yields whether it could be had.
+    """Hold the lock file `path` while the context is open; yield whether it could be had.
 
-    `wait`: until it can. The system frees it when the process dies, however it dies; the empty file stays.
-    Raises `UserError` where the file cannot be written or locked.
+    With `wait` it waits until it can. The system frees the lock when the process dies, however it
+    dies; the empty file stays. Raises UserError if the file cannot be written or locked.
     """
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as stack:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            held.enter_context(FileLock(path, blocking=wait, fallback_to_soft=False))
+            stack.enter_context(FileLock(path, blocking=wait, fallback_to_soft=False))
             free = True
         except Timeout:
             free = False

@@ -1,4 +1,4 @@
-"""The folder of a model, by its path or by the name of released weights, and the settings in it."""
+"""Finds the folder of a model by its path or by the name of released weights."""
 
 import os
 from collections.abc import Sequence
@@ -13,27 +13,26 @@ RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a m
 
 
 def find_model_folder(model: Path) -> Path:
-    """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
+    """Return the folder of the released weights of this name; any other path as it is."""
     is_name = len(model.parts) == 1 and not model.exists()
-    return (
-        RELEASED / model if is_name and (RELEASED / model / "experiment.json").is_file() else model
-    )
+    released = RELEASED / model
+    return released if is_name and (released / "experiment.json").is_file() else model
 
 
 def load_settings(model: Path) -> Experiment:
-    """The experiment that the folder of a run was made with. Raises `UserError`."""
+    """Load the experiment that a folder was made with. Raises UserError."""
     file = model / "experiment.json"
     if not file.is_file():
         names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
         raise UserError(
-            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo, "
-            f"or released weights{f' ({names})' if names else ''}"
+            f"--model {model} holds no experiment.json: name the folder of a finished run, "
+            f"such as runs/demo, or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_object(file), str(file))
 
 
 def make_distinct_names(folders: Sequence[Path]) -> list[str]:
-    """The folders' own names, or as much of the ends of their paths as distinguishes them."""
+    """Return the folders' names, or as much of the ends of their paths as distinguishes them."""
     parts = [Path(os.path.abspath(folder)).parts for folder in folders]
     for count in range(1, max(map(len, parts))):
         names = ["/".join(part[-count:]) for part in parts]

@@ -1,4 +1,4 @@
-"""Places for results: refused before there is work to lose, where something would be lost."""
+"""Checks places for results before there is work to lose."""
 
 import contextlib
 import json
@@ -9,14 +9,13 @@ from jaxunshear.files import read_object_if_sound
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:
-    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds what no command wrote there."""
+    """Refuse a file for JSON that is a folder, lies in a file, or holds what no command wrote."""
     if path is None:
         return
     if path.is_dir():
         raise UserError(f"{option} {path} is a folder: name a file")
-    above = _file_above(path)
-    if above is not None:
-        raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
+    if file := _find_file_above(path):
+        raise UserError(f"{option} {path}: {file} is a file: name a file in a folder")
     if path.is_file() and path.stat().st_size and not _is_measurement(path):
         raise UserError(
             f"{option} {path} holds something else, which would be lost: name another file"
@@ -24,38 +23,36 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
 
 
 def _is_measurement(path: Path) -> bool:
-    """Whether a file is of `--json`, whose writers report machines and versions, or of `--lines`."""
+    """Return whether a file is of `--json`, which names machines and versions, or of `--lines`."""
     with path.open("rb") as file:
         line = file.readline(2**20)
     with contextlib.suppress(ValueError, TypeError):
         if "frame" in json.loads(line):
             return True
-    held = read_object_if_sound(path)
-    return (
-        held is not None
-        and "versions" in held
-        and not held.keys().isdisjoint(("machine", "machines"))
-    )
+    content = read_object_if_sound(path) or {}
+    return "versions" in content and ("machine" in content or "machines" in content)
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:
-    """Refuses, before there is work to lose, a folder for results that is a file or lies in one."""
+    """Refuse a folder for results that is a file or lies in one."""
     if path is None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(f"{option} {path} is a file: name a folder")
-    above = _file_above(path)
-    if above is not None:
-        raise UserError(f"{option} {path}: {above} is a file: name another folder")
+    if file := _find_file_above(path):
+        raise UserError(f"{option} {path}: {file} is a file: name another folder")
 
 
-def _file_above(path: Path) -> Path | None:
-    above = next((folder for folder in path.absolute().parents if folder.exists()), None)
-    return None if above is None or above.is_dir() else above
+def _find_file_above(path: Path) -> Path | None:
+    nearest = next((folder for folder in path.absolute().parents if folder.exists()), None)
+    return None if nearest is None or nearest.is_dir() else nearest
 
 
 def check_not_among(recordings: Path, out: Path, option: str) -> None:
-    """Refuses to write among the recordings: a name could be theirs, and the next run would read what this one wrote."""
+    """Refuse to write among the recordings.
+
+    A name could be one of theirs, and the next run would read what this one wrote.
+    """
     place, root = out.resolve(), recordings.resolve()
     if place == root.parent if recordings.is_file() else place.is_relative_to(root):
         raise UserError(

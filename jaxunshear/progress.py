@@ -1,4 +1,4 @@
-"""One line on stderr that says how far a long loop is, how fast, and how long it still takes.
+"""Shows on stderr how far a long loop is, how fast, and how long it still takes.
 
 >>> with Progress("simulate", total=1200, unit="contacts") as progress:
 ...     for batch in batches:
@@ -20,9 +20,10 @@ LOG_SECONDS = 10.0
 
 
 class Progress:
-    """Counts `done` of `total` units. The rate is that of this process: `done` at the start (resumed work) is left out.
+    """Counts `done` of `total` units.
 
-    On a terminal a bar is drawn over and over; in a log a full line is written about every ten seconds.
+    The rate is that of this process, without `done` at the start (resumed work). On a terminal a
+    bar is drawn over and over; in a log a full line is written about every ten seconds.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Progress:
         self._start = self._shown = clock()
         self._bar: progress.Progress | None = None
         if self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown"):
-            self._bar = _bar(self._stream)
+            self._bar = _make_bar(self._stream)
             self._bar.add_task(label, total=total, completed=int(done))
 
     def __enter__(self) -> Self:
@@ -51,18 +52,19 @@ class Progress:
         return self
 
     def advance(self, n: float = 1) -> None:
-        """Counts `n` more; draws if the last drawing is long enough ago."""
+        """Count `n` more; draw if the last drawing is long enough ago."""
         self.done += n
         now = self._clock()
         if now - self._shown >= (TERMINAL_SECONDS if self._bar else LOG_SECONDS):
             self._shown = now
             self._draw(now)
 
-    def line(self, now: float) -> str:
-        """For example `train: 3200/9600 images, 41.3 images/s, 2 min 35 s left`."""
+    def format_line(self, now: float) -> str:
+        """Format a line such as `train: 3200/9600 images, 41.3 images/s, 2 min 35 s left`."""
         seconds = now - self._start
         rate = (self.done - self._from) / seconds if seconds > 0 else 0.0
-        text = f"{self.label}: {self.done:.10g}/{self.total:.10g} {self.unit}, {rate:.3g} {self.unit}/s"
+        counts = f"{self.done:.10g}/{self.total:.10g} {self.unit}"
+        text = f"{self.label}: {counts}, {rate:.3g} {self.unit}/s"
         if self.done < self.total and rate > 0:
             text += f", {format_duration((self.total - self.done) / rate)} left"
         elif self.done >= self.total:
@@ -77,17 +79,17 @@ class Progress:
 
     def _draw(self, now: float) -> None:
         if not self._bar:
-            print(self.line(now), file=self._stream, flush=True)
+            print(self.format_line(now), file=self._stream, flush=True)
             return
         (task,) = self._bar.task_ids
-        self._bar.update(task, description=self.line(now), completed=self.done, refresh=True)
+        self._bar.update(task, description=self.format_line(now), completed=self.done, refresh=True)
 
 
-def _bar(stream: TextIO) -> progress.Progress:
+def _make_bar(stream: TextIO) -> progress.Progress:
     return progress.Progress(
         progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(bar_width=None),  # what the text leaves of the line
-        console=_console(stream),
+        console=_make_console(stream),
         auto_refresh=False,
         redirect_stdout=sys.stdout.isatty(),  # what goes into a file stays out of the terminal
         expand=True,
@@ -95,13 +97,13 @@ def _bar(stream: TextIO) -> progress.Progress:
 
 
 @cache
-def _console(stream: TextIO) -> Console:
-    """One for all bars on a stream, so that a bar may be drawn within a bar."""
+def _make_console(stream: TextIO) -> Console:
+    """Make one console for all bars on a stream, so that a bar may be drawn within a bar."""
     return Console(file=stream, force_terminal=True)
 
 
 def format_duration(seconds: float) -> str:
-    """`45 s`, `2 min 05 s`, `3 h 10 min`."""
+    """Format seconds as `45 s`, `2 min 05 s` or `3 h 10 min`."""
     full = round(seconds)
     if full < 60:
         return f"{full} s"

@@ -1,7 +1,7 @@
-"""The stages of an experiment, in the order of the data: data, trainings, evaluation, report.
+"""Runs the stages of an experiment in their order: data, trainings, evaluation, report.
 
-Every stage leaves its work under one folder and finds it again, so the same command continues a stopped run. Only this file
-knows their order.
+Every stage leaves its work under one folder and finds it again, so the same command continues a
+stopped run. Only this file knows their order.
 """
 
 import time
@@ -35,10 +35,10 @@ def run_stages(
     command: str,
     run_calls: CallRunner = run_locally,
 ) -> Results | None:
-    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>. `run_calls`: who simulates.
+    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
-    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can fix, and
-    where another process is at work in that folder.
+    `run_calls` runs the simulations. Returns the results if they were evaluated. Raises UserError
+    for whatever a person can fix, and if another process is at work in that folder.
     """
     for network in TRAINABLE:
         if network in stages:
@@ -49,7 +49,7 @@ def run_stages(
             raise UserError(
                 f"another run is at work in {folder}: wait for it, stop it, or give another --out"
             )
-        _keep_settings(experiment, folder)
+        _store_settings(experiment, folder)
         return _run(experiment, stages, folder, data, command, run_calls)
 
 
@@ -59,16 +59,16 @@ def _run(
     folder: Path,
     data: Path,
     command: str,
-    spread: CallRunner,
+    run_calls: CallRunner,
 ) -> Results | None:
     results = None
     for stage in stages:
-        halfway = partial(_halfway, experiment, stage, folder, data)
-        before = read_times(folder).get(stage, 0.0) if halfway() else 0.0
+        is_partial = partial(_is_partial, experiment, stage, folder, data)
+        before = read_times(folder).get(stage, 0.0) if is_partial() else 0.0
         began, worked = time.perf_counter(), False
         try:
             if stage == "data":
-                worked = _make_data(experiment, data, spread)
+                worked = _make_data(experiment, data, run_calls)
             elif stage in TRAINABLE:
                 worked = _train(experiment, stage, folder, data)
             elif stage == "evaluate":
@@ -81,16 +81,16 @@ def _run(
 
                 print(f"report: {write_report(folder)}")  # its time cannot stand in itself
         finally:
-            if worked or halfway():
-                _keep_time(folder, stage, before + time.perf_counter() - began)
+            if worked or is_partial():
+                _store_time(folder, stage, before + time.perf_counter() - began)
     return results
 
 
-def _keep_settings(experiment: Experiment, folder: Path) -> None:
-    """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
+def _store_settings(experiment: Experiment, folder: Path) -> None:
+    """Write experiment.json; refuse to mix two different experiments in one folder."""
     path = folder / "experiment.json"
-    wanted = to_json(experiment)
-    # before that there are data at most, which lie elsewhere
+    settings = to_json(experiment)
+    # a run that has not started has data at most, which lie elsewhere
     started = any(each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir())
     if path.exists():
         try:
@@ -101,43 +101,47 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
                     f"{error}; to start anew give another --out, or delete {folder}"
                 ) from error
             stored = {}
-        changed = [name for name in configs.list_differences(stored, wanted) if name != "claim"]
+        changed = [name for name in configs.list_differences(stored, settings) if name != "claim"]
         if changed and started:
             raise UserError(
-                f"{folder} holds a run with another {', '.join(changed[:3])}: give another --out, or delete that folder"
+                f"{folder} holds a run with another {', '.join(changed[:3])}: "
+                "give another --out, or delete that folder"
             )
         if changed:
-            (folder / TIMES).unlink(missing_ok=True)  # of the making of other data
-    write_json(path, with_version(wanted))
+            (folder / TIMES).unlink(missing_ok=True)  # it is of other data
+    write_json(path, with_version(settings))
 
 
-def _make_data(experiment: Experiment, data: Path, spread: CallRunner) -> bool:
+def _make_data(experiment: Experiment, data: Path, run_calls: CallRunner) -> bool:
+    """Make the data sets, or find them. Return whether there was anything to do."""
     from jaxunshear.data.chunks import make_engine
     from jaxunshear.data.generation import make_sets
 
-    there = all(_exist(experiment, data, configs.get_set_folder))
-    for name, metadata in make_sets(experiment, data, make_engine(spread)).items():
+    complete = all(_exist(experiment, data, configs.get_set_folder))
+    for name, metadata in make_sets(experiment, data, make_engine(run_calls)).items():
         counts = metadata["counts"]
-        print(
-            f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped{_slowest(counts)}"
-        )
-    return not there
+        text = f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
+        print(text + _describe_slowest(counts))
+    return not complete
 
 
-def _slowest(counts: Json) -> str:
-    """Nothing of sets made before this was counted, or from recordings."""
+def _describe_slowest(counts: Json) -> str:
+    """Name the slowest simulated contact; recordings have none."""
     if "iterations" not in counts:
         return ""
-    spent = counts["iterations"]
-    return f"; slowest contact {spent['slowest_number']}: {spent['most']} iterations, the median one {spent['median']:.0f}"
+    iterations = counts["iterations"]
+    return (
+        f"; slowest contact {iterations['slowest_number']}: {iterations['most']} iterations, "
+        f"the median one {iterations['median']:.0f}"
+    )
 
 
-def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:
-    """Of each data set, whether its `folder_of` is there."""
+def _exist(experiment: Experiment, data: Path, get_folder: Callable[..., Path]) -> list[bool]:
+    """Return for each data set whether its folder exists."""
     from jaxunshear.data.generation import list_sets
 
     return [
-        folder_of(settings, experiment.sensor, data).exists()
+        get_folder(settings, experiment.sensor, data).exists()
         for settings in list_sets(experiment).values()
     ]
 
@@ -149,7 +153,8 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if (folder / network / SUMMARY).exists():
         if not has_model(folder / network):
             raise UserError(
-                f"{folder / network} has lost its checkpoints: delete that folder, then run the same command"
+                f"{folder / network} has lost its checkpoints: delete that folder, "
+                "then run the same command"
             )
         check_origin(experiment, network, folder)
         return False
@@ -195,35 +200,36 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     )
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
-        f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
+        f"{network}: {summary.images} images in {summary.train_seconds:.0f} s "
+        f"({summary.images_per_second:.0f} a second), "
         f"best validation loss {loss} at step {summary.best_step} of {summary.steps}"
     )
     return True
 
 
-def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:
-    """Whether a stopped run has left work of `stage` to go on with. An evaluation is always done from the start."""
+def _is_partial(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:
+    """Return whether a stopped run has left work of `stage` that can be continued.
+
+    An evaluation always begins from the start.
+    """
     if stage == "data":
-        there = _exist(experiment, data, configs.get_set_folder)
-        return not all(there) and any(
-            (*there, *_exist(experiment, data, configs.get_unfinished_folder))
-        )
+        complete = _exist(experiment, data, configs.get_set_folder)
+        partial_sets = _exist(experiment, data, configs.get_unfinished_folder)
+        return not all(complete) and any((*complete, *partial_sets))
     place = folder / stage
-    return (
-        stage in TRAINABLE
-        and (place / "model.json").exists()
-        and not (place / "summary.json").exists()
-    )
+    started = (place / "model.json").exists()
+    return stage in TRAINABLE and started and not (place / "summary.json").exists()
 
 
-def _keep_time(folder: Path, stage: str, seconds: float) -> None:
-    """A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost."""
+def _store_time(folder: Path, stage: str, seconds: float) -> None:
+    """Store the seconds that a stage took; those of a killed process are lost."""
     write_json(folder / TIMES, read_times(folder) | {stage: round(seconds, 3)})
 
 
 def print_summary(results: Results, folder: Path) -> None:
+    """Print the main figures of an evaluation, and where the rest is."""
     if not results.simulated:
-        _print_recorded(results, folder)
+        _print_recordings_summary(results, folder)
         return
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
@@ -248,17 +254,15 @@ def print_summary(results: Results, folder: Path) -> None:
     print(f"results: {folder / 'results.json'}")
 
 
-def _print_recorded(results: Results, folder: Path) -> None:
-    """Recordings have any targets: a table for a person, and the file that holds the rest."""
+def _print_recordings_summary(results: Results, folder: Path) -> None:
+    """Print a table of all targets, which recordings may have any of."""
     from jaxunshear.evaluation.other_recordings import format_table
     from jaxunshear.evaluation.score import choose_main_kind
 
     print(format_table(results))
-    if similar := results.ms_ssim:
-        felt, unsheared = (
-            similar[kind]["overall"] for kind in ("sheared", choose_main_kind(similar))
-        )
-        print(
-            f"{results.metric['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared"
-        )
+    if likeness := results.ms_ssim:
+        sheared = likeness["sheared"]["overall"]
+        unsheared = likeness[choose_main_kind(likeness)]["overall"]
+        metric = results.metric["ms_ssim"]
+        print(f"{metric} with the partner: {sheared:.3f} as felt, {unsheared:.3f} unsheared")
     print(f"results: {folder / 'results.json'}")

@@ -1,8 +1,8 @@
-"""Some of many, evenly chosen."""
+"""Selects some of many, evenly."""
 
 import numpy as np
 
 
 def select_evenly(count: int, most: int) -> np.ndarray:
-    """Indices of `most` of `count` things, in their order, the first and the last among them; of all where there are no more."""
+    """Return indices of at most `most` of `count` items, with the first and the last, in order."""
     return np.linspace(0, count - 1, min(most, count)).round().astype(int)

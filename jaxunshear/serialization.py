@@ -1,4 +1,4 @@
-"""Values as JSON and CSV can hold them."""
+"""Turns values into what JSON and CSV can hold."""
 
 import csv
 import dataclasses
@@ -9,17 +9,18 @@ from typing import Any
 
 
 def to_builtins(obj: Any) -> Any:
-    """`obj` of built-in types only: records become dictionaries, without what is None where that is the default; arrays and their
-    scalars become lists and numbers, paths become text."""
+    """Convert to built-in types.
+
+    Dataclasses become dictionaries, without fields that are None by default; arrays and their
+    scalars become lists and numbers, paths become text; NaN and infinity become None.
+    """
     if dataclasses.is_dataclass(obj):
-        held = {
-            each.name: (getattr(obj, each.name), each.default) for each in dataclasses.fields(obj)
-        }
-        return {
-            name: to_builtins(value)
-            for name, (value, default) in held.items()
-            if value is not None or default is not None
-        }
+        values = {}
+        for field in dataclasses.fields(obj):
+            value = getattr(obj, field.name)
+            if value is not None or field.default is not None:
+                values[field.name] = to_builtins(value)
+        return values
     if isinstance(obj, Mapping):
         return {str(key): to_builtins(value) for key, value in obj.items()}
     if isinstance(obj, list | tuple):
@@ -36,7 +37,7 @@ def to_builtins(obj: Any) -> Any:
 
 
 def format_csv(table: Sequence[Mapping[str, object]]) -> str:
-    """A heading of the first row's names, then a line a row."""
+    """Format a heading with the names in the first row, then a line per row."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")
     writer.writeheader()

@@ -13,15 +13,17 @@ from typing import NamedTuple
 
 import pytest
 
-# Many tests, their workers and the processes they start compile the same programs: once is enough. One is found again where
-# XLA's flags are the same. They compute little, so that it need not be optimised: `XLA_FLAGS= make test` tests what users run, in
-# twice the time. JAX reads all of these when it is imported.
+# Many tests, their workers and the processes they start compile the same programs: once is enough.
+# A program is found again if XLA's flags are the same. They compute little, so it need not be
+# optimised: `XLA_FLAGS= make test` tests what users run, in twice the time. JAX reads all of these
+# when it is imported.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 OWN = COMPILED not in os.environ
 if OWN:
     os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"  # which gets doubles wrong
+# without the second flag doubles are wrong
+FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"
 if version("jaxlib").startswith(
     "0.10."
 ):  # later ones do not know the flag; older emitters compile in half the time
@@ -64,7 +66,7 @@ STRICT = {
 
 @pytest.fixture(scope="module", autouse=True)
 def strict(request: pytest.FixtureRequest) -> Iterator[None]:
-    """In these folders and files JAX broadcasts over axes, and promotes one kind of number to another, only where that is written."""
+    """Make JAX broadcast and promote numbers only where that is written, in these folders."""
     import jax
 
     if not STRICT.intersection(request.path.relative_to(Path(__file__).parent).parts):

@@ -1,6 +1,8 @@
-"""What tests check of every call, by the signature: kinds and shapes of arrays, and that a letter stands for one number.
+"""Checks kinds and shapes of arrays in every call, by the signature.
 
-All other types are mypy's to check, and what a function refuses by an error of its own stays its own.
+A letter of a shape stands for one number.
+
+mypy checks all other types. What a function refuses by an error of its own is left to it.
 """
 
 from collections.abc import Callable
@@ -46,7 +48,7 @@ def _is_array(hint: Any) -> bool:
 
 
 def _of_either(hint: Any) -> Any:
-    """Where an array of JAX is asked for, one of numpy will do, or a number for one without axes: JAX takes all of them."""
+    """Accept arrays of numpy for those of JAX, and numbers for those without axes, as JAX does."""
     if _is_array(hint):
         kinds = Array | np.ndarray if hint.array_type is Array else hint.array_type
         arrays = hint.dtype[kinds, hint.dim_str]

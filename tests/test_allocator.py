@@ -21,7 +21,8 @@ def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     float(work(x))
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-print(min(faults() for _ in range(20)))  # small blocks settle among the large ones, later where the machine is busy
+# small blocks settle among the large ones, later if the machine is busy
+print(min(faults() for _ in range(20)))
 """
 
 

@@ -1,4 +1,4 @@
-"""What cannot work is refused: exit code 2, one line that names the culprit, at once, and nothing lost."""
+"""What cannot work is refused at once: exit code 2, one line with the reason, nothing lost."""
 
 import errno
 import json
@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import cli
-from jaxunshear.cli.program import AGAIN
+from jaxunshear.cli.program import RESTART
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import load_sweep
@@ -112,7 +112,7 @@ def is_one_line(answer) -> None:
 
 @pytest.fixture
 def stages(monkeypatch):
-    """`stages(act)`: whatever starts the stages of an experiment calls `act`, without all that the real ones import."""
+    """Return `stages(act)`, after which `act` runs instead of the stages of an experiment."""
 
     def replace(act):
         module = ModuleType("jaxunshear.run")
@@ -264,7 +264,7 @@ def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, comman
         "jaxunshear.calibration.calibrate.calibrate", fails_with(KeyboardInterrupt())
     )
     answer = command("calibrate", "recordings")
-    assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
+    assert (answer.code, answer.err) == (130, f"stopped; {RESTART}\n")
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,8 @@ def test_help_and_refusals_take_nothing_heavy(words):
         "import sys\n"
         "from jaxunshear.cli import main\n"
         "code = main(sys.argv[1:])\n"
-        "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'} & set(sys.modules)\n"
+        "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)\n"
     )
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The commands that put networks to use: what they refuse, in one line, before anything is written."""
+"""Commands that put networks to use: what they refuse in one line, before they write."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ def experiment(size):
 
 
 def run_of(folder, size, seed=0):
-    """A run with networks that have learnt nothing."""
+    """Make a run with networks that have learnt nothing."""
     from jaxunshear.config.serialization import to_json
     from jaxunshear.files import write_json
     from jaxunshear.models import posenet, unshearnet

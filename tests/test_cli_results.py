@@ -1,4 +1,4 @@
-"""Files and folders of results: written with their command, refused where something would be lost."""
+"""Results are written with their command, and refused if something would be lost."""
 
 import json
 

@@ -14,7 +14,7 @@ LAMBDA, TINY = (ROOT / "experiments" / name for name in ("ablations/lambda_split
 
 @pytest.fixture
 def calls(monkeypatch):
-    """Calls of `run_sweep`, which finds one cell, with a failure where the sweep's name says so."""
+    """Return calls of `run_sweep`, which has one cell; a sweep's name says if that fails."""
     found = []
 
     def run_sweep(sweep, *words):

@@ -1,6 +1,4 @@
-"""The code that a result was made with: the package's own checkout, asked once, whatever else is
-there.
-"""
+"""The code of a result is that of the package's own checkout, read once."""
 
 import os
 import shutil
@@ -95,7 +93,10 @@ def test_an_installed_package_has_its_version_alone(tmp_path):
     )
     for name in ("__init__.py", "version.py", "code_version.py"):
         shutil.copy(code_version.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
-    asked = "from jaxunshear.code_version import read_source as read; print(read().version, read().commit, read().clean)"
+    asked = (
+        "from jaxunshear.code_version import read_source as read; "
+        "print(read().version, read().commit, read().clean)"
+    )
     words, here = [sys.executable, "-P", "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(
         words, env=here, cwd=code_version.ROOT, capture_output=True, text=True, check=True

@@ -1,4 +1,4 @@
-"""The documents: their figures are those of docs/results, their links lead somewhere, their commands exist."""
+"""Documents: figures are those of docs/results, links lead somewhere, commands exist."""
 
 import contextlib
 import re
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import commands as benchmarks
-from docs.make_tables import TABLES, placed, with_notes
+from docs.make_tables import TABLES, make_tables, replace_tables
 from docs.provenance import NOTE
 from jaxunshear import __version__
 from jaxunshear.cli import main
@@ -24,9 +24,9 @@ MOST_LINES = {"README.md": 120}
 
 @pytest.mark.parametrize("page", TABLES)
 def test_tables_are_what_the_results_say(page):
-    tables = with_notes(page)
+    tables = make_tables(page)
     assert all(len(table.splitlines()) > 3 for table, _ in tables)
-    assert placed((ROOT / page).read_text(), tables) == (ROOT / page).read_text(), (
+    assert replace_tables((ROOT / page).read_text(), tables) == (ROOT / page).read_text(), (
         "call `make tables`"
     )
 
@@ -38,11 +38,11 @@ def test_tables_go_where_a_page_has_their_first_lines():
     tables = [
         (f"| a | b |\n|---|---|\n| {value} | 0 |", f"{NOTE}{value}</sub>") for value in (7, 8)
     ]
-    made = placed(page, tables)
+    made = replace_tables(page, tables)
     assert made == "\n\n".join(("words", *tables[0], "more", *tables[1], "end")) + "\n"
-    assert placed(made, tables) == made
+    assert replace_tables(made, tables) == made
     with pytest.raises(LookupError, match=r"begins with '\| a \| b \|': write"):
-        placed(page, [*tables, tables[0]])
+        replace_tables(page, [*tables, tables[0]])
 
 
 def anchors(page: Path) -> set[str]:

@@ -1,4 +1,4 @@
-"""What a shell, a notebook or a container leaves in the environment changes no result, and what cannot work is said in one line."""
+"""Variables of the environment change no result; what cannot work is refused in one line."""
 
 import os
 import pwd

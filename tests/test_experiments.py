@@ -1,4 +1,4 @@
-"""The experiments and sweeps of the repository are valid, and `paper.py` is appendix B to the letter."""
+"""Experiments and sweeps of the repository are valid, and `paper.py` is appendix B."""
 
 import re
 from dataclasses import replace

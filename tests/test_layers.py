@@ -1,4 +1,4 @@
-"""What imports what: a step of the data's way imports the steps before it, and no two files import each other."""
+"""A step of the data imports the steps before it, and no two files import each other."""
 
 import ast
 from graphlib import TopologicalSorter

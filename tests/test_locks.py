@@ -1,4 +1,4 @@
-"""Locks: one holder at a time, free again however the holder ends, and one line where there can be none."""
+"""Locks have one holder at a time, and are free again however the holder ends."""
 
 import subprocess
 import sys

@@ -1,51 +1,50 @@
-"""The results in docs/results: with which code each was made, that none was edited, and whether
-that code has changed since.
-"""
+"""Results in docs/results: their code, their seals, and whether that code has changed since."""
 
 import json
 import shutil
 import subprocess
 
 import pytest
+from PIL import Image
 
-from docs import provenance
+from docs.code_changes import (
+    compare_modules,
+    find_programs,
+    list_lost_definitions,
+    read_modules,
+    run_git,
+)
 from docs.keep import keep
 from docs.provenance import (
     ROOT,
-    Known,
-    changes,
-    differences,
-    git,
-    lost,
-    origin,
-    read_known,
-    read_modules,
+    describe_origin,
+    find_changed_code,
+    find_changed_settings,
+    format_note,
+    list_commands,
+    list_sources,
     read_result,
-    sources,
+    read_stale,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import CHECKSUM_FIELD, read_json, write_json
 
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "results").glob("*.json"))
-KEPT = [name for name in NAMES if sources(read_result(name))]
+KEPT = [name for name in NAMES if list_sources(read_result(name))]
 
 
 def test_results_without_a_commit_are_listed():
     """A new result needs no entry; one that was made anew leaves the list."""
-    assert read_known().not_kept == set(NAMES) - set(KEPT)
-    assert set(read_known().changed) <= set(KEPT)
+    assert read_stale().not_kept == set(NAMES) - set(KEPT)
+    assert set(read_stale().changed) <= set(KEPT)
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_results_are_as_a_program_wrote_them(name):
-    """Their checksum holds, so that neither a figure nor a command was edited; and their code was
-    committed.
-    """
-    assert CHECKSUM_FIELD in read_result(name), (
-        f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
-    )
+def test_results_are_sealed(name):
+    """Neither a figure nor a command was edited, and the code was committed."""
+    assert CHECKSUM_FIELD in read_result(name), f"{name}.json bears no checksum: use docs/keep.py"
     read_json(ROOT / "docs" / "results" / f"{name}.json")
-    for source in sources(read_result(name)):
+    for source in list_sources(read_result(name)):
         assert source.commit and source.clean, (
             f"{name}.json was made with code that no commit has: make it again"
         )
@@ -53,12 +52,12 @@ def test_results_are_as_a_program_wrote_them(name):
 
 def test_results_whose_code_has_changed_are_listed():
     try:
-        if not KEPT or git(ROOT, "rev-parse", "--is-shallow-repository").strip() == b"true":
+        if not KEPT or run_git(ROOT, "rev-parse", "--is-shallow-repository").strip() == b"true":
             pytest.skip("no result has a commit, or this clone has no history")
     except LookupError as error:
         pytest.skip(f"no history: {error}")
-    found = {name: changed for name in KEPT if (changed := changes(name))}
-    assert found.keys() == read_known().changed.keys(), (
+    found = {name: changed for name in KEPT if (changed := find_changed_code(name))}
+    assert found.keys() == read_stale().changed.keys(), (
         "docs/stale.toml differs; make the result again, or list it with a reason: "
         + "; ".join(f"{name}: {', '.join(changed)}" for name, changed in found.items())
     )
@@ -67,8 +66,8 @@ def test_results_whose_code_has_changed_are_listed():
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_give_the_settings_of_their_results(name):
     """So a command that was edited, or an experiment that was changed later, is listed."""
-    found = differences(name)
-    assert bool(found) == (name in read_known().settings), f"docs/stale.toml: {name}: {found}"
+    found = find_changed_settings(name)
+    assert bool(found) == (name in read_stale().settings), f"docs/stale.toml: {name}: {found}"
 
 
 THEN = '''"""A module."""
@@ -91,7 +90,7 @@ START = ("jaxunshear.training.step",)
 
 def lost_with(**texts):
     today = TEXTS | {f"jaxunshear.{name.replace('_', '.')}": text for name, text in texts.items()}
-    return lost(TEXTS, today, START)
+    return compare_modules(TEXTS, today, START)
 
 
 @pytest.mark.parametrize(
@@ -120,8 +119,8 @@ def test_changes_by_more_than_words_are_named(texts, expected):
 
 def test_what_moved_out_of_the_package_is_not_lost():
     today = {"jaxunshear.training.step": THEN, "verification.net": NET}
-    assert not lost(TEXTS, today, START)
-    assert lost({"verification.net": NET}, {}, ("verification.net",))
+    assert not compare_modules(TEXTS, today, START)
+    assert compare_modules({"verification.net": NET}, {}, ("verification.net",))
 
 
 def test_what_only_shows_or_starts_does_not_count():
@@ -129,26 +128,25 @@ def test_what_only_shows_or_starts_does_not_count():
         "jaxunshear.report.html": "def page(): ...\n",
         "jaxunshear.config.data": "def data(): ...\n",
     }
-    assert not lost(texts, {}, tuple(texts))
+    assert not compare_modules(texts, {}, tuple(texts))
 
 
-def test_changes_on_a_bridge_do_not_count(tmp_path, monkeypatch):
+def test_changes_on_a_bridge_do_not_count(tmp_path):
     if shutil.which("git") is None:
         pytest.skip("git is not installed")
     module = tmp_path / "jaxunshear" / "models" / "net.py"
     module.parent.mkdir(parents=True)
-    git(tmp_path, "init", "-q")
+    run_git(tmp_path, "init", "-q")
     commits = []
     renamed = NET.replace("def other", "def another")
     for text in (NET, renamed, renamed.replace("x + 1", "1 + x")):
         module.write_text(text)
-        git(tmp_path, "add", "-A")
-        git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "Change")
-        commits.append(git(tmp_path, "rev-parse", "HEAD").decode().strip())
+        run_git(tmp_path, "add", "-A")
+        run_git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "Change")
+        commits.append(run_git(tmp_path, "rev-parse", "HEAD").decode().strip())
 
     def changed_since(commit, *bridges):
-        monkeypatch.setattr(provenance, "read_known", lambda: Known(frozenset(), {}, {}, bridges))
-        return provenance._changes_since(tmp_path, commit, ("jaxunshear.models.net",))
+        return list_lost_definitions(tmp_path, commit, ("jaxunshear.models.net",), bridges)
 
     first, second, third = commits
     name = "jaxunshear.models.net"
@@ -169,7 +167,7 @@ def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
     who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     for words in (("init", "-q"), ("add", "-A"), (*who, "commit", "-q", "-m", "first")):
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
-    commit = git(tmp_path, "rev-parse", "HEAD").decode().strip()
+    commit = run_git(tmp_path, "rev-parse", "HEAD").decode().strip()
     (tmp_path / "jaxunshear" / "models" / "net.py").write_text("MORE = 2\n")
     assert read_modules(tmp_path, commit) == {
         "jaxunshear": "",
@@ -180,11 +178,11 @@ def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
         read_modules(tmp_path, "0" * 40)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if provenance.commands(read_result(name))])
+@pytest.mark.parametrize("name", [name for name in NAMES if list_commands(read_result(name))])
 def test_every_command_has_its_programs(name):
     """All of them are modules that there are."""
-    for command in provenance.commands(read_result(name)):
-        assert set(provenance.programs(command)) <= read_modules(ROOT).keys(), command
+    for command in list_commands(read_result(name)):
+        assert set(find_programs(command)) <= read_modules(ROOT).keys(), command
 
 
 @pytest.mark.parametrize(
@@ -198,27 +196,30 @@ def test_every_command_has_its_programs(name):
     ],
 )
 def test_commands_of_earlier_versions_have_the_programs_of_today(command, starts):
-    assert provenance.programs(command) == starts
+    assert find_programs(command) == starts
 
 
 def test_a_command_names_where_its_file_is_today():
-    assert "(now `python -m benchmarks train`)" in provenance.note(["bench_train"], "docs/speed.md")
-    assert "(now experiments/ablations/lambda_split.py)" in provenance.note(
+    assert "(now `python -m benchmarks train`)" in format_note(["bench_train"], "docs/speed.md")
+    assert "(now experiments/ablations/lambda_split.py)" in format_note(
         ["lambda_split"], "README.md"
     )
-    assert "(now" not in provenance.note(["standard"], "README.md")
-    assert provenance.note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
+    assert "(now" not in format_note(["standard"], "README.md")
+    assert format_note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
 
 
 def test_a_note_says_what_a_file_knows():
     code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
     one = {"command": "jaxunshear sweep experiments/demo.py", "sources": [code]}
-    assert origin(one) == "`jaxunshear sweep experiments/demo.py`, commit 0123456 of 2030-01-02"
+    assert (
+        describe_origin(one)
+        == "`jaxunshear sweep experiments/demo.py`, commit 0123456 of 2030-01-02"
+    )
     unclean = {"source": code | {"clean": False}}
-    assert origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
-    assert origin(one | {"trained_on": {"posenet": {}}}).endswith(", commit not kept")
+    assert describe_origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
+    assert describe_origin(one | {"trained_on": {"posenet": {}}}).endswith(", commit not kept")
     several = {"runs": {"a": {"command": "x", "source": code}, "b": {"command": "y"}}}
-    assert origin(several) == "`x`, and 1 more commands, commit not kept"
+    assert describe_origin(several) == "`x`, and 1 more commands, commit not kept"
 
 
 def result(**more):
@@ -231,15 +232,44 @@ def result(**more):
     }
 
 
-def test_a_result_is_kept_as_it_was_written(tmp_path):
+def test_a_result_is_kept_with_its_command_and_rows(tmp_path):
     for seed in (0, 1):
         write_json(tmp_path / f"{seed}.json", result(seed=seed))
     out = keep("one", [str(tmp_path / "0.json")], tmp_path)
-    assert out.read_text() == (tmp_path / "0.json").read_text()
+    assert (
+        read_json(out) == read_json(tmp_path / "0.json") and len(out.read_text().splitlines()) == 1
+    )
     several = keep(
         "two", [f"a, seed {seed}={tmp_path / f'{seed}.json'}" for seed in (0, 1)], tmp_path
     )
     assert read_json(several) == {"runs": {f"a, seed {seed}": result(seed=seed) for seed in (0, 1)}}
+
+
+def test_what_no_page_reads_is_left_out(tmp_path):
+    names = (
+        "pose/tap/x_mm",
+        "swap/DC(z_p)/ms_ssim",
+        "pin_error/tap/rms_px",
+        "found: pose/tap/x_mm",
+    )
+    unread = ("disk: pose/tap/x_mm", "found, disk: pose/tap/x_mm", "swap/DC(z_p)/mse")
+    unread += ("DS(z_p,z_s)/ssim", "pin_error/tap/missed_per_image")
+    figures = {name: {"mean": 1 / 3} for name in (*names, *unread)}
+    metric = {"ms_ssim": "ms_ssim@4"}
+    cells = [{"metric": metric, "metrics": figures, "difference": figures} for _ in range(2)]
+    write_json(tmp_path / "a.json", result(cells=cells, base={"loss": 1 / 3}))
+    kept = read_json(keep("one", [str(tmp_path / "a.json")], tmp_path))
+    assert kept["base"] == {"loss": 1 / 3} and kept["rows"] == result()["rows"]
+    assert [cell.get("metric") for cell in kept["cells"]] == [metric, None]
+    for cell in kept["cells"]:
+        assert cell["metrics"] == {name: {"mean": 0.333333} for name in names}
+        assert cell["difference"].keys() == {"pose/tap/x_mm", "found: pose/tap/x_mm"}
+
+
+def test_a_picture_is_kept_with_a_palette(tmp_path):
+    Image.linear_gradient("L").convert("RGBA").save(tmp_path / "a.png")
+    with Image.open(keep("one", [str(tmp_path / "a.png")], tmp_path)) as picture:
+        assert picture.mode == "P" and picture.size == (256, 256)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def run_command(folder: Path, *more: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the runs/ and datasets/ of a finished tiny experiment."""
+    """Make a folder with the runs/ and datasets/ of a finished tiny experiment."""
     folder = tmp_path_factory.mktemp("full")
     words = run_command(folder, "--json", str(folder / "rows.json"))
     done = subprocess.run(words, capture_output=True, text=True)
@@ -240,7 +240,7 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
-    """And with a learning rate so small, it stays there: the same kernels but for the statistics' last digits."""
+    """With so small a learning rate it stays there: equal but for the statistics' last digits."""
     words = [
         "--out",
         tmp_path,
@@ -281,7 +281,7 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
 
 
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
-    """Grey pins, colour, sixteen bits: all come out as images of the network's size, with a table of poses."""
+    """Grey, colour and sixteen bits give images of the network's size, and a table of poses."""
     rows, columns = np.mgrid[:300, :300]
     grey = (
         ((rows // 9 + columns // 9) % 2) * 180 * (np.hypot(rows - 150, columns - 150) < 120)
@@ -312,7 +312,7 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def stage(tmp_path, monkeypatch, clock):
-    """`stage(5, "stop")` runs one training that takes 5 s and then is stopped, refused or finished; returns times.json."""
+    """Return `stage(5, "stop")`: it runs a training of 5 s that stops, and returns times.json."""
     folder = tmp_path / "small" / "posenet"
 
     def act(seconds, ending):

@@ -1,4 +1,4 @@
-"""What the source must not do with people's files: run what they hold, or put their names into pages as they are."""
+"""The source does not run what people's files hold, nor put their names into pages unescaped."""
 
 import ast
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ def test_no_file_of_a_user_is_unpickled(file):
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(PACKAGE).as_posix())
 def test_markup_is_written_here_and_what_comes_from_elsewhere_is_escaped(file):
-    """Text becomes HTML only where it is a constant; `format` and `join` of it escape what they take."""
+    """Only a constant becomes HTML as it is; `format` and `join` of HTML escape their input."""
     for call in calls(file):
         if getattr(call.func, "id", getattr(call.func, "attr", "")) == "Markup" and call.args:
             assert isinstance(call.args[0], ast.Constant), f"{file}: line {call.lineno}"

@@ -1,4 +1,4 @@
-"""What signatures say of arrays holds wherever a test calls: what would broadcast in silence is refused."""
+"""Shapes in signatures hold wherever a test calls: silent broadcasting is refused."""
 
 import importlib
 import pkgutil

@@ -1,4 +1,4 @@
-"""`make docs` makes pages that need no network: no warning, no link that leads nowhere, nothing fetched from elsewhere."""
+"""`make docs` makes pages that need no network, without warnings or broken links."""
 
 import os
 import re

@@ -1,4 +1,7 @@
-"""The command line: parses, calls, prints. Every command imports what it needs when it needs it, so help is quick."""
+"""The command line: parses, calls, prints.
+
+Every command imports what it needs when it needs it, so help is quick.
+"""
 
 import argparse
 import shlex
@@ -48,38 +51,28 @@ MODULES: tuple[ModuleType, ...] = (
 )
 GROUPS = {  # of `jaxunshear --help`
     "use": (
-        *(
-            "doctor",
-            "fit",
-            "run",
-            "data",
-            "train",
-            "evaluate",
-            "report",
-            "release",
-            "export",
-            "unshear",
-            "pose",
-        ),
+        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export"),
+        *("unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
 }
-RESUMABLE = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
+RESUMABLE = ("run", "data", "train", "fit", "sweep", "servo")  # continue where they stopped
 FIELDS_HELP = """
-fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1;
+fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, \
+--train.drops 40:0.2,80:0.1;
 --help-fields train (or another group) says what each takes and means, with its value in FILE:
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 2 after an error that the user can fix (one line), 130 when interrupted."""
+    """Run one command and return its exit code; see `report_errors`."""
     argv = sys.argv[1:] if argv is None else list(argv)
     return report_errors(lambda: _run(argv), continued=bool(argv) and argv[0] in RESUMABLE)
 
 
-class _Parser(Parser):
-    """Names the fields of an experiment, for commands that take one."""
+class _ExperimentParser(Parser):
+    """Lists the fields of an experiment in the help of commands that take one."""
 
     def format_help(self) -> str:
         if not self.get_default("takes_fields"):
@@ -96,64 +89,66 @@ class _Parser(Parser):
         return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
 
 
-def _commands(parser: argparse.ArgumentParser) -> argparse._SubParsersAction:
-    (commands,) = (
+def _get_commands(parser: argparse.ArgumentParser) -> argparse._SubParsersAction:
+    return next(
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     )
-    return commands
 
 
-class _Commands(_Parser):
-    """A line a command, in groups."""
+class _GroupedParser(_ExperimentParser):
+    """Lists commands in groups, a line for each."""
 
     def format_help(self) -> str:
-        texts = {choice.dest: choice.help or "" for choice in _commands(self)._choices_actions}
-        groups = {group: {name: texts[name] for name in names} for group, names in GROUPS.items()}
+        texts = {choice.dest: choice.help or "" for choice in _get_commands(self)._choices_actions}
         lines = [
             f"usage: {self.prog} COMMAND ...",
             "",
             self.description or "",
             "`COMMAND --help` says more.",
         ]
-        for group, rows in groups.items():
+        for group, names in GROUPS.items():
             lines += ["", group]
-            for name, text in rows.items():
-                lines += wrap(text, 100, initial_indent=f"  {name:<16}", subsequent_indent=" " * 18)
+            for name in names:
+                lines += wrap(
+                    texts[name], 100, initial_indent=f"  {name:<16}", subsequent_indent=" " * 18
+                )
         return "\n".join(lines) + "\n"
 
 
-def _parser() -> _Parser:
-    parser = _Commands(prog="jaxunshear", description="Takes the shear out of touch.")
+def _make_parser() -> _ExperimentParser:
+    parser = _GroupedParser(prog="jaxunshear", description="Takes the shear out of touch.")
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
     commands = parser.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+        dest="command", metavar="COMMAND", required=True, parser_class=_ExperimentParser
     )
     for module in MODULES:
         module.add_parsers(commands)
     return parser
 
 
-def _options(parser: _Parser, names: tuple[str, ...]) -> tuple[set[str], set[str]]:
-    """Those of the commands of these names, and which of them no value follows."""
-    actions = [action for name in names for action in _commands(parser).choices[name]._actions]
-    own = {name for action in actions for name in action.option_strings}
-    return own, {name for action in actions if action.nargs == 0 for name in action.option_strings}
+def _split_fields(parser: _ExperimentParser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Split a command line into words of the command and fields of its experiment.
 
-
-def _split(parser: _Parser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the words of a command that takes an experiment, and its fields; a typo in these is refused at once."""
+    Raises UserError for a field that is unknown.
+    """
     from jaxunshear.config.fields import parse_overrides, split_overrides
 
-    alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
-    words, fields = split_overrides(argv, *_options(parser, alike))
+    options: set[str] = set()
+    flags: set[str] = set()  # options that no value follows
+    for name in stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS:
+        for action in _get_commands(parser).choices[name]._actions:
+            options.update(action.option_strings)
+            if action.nargs == 0:
+                flags.update(action.option_strings)
+    words, fields = split_overrides(argv, options, flags)
     parse_overrides(fields)
     return words, fields
 
 
 def read_base(argv: Sequence[str]) -> Experiment:
-    """Return the experiment that a command is about, before it is checked or finds recordings."""
-    parser = _parser()
-    words, fields = _split(parser, argv)
+    """Return the experiment of a command, before it is checked or finds recordings."""
+    parser = _make_parser()
+    words, fields = _split_fields(parser, argv)
     module = stages if argv[0] in stages.COMMANDS else sweep
     return module.read_base(parser.parse_args(words), fields)
 
@@ -161,14 +156,14 @@ def read_base(argv: Sequence[str]) -> Experiment:
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
-    parser = _parser()
+    parser = _make_parser()
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
-        question = split_help_request(argv)
-        words, fields = _split(parser, question[1] if question else argv)
-        if question:
-            print(
-                format_field_help(question[0], read_base(question[1]) if len(words) > 1 else None)
-            )
+        request = split_help_request(argv)
+        words, fields = _split_fields(parser, request[1] if request else argv)
+        if request:
+            group, other_words = request
+            experiment = read_base(other_words) if len(words) > 1 else None
+            print(format_field_help(group, experiment))
             return 0
     arguments = parse(parser, words)
     if arguments is None:
@@ -179,19 +174,16 @@ def _run(argv: list[str]) -> int:
         check_environment()
         read_source()  # as the code is now; it may be changed while this works
     arguments.fields = fields
-    (module,) = (module for module in MODULES if arguments.command in module.COMMANDS)
+    module = next(module for module in MODULES if arguments.command in module.COMMANDS)
     return module.run(arguments, shlex.join(["jaxunshear", *argv]))
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
-    """Refuses, before any work, places for results where these cannot be written or would replace what others live on."""
+    """Refuse places for results that cannot be written, or that belong to a run or the like."""
     check_json(arguments)
     out = getattr(arguments, "out", None)
     if arguments.command not in catalogue.COMMANDS:
         check_new_folder(out)
-    if arguments.command not in (
-        *stages.COMMANDS,
-        *sweep.COMMANDS,
-        *applications.COMMANDS,
-    ):  # these have folders of their own
+    with_own_folders = (*stages.COMMANDS, *sweep.COMMANDS, *applications.COMMANDS)
+    if arguments.command not in with_own_folders:
         check_outside(out, "--out")

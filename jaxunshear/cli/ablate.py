@@ -1,4 +1,4 @@
-"""`jaxunshear ablate`: what the decoders make of codes, and what codes leak."""
+"""Command `jaxunshear ablate`: what the decoders make of codes, and what codes leak."""
 
 import argparse
 from pathlib import Path
@@ -30,15 +30,16 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     settings = arguments.run / "experiment.json"
     if not settings.is_file():
         raise UserError(
-            f"{arguments.run} holds no experiment.json: name the folder of a finished run, such as runs/demo"
+            f"{arguments.run} holds no experiment.json: name the folder of a finished run, "
+            "such as runs/demo"
         )
     experiment = from_json(read_object(settings), str(settings))
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import plot_leakage
 
         results = leakage.measure_leakage(experiment, arguments.run, arguments.data, command)
-        drawn = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
-        write_bytes(arguments.run / "leakage.png", plot_leakage(results, drawn))
+        exchange = code_exchange.exchange_codes(experiment, arguments.run, arguments.data)
+        write_bytes(arguments.run / "leakage.png", plot_leakage(results, exchange))
         print(leakage_table.format_table(results))
         print(arguments.run / "leakage.png")
     else:

@@ -1,4 +1,4 @@
-"""The commands that fit the simulator to recordings and compare the two. Everything heavy is imported when it is needed."""
+"""Commands that fit the simulator to recordings and compare the two."""
 
 import argparse
 from pathlib import Path
@@ -47,24 +47,24 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs one of COMMANDS. Returns 0."""
+    """Run one of COMMANDS. Return 0."""
     from jaxunshear.files import write_json
     from jaxunshear.metrics.machine import describe_provenance
     from jaxunshear.output_checks import check_not_among
 
     if arguments.out is not None:
         check_not_among(arguments.recordings, arguments.out, "--out")
-    found = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
+    result = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
     if arguments.json is not None:
-        write_json(arguments.json, describe_provenance(command) | found)
+        write_json(arguments.json, describe_provenance(command) | result)
     return 0
 
 
 def _calibrate(arguments: argparse.Namespace) -> Json:
     from jaxunshear.calibration.calibrate import calibrate
 
-    found = calibrate(arguments.recordings, arguments.out)
-    return found | {"rows": found["rows"] + found["parameters"]}
+    result = calibrate(arguments.recordings, arguments.out)
+    return result | {"rows": result["rows"] + result["parameters"]}
 
 
 def _validate(arguments: argparse.Namespace) -> Json:
@@ -75,17 +75,15 @@ def _validate(arguments: argparse.Namespace) -> Json:
     from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, read_calibration
     from jaxunshear.calibration.validate import validate
 
-    calibrated = (
-        DEFAULT_CALIBRATION
-        if arguments.calibration is None
-        else read_calibration(arguments.calibration)
-    )
-    found = validate(
+    calibration = DEFAULT_CALIBRATION
+    if arguments.calibration is not None:
+        calibration = read_calibration(arguments.calibration)
+    result = validate(
         arguments.recordings,
-        calibrated,
+        calibration,
         arguments.contacts or None,
         arguments.seed,
         arguments.out,
         as_labelled=arguments.as_labelled,
     )
-    return {"seed": arguments.seed, **found}
+    return {"seed": arguments.seed, **result}

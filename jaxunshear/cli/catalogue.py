@@ -1,4 +1,4 @@
-"""`jaxunshear sensors` and `jaxunshear stimuli`: lists and drawings."""
+"""Commands `jaxunshear sensors` and `jaxunshear stimuli`: lists and drawings."""
 
 import argparse
 from pathlib import Path
@@ -28,7 +28,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.action == "list":
         if arguments.name or arguments.out:
             raise UserError(
-                f"`list` takes nothing more; to draw: jaxunshear {arguments.command} draw NAME --out FILE"
+                "`list` takes nothing more; to draw: "
+                f"jaxunshear {arguments.command} draw NAME --out FILE"
             )
         print(catalogue.format_listing(arguments.command))
         return 0

@@ -1,4 +1,4 @@
-"""`jaxunshear compare`: finished runs side by side."""
+"""Command `jaxunshear compare`: finished runs side by side."""
 
 import argparse
 from pathlib import Path

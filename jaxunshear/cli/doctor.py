@@ -1,4 +1,4 @@
-"""The command that checks recordings. Everything heavy is imported when it is needed."""
+"""Command `jaxunshear doctor`: checks recordings."""
 
 import argparse
 from pathlib import Path
@@ -18,7 +18,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Run the command; return 0, or 1 where no command can use the frames."""
+    """Run the command; return 0, or 1 if no command can use the frames."""
     from jaxunshear.doctor import check_recordings, describe, to_json
 
     diagnosis = check_recordings(arguments.path)

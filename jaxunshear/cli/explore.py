@@ -1,4 +1,4 @@
-"""`jaxunshear explore`: a page of this machine on which a hand presses and slides the simulated dome."""
+"""Command `jaxunshear explore`: a page on which a hand presses and slides the simulated dome."""
 
 import argparse
 import importlib.util
@@ -30,11 +30,13 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     _check_port(arguments.port)
     from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.model_folders import find_model_folder, load_settings
-    from jaxunshear.simulator.stimuli import make_stimulus
+    from jaxunshear.simulator.stimuli import Stimulus, make_stimulus
 
-    own = tuple(map(make_stimulus, parse_stimuli(arguments.stimulus))) if arguments.stimulus else ()
+    own_stimuli: tuple[Stimulus, ...] = ()
+    if arguments.stimulus:
+        own_stimuli = tuple(map(make_stimulus, parse_stimuli(arguments.stimulus)))
     folder = find_model_folder(arguments.model)
-    explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
+    explorer = make_explorer(folder, load_settings(folder), arguments.like, own_stimuli)
     explorer.warm()
     from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone
 

@@ -1,4 +1,4 @@
-"""`jaxunshear export`: a trained model as a file for a computer without JAX."""
+"""Command `jaxunshear export`: a trained model as a file for a computer without JAX."""
 
 import argparse
 from pathlib import Path
@@ -34,7 +34,8 @@ def add_parsers(commands: Commands) -> None:
         "--preprocess",
         metavar="FRAMES",
         type=Path,
-        help="the file takes frames of a camera as they come; these show their size and where the dome stands",
+        help="the file takes frames of a camera as they come; "
+        "these show their size and where the dome stands",
     )
 
 

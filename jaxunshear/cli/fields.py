@@ -1,6 +1,4 @@
-"""`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and
-what it means.
-"""
+"""Help on the fields of a group of settings, for `--help-fields GROUP`."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -39,40 +37,40 @@ def format_field_help(group: str, experiment: Experiment | None = None) -> str:
     Values are those of `experiment`, or the usual ones. Raises UserError for a group that there is
     not, or not in this experiment.
     """
-    known = dict(_groups(Experiment, ""))
-    if group not in known:
-        raise UserError(
-            f"{FLAG} {group}: name one of {', '.join(filter(None, known))}, or '' for those of no group"
-        )
-    held = _group(experiment or Experiment(name="", claim=""), group)
+    groups = dict(_list_groups(Experiment, ""))
+    if group not in groups:
+        names = ", ".join(filter(None, groups))
+        raise UserError(f"{FLAG} {group}: name one of {names}, or '' for those of no group")
+    settings = _get_group(experiment or Experiment(name="", claim=""), group)
     entries: dict[str, list[_Entry]] = {}
-    for kind in [type(held)] if experiment else known[group]:
-        for entry in _entries(kind, held, f"{group}." if group else ""):
+    for kind in [type(settings)] if experiment else groups[group]:
+        for entry in _list_entries(kind, settings, f"{group}." if group else ""):
             entries.setdefault(entry.name, []).append(entry)
-    return "\n".join(map(_text, entries.values()))
+    return "\n".join(map(_format_entries, entries.values()))
 
 
-def _group(experiment: Experiment, name: str) -> object:
-    held: object = experiment
+def _get_group(experiment: Experiment, name: str) -> object:
+    settings: object = experiment
     for part in filter(None, name.split(".")):
-        if not hasattr(held, part):
+        if not hasattr(settings, part):
             raise UserError(
-                f"{FLAG} {name}: this experiment has no {part} there: its {type(held).__name__} has other fields"
+                f"{FLAG} {name}: this experiment has no {part} there: "
+                f"its {type(settings).__name__} has other fields"
             )
-        held = getattr(held, part)
-    return held
+        settings = getattr(settings, part)
+    return settings
 
 
-def _groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
-    """Groups by dotted name, with the kinds of settings that each may hold."""
+def _list_groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
+    """Yield groups by dotted name, with the kinds of settings that each may hold."""
     yield name, [kind]
     for field, hint in list_hints(kind).items():
         below = f"{name}.{field}".lstrip(".")
-        found: dict[str, list[type]] = {}
+        kinds_by_name: dict[str, list[type]] = {}
         for each in list_groups(hint):
-            for inner, kinds in _groups(each, below):
-                found.setdefault(inner, []).extend(kinds)
-        yield from found.items()
+            for inner, kinds in _list_groups(each, below):
+                kinds_by_name.setdefault(inner, []).extend(kinds)
+        yield from kinds_by_name.items()
 
 
 class _Entry(NamedTuple):
@@ -83,22 +81,23 @@ class _Entry(NamedTuple):
     kind: str  # of settings that have this field
 
 
-def _entries(kind: type, held: object, prefix: str) -> Iterator[_Entry]:
-    """Yield the fields of a kind of settings, with the values of `held` if it is of that kind."""
+def _list_entries(kind: type, settings: object, prefix: str) -> Iterator[_Entry]:
+    """Yield the fields of a kind of settings, with the values of `settings` if it is of it."""
     for field in dataclasses.fields(kind):
         hint = list_hints(kind)[field.name]
         if field.name in NOT_SETTABLE or (list_groups(hint) and prefix + field.name != "sensor"):
             continue
         several = get_origin(hint) is tuple and list_choices(hint)
-        takes = f"some of {', '.join(several)}" if several else describe_hint(hint)
-        value = (
-            format_value(getattr(held, field.name)) if isinstance(held, kind) else _default(field)
-        )
-        yield _Entry(prefix + field.name, value, takes, _meaning(kind, field.name), kind.__name__)
+        accepted = f"some of {', '.join(several)}" if several else describe_hint(hint)
+        value = _format_default(field)
+        if isinstance(settings, kind):
+            value = format_value(getattr(settings, field.name))
+        meaning = _read_meaning(kind, field.name)
+        yield _Entry(prefix + field.name, value, accepted, meaning, kind.__name__)
 
 
-def _text(entries: list[_Entry]) -> str:
-    """Say it of one field, which several kinds of settings may have."""
+def _format_entries(entries: list[_Entry]) -> str:
+    """Format the help on one field, which several kinds of settings may have."""
     values = " or ".join(dict.fromkeys(entry.value for entry in entries))
     meanings = {entry.kind: entry.meaning for entry in entries}
     if len(set(meanings.values())) > 1:
@@ -112,25 +111,22 @@ def _text(entries: list[_Entry]) -> str:
     return "\n".join([f"--{entries[0].name} {values}", *lines])
 
 
-def _default(field: dataclasses.Field) -> str:
+def _format_default(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
         return format_value(field.default)
-    return (
-        ""
-        if field.default_factory is dataclasses.MISSING
-        else format_value(field.default_factory())
-    )
+    if field.default_factory is not dataclasses.MISSING:
+        return format_value(field.default_factory())
+    return ""
 
 
-def _meaning(kind: type, field: str) -> str:
-    """The comment beside or above the field's definition."""
-    from simple_parsing.docstring import (
-        get_attribute_docstring,  # only for this: the command line starts quickly
-    )
+def _read_meaning(kind: type, field: str) -> str:
+    """Read the comment beside or above the field's definition."""
+    # imported only for this: the command line starts quickly
+    from simple_parsing.docstring import get_attribute_docstring
 
     owner = next(
         base for base in reversed(kind.__mro__) if field in vars(base).get("__annotations__", {})
     )
-    written = get_attribute_docstring(owner, field)
-    text = " ".join((written.comment_inline or written.comment_above).split())
+    docstring = get_attribute_docstring(owner, field)
+    text = " ".join((docstring.comment_inline or docstring.comment_above).split())
     return text[:1].upper() + text[1:]

@@ -1,4 +1,4 @@
-"""`jaxunshear geometry`: contact geometry of taps, sheared and unsheared images."""
+"""Command `jaxunshear geometry`: contact geometry of taps, sheared and unsheared images."""
 
 import argparse
 from pathlib import Path
@@ -38,14 +38,15 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     from jaxunshear.text_table import format_text_table
 
     if arguments.path is not None:
-        read_recordings(
-            arguments.path, Preprocess()
-        )  # refuses a place without images before there is work to lose
+        # refuses a place without images before there is work to lose
+        read_recordings(arguments.path, Preprocess())
         check_not_among(arguments.path, out, "--out")
     folder, experiment = model
     paired, _ = require_simulated(experiment, "geometry")
-    felt = score_geometry(folder, experiment, arguments.contacts)
-    figure = geometry_figure.plot_contacts(felt.lattice, paired.names, felt.contacts, felt.geometry)
+    scores = score_geometry(folder, experiment, arguments.contacts)
+    figure = geometry_figure.plot_contacts(
+        scores.lattice, paired.names, scores.contacts, scores.geometry
+    )
     write_bytes(out / "geometry.png", figure)
     columns = (
         "name",
@@ -56,14 +57,15 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         "largest_mm",
         "ms_per_image",
     )
-    print(format_text_table([to_builtins(row) for row in felt.table.rows], columns))
+    print(format_text_table([to_builtins(row) for row in scores.table.rows], columns))
     print(out / "geometry.png")
     if arguments.path is not None:
         from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
 
-        shown = estimate_recorded_heights(
-            arguments.path, experiment, felt.lattice, felt.methods[INVERSE], felt.networks
+        heights = estimate_recorded_heights(
+            arguments.path, experiment, scores.lattice, scores.methods[INVERSE], scores.networks
         )
-        write_bytes(out / "recordings.png", geometry_figure.plot_recordings(felt.lattice, shown))
+        figure = geometry_figure.plot_recordings(scores.lattice, heights)
+        write_bytes(out / "recordings.png", figure)
         print(out / "recordings.png")
-    return felt.table
+    return scores.table

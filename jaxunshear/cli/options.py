@@ -11,12 +11,10 @@ from jaxunshear.errors import UserError
 
 Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
-DEFAULT, SKIN = (
-    Path("standard"),
-    Path("skin"),
-)  # of the released weights, for simulated touches and for recorded ones
+# released weights, for simulated contacts and for recorded ones
+DEFAULT, SKIN = Path("standard"), Path("skin")
 DEFAULT_RAY_CORES = 2  # for each row or chunk
-ROWS = "the rows, with command, machine and versions"  # what `--json` writes, of commands that measure in rows
+ROWS = "the rows, with command, machine and versions"  # what `--json` writes for benchmarks
 
 
 def new_parser(
@@ -32,7 +30,7 @@ def add_json(
 
 
 def add_results(parser: argparse.ArgumentParser, out: str, content: str = ROWS) -> None:
-    """A folder and a file; `out` says for what in the folder."""
+    """Add --out, whose help is `out`, and --json."""
     parser.add_argument("--out", metavar="DIR", type=Path, help=out)
     add_json(parser, content)
 
@@ -44,10 +42,13 @@ def add_data(parser: argparse.ArgumentParser) -> None:
 
 
 def add_base(parser: argparse.ArgumentParser) -> None:
-    """What an experiment in a file is about, in the place of what the file says."""
+    """Add the recordings and the sensor that an experiment in a file is about."""
     text = "taps and slides that an experiment such as experiments/recorded.py is about"
     parser.add_argument("--recordings", metavar="DIR", type=Path, help=text)
-    text = "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction in the simulated experiment"
+    text = (
+        "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction "
+        "in the simulated experiment"
+    )
     parser.add_argument("--sensor-from", metavar="FILE", type=Path, help=text)
 
 
@@ -62,7 +63,10 @@ def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:
 
 
 def add_like(parser: argparse.ArgumentParser) -> None:
-    text = "contacts of the same sensor and camera, whose mean shows where pins stand (default: the frames themselves)"
+    text = (
+        "contacts of the same sensor and camera, whose mean shows where pins stand "
+        "(default: the frames themselves)"
+    )
     parser.add_argument("--like", metavar="DIR", type=Path, help=text)
 
 
@@ -76,17 +80,16 @@ def add_stimulus(parser: argparse.ArgumentParser) -> None:
 
 
 def parse_stimuli(text: str) -> tuple[StimulusSetting, ...]:
-    """The objects that --stimulus names. Raises UserError."""
+    """Return the objects that --stimulus names. Raises UserError."""
     from jaxunshear.simulator.stimuli import SHAPES, get_closed_stimulus
 
-    found = tuple(
-        parse_stimulus(name.strip()) for name in (SHAPES if text == "all" else text.split(","))
-    )
-    for one in found:
-        get_closed_stimulus(one)
-    if len(set(list_stimulus_names(found))) < len(found):
+    names = SHAPES if text == "all" else text.split(",")
+    stimuli = tuple(parse_stimulus(name.strip()) for name in names)
+    for stimulus in stimuli:
+        get_closed_stimulus(stimulus)
+    if len(set(list_stimulus_names(stimuli))) < len(stimuli):
         raise UserError(f"--stimulus {text}: name each once")
-    return found
+    return stimuli
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
@@ -96,12 +99,12 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def choose_exit_code(used: float, left_out: float) -> int:
-    """Return 1 where half of the images or more are left out: what is said of the others is no success."""
+    """Return 1 if half of the images or more are left out: that is no success."""
     return int(left_out >= used)
 
 
 def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
-    """Who does the pieces of a command; `read_engine_options` reads it."""
+    """Add the options of who runs the pieces of a command, for `read_engine_options`."""
     text = f"one {piece} after the other, or all over a Ray cluster (serial)"
     parser.add_argument("--engine", choices=("serial", "ray"), default="serial", help=text)
     parser.add_argument(
@@ -116,7 +119,7 @@ def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
 
 
 def read_engine_options(arguments: argparse.Namespace) -> tuple[str | None, int] | None:
-    """Address and cores of `--engine ray`; None for the serial one. Raises UserError."""
+    """Return address and cores of `--engine ray`; None for the serial one. Raises UserError."""
     address, cores = arguments.ray_address, arguments.ray_cores
     if arguments.engine != "ray" and (address is not None or cores is not None):
         raise UserError("--ray-address and --ray-cores go with --engine ray")

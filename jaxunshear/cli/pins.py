@@ -1,13 +1,19 @@
-"""`jaxunshear pins`: find, identify and draw the pins of recorded images."""
+"""Command `jaxunshear pins`: find, identify and draw the pins of recorded images."""
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.config.experiment import require_simulated
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import PinScores
+
+if TYPE_CHECKING:
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.perception.lattice import Lattice
+    from jaxunshear.perception.lattice_fitting import MarkerLayout
 
 
 def add_parser(commands: Commands) -> None:
@@ -16,17 +22,17 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "path", metavar="IMAGES", type=Path, help="an image, or a folder of recordings"
     )
-    known = parser.add_mutually_exclusive_group()
-    known.add_argument(
+    layout = parser.add_mutually_exclusive_group()
+    layout.add_argument(
         "--sensor", metavar="NAME", default="tactip331", help="whose pins they are (tactip331)"
     )
-    known.add_argument(
+    layout.add_argument(
         "--layout",
         metavar="FILE",
         type=Path,
         help="instead: x and y of each pin, a line each, any unit",
     )
-    known.add_argument(
+    layout.add_argument(
         "--model",
         metavar="DIR",
         type=Path,
@@ -46,56 +52,63 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinScores:
     import numpy as np
 
-    from jaxunshear.config.image import Preprocess
-    from jaxunshear.config.sensor import get_sensor
     from jaxunshear.data.recorded_pins import find_pins, summary
-    from jaxunshear.data.recordings import read_recordings
     from jaxunshear.files import write_bytes, write_npz, write_text
-    from jaxunshear.perception.lattice import Lattice
-    from jaxunshear.perception.lattice_fitting import MarkerLayout, make_layout, read_layout
     from jaxunshear.serialization import format_csv, to_builtins
+
+    _check_arguments(arguments, out)
+    lattice, preprocess = _choose_lattice(arguments, model)
+    pins = find_pins(arguments.path, lattice, preprocess, arguments.rest)
+    from jaxunshear.report.pin_figure import plot_pins
+
+    arrays = {
+        "name": pins.name,
+        "sure": pins.sure,
+        "place_px": pins.place_px.astype(np.float32),
+        "motion_px": pins.motion_px.astype(np.float32),
+        "undeformed_px": pins.lattice.rest.astype(np.float32),
+    }
+    write_npz(out / "pins.npz", arrays, compressed=True)
+    write_text(out / "pins.csv", format_csv(to_builtins(pins.table.rows)))
+    write_bytes(out / "pins.png", plot_pins(pins.lattice, pins.shown))
+    print(summary(pins.table))
+    print(out / "pins.png")
+    return pins.table
+
+
+def _check_arguments(arguments: argparse.Namespace, out: Path) -> None:
+    """Check the arguments before there is work to lose."""
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.data.recordings import read_recordings
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
-    for recordings in (arguments.path, *([arguments.rest] if arguments.rest else [])):
+    for recordings in filter(None, (arguments.path, arguments.rest)):
         check_not_among(recordings, out, "--out")
-        read_recordings(
-            recordings, Preprocess()
-        )  # refuses a place without images before there is work to lose
+        read_recordings(recordings, Preprocess())  # refuses a place without images
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
-    preprocess = Preprocess(size=arguments.size) if arguments.size else None
-    lattice: Lattice | MarkerLayout
-    if model:
-        from jaxunshear.perception.rest_positions import compute_rest_lattice
 
+
+def _choose_lattice(
+    arguments: argparse.Namespace, model: Model | None
+) -> "tuple[Lattice | MarkerLayout, Preprocess | None]":
+    """Return where the pins of the untouched sensor are, and how images are prepared."""
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.config.sensor import get_sensor
+    from jaxunshear.perception.lattice_fitting import make_layout, read_layout
+    from jaxunshear.perception.rest_positions import compute_rest_lattice
+
+    if model:
         experiment = model[1]
         paired, _ = require_simulated(experiment, "pins --model")
         if arguments.size or arguments.rest:
             raise UserError(
                 "--model knows the images' size and the untouched pins: leave --size and --rest out"
             )
-        preprocess = paired.preprocess
-        lattice = compute_rest_lattice(experiment.sensor, paired.camera, preprocess)
-    else:
-        lattice = (
-            read_layout(arguments.layout)
-            if arguments.layout
-            else make_layout(get_sensor(arguments.sensor))
-        )
-    found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
-    from jaxunshear.report.pin_figure import plot_pins
-
-    arrays = {
-        "name": found.name,
-        "sure": found.sure,
-        "place_px": found.place_px.astype(np.float32),
-        "motion_px": found.motion_px.astype(np.float32),
-        "undeformed_px": found.lattice.rest.astype(np.float32),
-    }
-    write_npz(out / "pins.npz", arrays, compressed=True)
-    write_text(out / "pins.csv", format_csv(to_builtins(found.table.rows)))
-    write_bytes(out / "pins.png", plot_pins(found.lattice, found.shown))
-    print(summary(found.table))
-    print(out / "pins.png")
-    return found.table
+        lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
+        return lattice, paired.preprocess
+    preprocess = Preprocess(size=arguments.size) if arguments.size else None
+    if arguments.layout:
+        return read_layout(arguments.layout), preprocess
+    return make_layout(get_sensor(arguments.sensor)), preprocess

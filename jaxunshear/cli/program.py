@@ -1,4 +1,4 @@
-"""What all command lines of this repository share: errors in one line, exit codes, files of rows.
+"""Shared parts of all command lines: errors in one line, exit codes, files of rows.
 
 `jaxunshear` uses it, and so do `python -m verification` and `python -m benchmarks`.
 """
@@ -19,13 +19,13 @@ from jaxunshear.files import Json, is_disk_full
 from jaxunshear.output_checks import check_new_file, check_new_folder
 from jaxunshear.protected_folders import check_outside
 
-AGAIN = "the same command begins anew"
+RESTART = "the same command begins anew"
 Keep = Callable[[list[Json]], None]
-_usual = warnings.formatwarning
+_format_python_warning = warnings.formatwarning
 
 
 class Parser(argparse.ArgumentParser):
-    """Refuses in one line, like everything else."""
+    """A parser whose errors are one line."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
@@ -46,14 +46,14 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     the user can fix (one line), 130 when interrupted. `continued`: the command goes on where it
     was stopped.
     """
-    warnings.formatwarning = _noted
+    warnings.formatwarning = _format_warning
     try:
         return work()
     except UserError as error:
-        return _complain(str(error))
+        return _print_error(str(error))
     except KeyboardInterrupt:
         print(
-            f"stopped; {'run the same command to continue' if continued else AGAIN}",
+            f"stopped; {'run the same command to continue' if continued else RESTART}",
             file=sys.stderr,
         )
         return 130
@@ -62,15 +62,15 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
         return 141
     except Exception as error:
         if is_disk_full(error):
-            return _complain("the disk is full; free some space, then run the same command")
+            return _print_error("the disk is full; free some space, then run the same command")
         if isinstance(error, OSError) and error.filename is not None:
-            return _complain(f"{error.filename}: {error.strerror}")
+            return _print_error(f"{error.filename}: {error.strerror}")
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
-            return _complain("out of memory; use a smaller --train.batch or smaller images")
+            return _print_error("out of memory; use a smaller --train.batch or smaller images")
         raise
 
 
-def _noted(
+def _format_warning(
     message: Warning | str,
     category: type[Warning],
     filename: str,
@@ -79,10 +79,10 @@ def _noted(
 ) -> str:
     if issubclass(category, Note):
         return f"jaxunshear: note: {' '.join(str(message).split())}\n"
-    return _usual(message, category, filename, lineno, line)
+    return _format_python_warning(message, category, filename, lineno, line)
 
 
-def _complain(text: str) -> int:
+def _print_error(text: str) -> int:
     print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
     return 2
 
@@ -97,18 +97,15 @@ def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace | None:
 
 def check_json(arguments: argparse.Namespace) -> None:
     """Refuse, before any work, a file for results that would replace what others live on."""
-    json = arguments.json if "json" in arguments else None
-    check_outside(json, "--json")
-    check_new_file(json)
+    file = getattr(arguments, "json", None)
+    if file is None:
+        return
+    check_outside(file, "--json")
+    check_new_file(file)
     for option, value in vars(arguments).items():
-        if (
-            json is not None
-            and option != "json"
-            and isinstance(value, Path)
-            and value.resolve() == json.resolve()
-        ):
+        if option != "json" and isinstance(value, Path) and value.resolve() == file.resolve():
             raise UserError(
-                f"--json {json} is also what this command reads or writes: name another file"
+                f"--json {file} is also what this command reads or writes: name another file"
             )
 
 

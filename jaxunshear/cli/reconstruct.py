@@ -1,4 +1,4 @@
-"""`jaxunshear reconstruct`: complete objects from the walks that `servo` left."""
+"""Command `jaxunshear reconstruct`: objects from the trajectories that `servo` left."""
 
 import argparse
 from pathlib import Path
@@ -16,6 +16,11 @@ from jaxunshear.config.experiment import require_simulated
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
+
+COLUMNS = (
+    *("name", "walks", "closed", "iou", "iou_felt"),
+    *("mean_mm", "hausdorff_mm", "height_rms_mm"),
+)
 
 
 def add_parser(commands: Commands) -> None:
@@ -35,41 +40,34 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.text_table import format_text_table
 
     folder, experiment = model
-    require_simulated(
-        experiment, "reconstruct"
-    )  # before walks are missed that such a model cannot have made
-    asked = list(list_stimulus_names(parse_stimuli(arguments.stimulus)))
-    if arguments.stimulus == "all":  # of outlines of one's own, too
-        asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
-    names = [name for name in asked if (out / f"{name}.npz").is_file()]
-    if not names:
-        raise UserError(
-            f"--out {out} holds no walks: run `jaxunshear servo --model {arguments.model} --out {out}` first"
-        )
-    if arguments.stimulus != "all" and len(names) < len(asked):
-        lacking = ", ".join(name for name in asked if name not in names)
-        raise UserError(
-            f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first"
-        )
+    require_simulated(experiment, "reconstruct")  # a model of recordings has no trajectories
+    files = _find_trajectory_files(arguments, out)
     rows: list[ObjectScore] = []
-    for found in reconstruct(
-        folder, experiment, [load_trajectories(out / f"{name}.npz") for name in names]
-    ):
-        name = str(found.task.stimulus)
-        rows += found.scores
-        for maker, (file, text) in PICTURES.items():
-            shown = {way: solid for (by, way), solid in found.objects.items() if by == maker}
-            write_bytes(out / f"{name}-{file}.png", plot_objects(name, shown, text))
-        columns = (
-            "name",
-            "walks",
-            "closed",
-            "iou",
-            "iou_felt",
-            "mean_mm",
-            "hausdorff_mm",
-            "height_rms_mm",
-        )
-        print(format_text_table([vars(row) for row in found.scores], columns))
+    for result in reconstruct(folder, experiment, [load_trajectories(file) for file in files]):
+        name = str(result.task.stimulus)
+        rows += result.scores
+        for method, (file_name, text) in PICTURES.items():
+            solids = {way: solid for (by, way), solid in result.objects.items() if by == method}
+            write_bytes(out / f"{name}-{file_name}.png", plot_objects(name, solids, text))
+        print(format_text_table([vars(row) for row in result.scores], COLUMNS))
     print(out)
     return ObjectScores(rows)
+
+
+def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Path]:
+    names = list(list_stimulus_names(parse_stimuli(arguments.stimulus)))
+    if arguments.stimulus == "all":  # outlines in files, too
+        names += sorted({file.stem for file in out.glob("*.npz")} - set(names))
+    files = {name: out / f"{name}.npz" for name in names}
+    missing = [name for name, file in files.items() if not file.is_file()]
+    if len(missing) == len(names):
+        raise UserError(
+            f"--out {out} holds no walks: "
+            f"run `jaxunshear servo --model {arguments.model} --out {out}` first"
+        )
+    if arguments.stimulus != "all" and missing:
+        raise UserError(
+            f"--stimulus {', '.join(missing)}: {out} holds no walk of it; "
+            "run `jaxunshear servo` for it first"
+        )
+    return [file for name, file in files.items() if name not in missing]

@@ -1,4 +1,4 @@
-"""`jaxunshear release`: weights with a model card."""
+"""Command `jaxunshear release`: weights with a model card."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`jaxunshear report`: the page of a finished run."""
+"""Command `jaxunshear report`: the page of a finished run."""
 
 import argparse
 from pathlib import Path
@@ -17,7 +17,8 @@ def add_parsers(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, command: str) -> int:
     if not (arguments.run / "results.json").is_file():
         raise UserError(
-            f"{arguments.run} holds no results.json: name the folder of a finished run, such as runs/demo"
+            f"{arguments.run} holds no results.json: name the folder of a finished run, "
+            "such as runs/demo"
         )
     from jaxunshear.report.report import write_report
 

@@ -1,4 +1,4 @@
-"""`jaxunshear servo`: follow the outlines of objects by touch, in the simulator."""
+"""Command `jaxunshear servo`: follow the outlines of objects by touch, in the simulator."""
 
 import argparse
 from pathlib import Path
@@ -41,18 +41,17 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
     from jaxunshear.report.trajectory_figure import plot_trajectories
     from jaxunshear.text_table import format_text_table
 
-    stimuli = parse_stimuli(arguments.stimulus)
-    courses = [
-        ServoTask(touched, arguments.starts, arguments.depth, seed=arguments.seed)
-        for touched in stimuli
+    tasks = [
+        ServoTask(stimulus, arguments.starts, arguments.depth, seed=arguments.seed)
+        for stimulus in parse_stimuli(arguments.stimulus)
     ]
     ways = tuple(arguments.ways.split(",")) if arguments.ways else None
     rows: list[TrajectoryScore] = []
-    for found in servo(*model, courses, ways, out):
-        name = str(found.task.stimulus)
-        rows += found.scores
-        write_bytes(out / f"{name}.png", plot_trajectories(found.trajectories, found.contour, name))
+    for result in servo(*model, tasks, ways, out):
+        name = str(result.task.stimulus)
+        rows += result.scores
+        write_bytes(out / f"{name}.png", plot_trajectories(result.trajectories, result.contour, name))
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
-        print(format_text_table([vars(row) for row in found.scores], columns))
+        print(format_text_table([vars(row) for row in result.scores], columns))
     print(out)
     return TrajectoryScores(rows)

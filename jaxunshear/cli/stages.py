@@ -1,4 +1,4 @@
-"""The commands that take an experiment: run, data, train, evaluate, fit."""
+"""Commands that take an experiment: run, data, train, evaluate, fit."""
 
 import argparse
 from collections.abc import Sequence
@@ -61,6 +61,10 @@ def add_parsers(commands: Commands) -> None:
                 "--network", metavar="NAME", help="only this one of the experiment's (default: all)"
             )
 
+    _add_fit_parser(commands)
+
+
+def _add_fit_parser(commands: Commands) -> None:
     text = "fit networks to your own recordings: writes an experiment about them, and runs it"
     usage = "jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
     command = new_parser(commands, "fit", text, usage)
@@ -81,46 +85,37 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs one of COMMANDS. Returns the exit code."""
+    """Run one of COMMANDS. Return the exit code."""
     from jaxunshear.model_folders import find_model_folder
 
-    asked = read_engine_options(arguments) if arguments.command in SIMULATING else None
+    ray_options = read_engine_options(arguments) if arguments.command in SIMULATING else None
     if arguments.command == "fit":
         experiment = _write_fit_experiment(arguments)
     elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
         arguments.file = folder
         experiment = _load_finished_experiment(arguments)
         if arguments.recordings:
-            _score(experiment, arguments, command)
+            _score_recordings(experiment, arguments, command)
             return 0
     else:
-        experiment = _experiment(arguments)
-    networks = list_trained_networks(experiment)
-    if getattr(arguments, "network", None):
-        if arguments.network not in networks:
-            raise UserError(
-                f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}"
-            )
-        networks = (arguments.network,)
+        experiment = _read_experiment(arguments)
+    networks = _select_networks(arguments, experiment)
     check_outside(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
-    stages = [
-        name
-        for stage in STAGES[arguments.command]
-        for name in (networks if stage == NETWORKS else (stage,))
-    ]
+    stages: list[str] = []
+    for stage in STAGES[arguments.command]:
+        stages += networks if stage == NETWORKS else [stage]
     from jaxunshear.allocator import keep_freed_memory
     from jaxunshear.cluster import make_ray_runner, run_locally
     from jaxunshear.run import run_stages
 
     keep_freed_memory()
-    spread = make_ray_runner(*asked) if asked else run_locally
     results = run_stages(
         experiment,
         tuple(stages),
         out=arguments.out,
         data=arguments.data,
         command=command,
-        run_calls=spread,
+        run_calls=make_ray_runner(*ray_options) if ray_options else run_locally,
     )
     if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import build_measurements
@@ -130,8 +125,24 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
+def _select_networks(arguments: argparse.Namespace, experiment: Experiment) -> tuple[str, ...]:
+    """Return the networks to train: all of the experiment, or that of --network."""
+    networks = list_trained_networks(experiment)
+    network = getattr(arguments, "network", None)
+    if not network:
+        return networks
+    if network not in networks:
+        raise UserError(
+            f"--network {network} is none of this experiment's: use {', '.join(networks)}"
+        )
+    return (network,)
+
+
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
-    """Return the experiment of FILE with what the command line changes in it, before it is checked or finds recordings."""
+    """Return the experiment of FILE with fields changed, before it is checked.
+
+    It has no recordings yet.
+    """
     from jaxunshear.config.fields import override_fields
     from jaxunshear.config.load import load_experiment
     from jaxunshear.fit import BASE_EXPERIMENT
@@ -149,23 +160,22 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
     return override_fields(experiment, fields)
 
 
-def _experiment(arguments: argparse.Namespace) -> Experiment:
-    """That of a file, about what the command line says."""
+def _read_experiment(arguments: argparse.Namespace) -> Experiment:
+    """Read the experiment of a file, with the recordings that the command line names."""
     from jaxunshear.config.rules import validate
 
     experiment = read_base(arguments, arguments.fields)
     if arguments.recordings:
         from jaxunshear.fit import set_recordings
 
-        experiment = set_recordings(
-            experiment, str(arguments.recordings), str(arguments.recordings)
-        )
+        folder = str(arguments.recordings)
+        experiment = set_recordings(experiment, folder, folder)
     validate(experiment)
     return experiment
 
 
 def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
-    """The experiment that `fit` writes beside its results."""
+    """Write the experiment of `fit` beside its results."""
     from jaxunshear.config.fields import override_fields
     from jaxunshear.config.rules import validate
     from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
@@ -173,8 +183,12 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
     experiment = override_fields(BASE_EXPERIMENT, ["--name", "fit", *arguments.fields])
-    words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
-    experiment = set_recordings(experiment, *words)
+    experiment = set_recordings(
+        experiment,
+        str(arguments.taps or ""),
+        str(arguments.slides or ""),
+        str(arguments.pairs or ""),
+    )
     validate(experiment)
     file = arguments.out / f"{experiment.name}.py"
     write_experiment(experiment, file)
@@ -183,15 +197,16 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
 
 
 def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
-    """The experiment of a finished run, which is named by its folder."""
+    """Load the experiment of a finished run, which is named by its folder."""
     from dataclasses import replace
 
     from jaxunshear.model_folders import load_settings
 
     if arguments.fields or arguments.sensor_from:
-        asked = arguments.fields[0] if arguments.fields else "--sensor-from"
+        option = arguments.fields[0] if arguments.fields else "--sensor-from"
         raise UserError(
-            f"{asked}: the settings of a finished run stay as they are; name its experiment file to change them"
+            f"{option}: the settings of a finished run stay as they are; "
+            "name its experiment file to change them"
         )
     experiment = load_settings(arguments.file)
     folder = arguments.file.resolve()
@@ -199,7 +214,7 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
     return replace(experiment, name=folder.name)
 
 
-def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
+def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.other_recordings import format_table, score_recordings
     from jaxunshear.evaluation.sim_to_real import score_transfer

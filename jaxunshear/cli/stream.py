@@ -1,4 +1,4 @@
-"""`jaxunshear stream`: perception for a robot, a JSON line a frame."""
+"""Command `jaxunshear stream`: perception for a robot, a JSON line per frame."""
 
 import argparse
 import contextlib
@@ -25,7 +25,10 @@ from jaxunshear.results.applications import StreamResult
 
 
 def add_parser(commands: Commands) -> None:
-    text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
+    text = (
+        "perception for a robot: frames in; unsheared image, pose and confidence out, "
+        "a JSON line each"
+    )
     parser = new_parser(commands, "stream", text)
     parser.add_argument(
         "source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N"
@@ -42,14 +45,14 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument(
         "--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)"
     )
-    shown = parser.add_mutually_exclusive_group()
-    shown.add_argument(
+    images = parser.add_mutually_exclusive_group()
+    images.add_argument(
         "--images",
         metavar="DIR",
         type=Path,
         help="for unsheared images (default: within the lines)",
     )
-    shown.add_argument("--no-images", action="store_true", help="leave them out")
+    images.add_argument("--no-images", action="store_true", help="leave them out")
     add_json(parser, "the summary, with command, machine and versions")
 
 
@@ -74,7 +77,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
     robot = load_stream_model(folder, experiment, frame, arguments.force)
     frames, live = open_frames(arguments.source, robot.preprocess, arguments.fps)
     truth = make_label_reader(arguments.source, experiment)
-    with _lines(arguments.lines) as lines:
+    with _open_lines(arguments.lines) as lines:
         summary = stream(
             frames, live, robot, lines, arguments.images, not arguments.no_images, truth
         )
@@ -94,8 +97,11 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
 
 
 @contextlib.contextmanager
-def _lines(path: Path | None) -> Iterator[TextIO]:
-    """Where the lines go. Raises UserError where the file can be written no more, also when it is closed."""
+def _open_lines(path: Path | None) -> Iterator[TextIO]:
+    """Open the file of the lines, or standard output.
+
+    Raises UserError if the file can no longer be written, also when it is closed.
+    """
     if path is None:
         yield sys.stdout
         return

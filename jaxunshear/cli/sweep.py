@@ -1,4 +1,4 @@
-"""`jaxunshear sweep`: parser and call. Everything heavy is imported when it is needed."""
+"""Command `jaxunshear sweep`: runs an experiment over grids of settings and seeds."""
 
 import argparse
 import dataclasses
@@ -24,7 +24,10 @@ COMMANDS = ("sweep",)
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
+    text = (
+        "run an experiment over grids of settings and seeds; "
+        "continues where a stopped sweep left off"
+    )
     parser = new_parser(
         commands, "sweep", text, "jaxunshear sweep FILE [options] [--field value ...]"
     )
@@ -52,7 +55,7 @@ def add_parsers(commands: Commands) -> None:
     add_json(parser, "sweep.json here, too")
 
 
-def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
+def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
     from jaxunshear.config.sweep import load_sweep, override_base
 
     sweep = load_sweep(arguments.file)
@@ -64,25 +67,25 @@ def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
 
 
 def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experiment":
-    """Return the base of the sweep in FILE with what the command line changes in it, before it is checked."""
+    """Return the base of the sweep in FILE with fields changed, before it is checked."""
     from jaxunshear.config.sweep import get_base
 
-    return get_base(_read(arguments, fields))
+    return get_base(_read_sweep(arguments, fields))
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
-    asked = read_engine_options(arguments)
+    """Run a sweep and print its table. Return 0, or 1 if a row failed."""
+    ray_options = read_engine_options(arguments)
     from jaxunshear.config.sweep import check_sweep, parse_seeds
 
-    sweep = _read(arguments, arguments.fields)
+    sweep = _read_sweep(arguments, arguments.fields)
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
     if arguments.recordings is not None:
         from jaxunshear.fit import set_recordings
 
-        words = (str(arguments.recordings), str(arguments.recordings))
-        sweep = dataclasses.replace(sweep, base=set_recordings(sweep.base, *words))
+        folder = str(arguments.recordings)
+        sweep = dataclasses.replace(sweep, base=set_recordings(sweep.base, folder, folder))
     check_sweep(sweep, str(arguments.file))
 
     from jaxunshear.protected_folders import check_outside
@@ -92,7 +95,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.sweep.summary_table import format_table
 
     check_outside(arguments.json, "--json", home=arguments.out / sweep.name)
-    engine: engines.Engine = engines.make_ray_engine(*asked) if asked else engines.run_serially
+    engine: engines.Engine = engines.run_serially
+    if ray_options:
+        engine = engines.make_ray_engine(*ray_options)
     summary = run_sweep(
         sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
     )

@@ -1,4 +1,4 @@
-"""`jaxunshear unshear` and `jaxunshear pose`: recorded images to unsheared ones, and to poses."""
+"""Commands `jaxunshear unshear` and `jaxunshear pose`: from recorded images."""
 
 import argparse
 from pathlib import Path
@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.inference import infer
 
     if arguments.command == "unshear":
-        measured = infer.unshear_recordings(
+        measurement = infer.unshear_recordings(
             arguments.path,
             arguments.model,
             arguments.out,
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             like=arguments.like,
         )
     else:
-        measured = infer.predict_recordings(
+        measurement = infer.predict_recordings(
             arguments.path, arguments.model, force=arguments.force, like=arguments.like
         )
     if arguments.json:
@@ -56,8 +56,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         from jaxunshear.files import write_json
 
-        write_json(arguments.json, replace(measured, command=command))
-    counts = {row.name: row.value or 0 for row in measured.rows}
+        write_json(arguments.json, replace(measurement, command=command))
+    counts = {row.name: row.value or 0 for row in measurement.rows}
     return choose_exit_code(
         counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"]
     )

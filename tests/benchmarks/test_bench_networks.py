@@ -1,4 +1,4 @@
-"""The networks' yardsticks: rows, counted multiplications, and a PyTorch twin that computes the same."""
+"""Benchmarks of networks: rows, counted multiplications, and a PyTorch twin that agrees."""
 
 import dataclasses
 import functools
@@ -24,7 +24,7 @@ SMALL = UnshearNet(size=32, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 @pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
 @pytest.mark.parametrize("training", [True, False])
 def test_multiplications_are_those_of_plain_convolutions(net, training):
-    """Against the shapes of the parameters, each used at every place of the coarser of its two grids."""
+    """Compare with the shapes of parameters, each used on the coarser of its two grids."""
     params = jax.eval_shape(lambda: unshearnet.init(net, jax.random.key(0)))["params"]
     side, expected = net.size, 0
     for i in range(len(net.widths)):
@@ -80,7 +80,7 @@ def test_rows(bench, monkeypatch):
         others = row["name"].startswith("pytorch") or row["name"] == "onnxruntime"
         assert others or (row["name"], row["failed"]) == ("jaxunshear, XLA alone", "")
         assert row["failed"].count("is not installed") or row["images_per_s"] > 0
-    assert "jaxunshear" in bench_networks.table(rows)
+    assert "jaxunshear" in bench_networks.format_table(rows)
 
 
 def test_what_is_not_installed_has_not_failed():
@@ -93,7 +93,7 @@ def test_what_is_not_installed_has_not_failed():
     sides = iter(
         [("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)]
     )
-    said = bench_networks.table(bench_networks._compare_sides(sides, 32, 1, 1, (1, 0.0)))
+    said = bench_networks.format_table(bench_networks._compare_sides(sides, 32, 1, 1, (1, 0.0)))
     assert (
         "torch is not installed" in said
         and said.count("FAILED") == 1

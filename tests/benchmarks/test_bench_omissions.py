@@ -27,7 +27,7 @@ def test_rows_hold_both_ways(rows):
         for kind in ("with", "without"):
             assert row[kind]["operations"] > 0 and row[kind]["compile_s"] > 0
             assert 0 < row[kind]["seconds"] <= row[kind]["p95"]
-    assert "lambda 0" in bench_omissions.table(rows)
+    assert "lambda 0" in bench_omissions.format_table(rows)
 
 
 def test_a_size_that_cannot_be_halved_is_refused():

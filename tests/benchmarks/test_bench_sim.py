@@ -1,4 +1,4 @@
-"""Error against run time: the rows, what counts as a failure, and that the scenes are always the same."""
+"""Error against run time: rows, what counts as a failure, and scenes that never change."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_a_row_says_all_there_is_to_say():
         assert row["converged"] == 1 and not row["failed"] and row["nodes"] > 0
         assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
         assert row["ms_per_state"] > 0 and row["ratio"] > 0
-    assert "auto, batch 2" in bench_sim.table(rows)
+    assert "auto, batch 2" in bench_sim.format_table(rows)
     assert bench_figure.plot_work_precision(rows)[:4] == b"\x89PNG"
 
 
@@ -100,7 +100,7 @@ def test_a_solver_that_does_not_converge_fails_and_is_shown():
     assert (
         row["converged"] < 1
         and "do not converge" in row["failed"]
-        and "FAILED" in bench_sim.table([row])
+        and "FAILED" in bench_sim.format_table([row])
     )
 
 
@@ -118,7 +118,7 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     monkeypatch.setitem(other_solvers.OTHER_SOLVERS, "broken", crash)
     (row,) = run(Setting("broken", "auto", LOOSE, 2, "broken", kinds=("slide",)))
     assert "crashed" in row["failed"] and said in row["failed"]
-    assert "crashed" in bench_sim.table([row]) and bench_figure.plot_work_precision([row])
+    assert "crashed" in bench_sim.format_table([row]) and bench_figure.plot_work_precision([row])
 
 
 @pytest.mark.parametrize(

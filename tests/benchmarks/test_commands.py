@@ -48,7 +48,7 @@ def test_rows_are_written_with_the_command_and_the_rivals_versions(
 ):
     rows = [{"name": "one", "seconds": 1.0}]
     monkeypatch.setattr("benchmarks.bench_networks.bench_train", lambda size, batch: rows)
-    monkeypatch.setattr("benchmarks.bench_networks.table", lambda rows: "a table")
+    monkeypatch.setattr("benchmarks.bench_networks.format_table", lambda rows: "a table")
     asked = []
     monkeypatch.setattr(
         "jaxunshear.metrics.machine.list_versions",

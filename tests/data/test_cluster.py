@@ -139,7 +139,7 @@ def workers() -> set[int]:
     found, mark = set(), f"{MARK}={os.environ[MARK]}".encode()
     for path in Path("/proc").glob("[0-9]*"):
         try:
-            if (path / "cmdline").read_bytes().startswith(b"ray::_after") and mark in (
+            if (path / "cmdline").read_bytes().startswith(b"ray::_run_pickled") and mark in (
                 path / "environ"
             ).read_bytes():
                 found.add(int(path.name))
@@ -159,7 +159,7 @@ def wait_for(reached, process: subprocess.Popen) -> None:
 def test_the_error_of_a_call_is_raised_here_as_it_was(monkeypatch):
     ray = pytest.importorskip("ray")
     crash = ray.exceptions.WorkerCrashedError()
-    faults = [ray.exceptions.RayTaskError("_after", "", UserError("the disk is full")), crash]
+    faults = [ray.exceptions.RayTaskError("_run_pickled", "", UserError("the disk is full")), crash]
     monkeypatch.setattr(ray, "get", lambda reference: (_ for _ in ()).throw(faults.pop(0)))
     with pytest.raises(UserError, match="the disk is full"):
         cluster._fetch_result(None)

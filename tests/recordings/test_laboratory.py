@@ -354,7 +354,7 @@ def test_lines_that_find_no_room_end_a_stream_in_one_line(
     def write(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("jaxunshear.apps.robot.stream._write", write)
+    monkeypatch.setattr("jaxunshear.apps.robot.stream._write_line", write)
     full = command(
         "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
     )

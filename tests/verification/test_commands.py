@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.cli.program import AGAIN
+from jaxunshear.cli.program import RESTART
 from verification import commands
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,7 +67,7 @@ def test_an_interrupt_promises_nothing(monkeypatch, verification):
 
     monkeypatch.setattr("verification.verify.run_verification", stop)
     answer = verification("verify")
-    assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
+    assert (answer.code, answer.err) == (130, f"stopped; {RESTART}\n")
 
 
 @pytest.mark.long

@@ -1,8 +1,8 @@
-"""The simulator and a model's networks made ready for touch after touch: inputs in, pictures and numbers out.
+"""Runs the simulator and a model's networks for one touch after another.
 
 >>> explorer = make_explorer(folder, experiment)
 >>> explorer.warm()                                    # compiles, with a bar
->>> picture = explorer.picture(touch)                  # raises UserError where there is none
+>>> picture = explorer.simulate_picture(touch)         # raises UserError if there is none
 >>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
 """
 
@@ -46,37 +46,42 @@ NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this
 
 
 class Picture(NamedTuple):
-    """What there is to see of one touch, or of one recorded image."""
+    """What is shown of one touch, or of one recorded image.
 
-    images: dict[
-        str, np.ndarray
-    ]  # by SHEARED, UNSHEARED and TAP, as far as there is one: (S, S) uint8
-    poses: dict[
-        str, dict[str, float]
-    ]  # by TRUE, SHEARED and UNSHEARED: by quantity, mm and deg; NaN where there is none
-    pins: np.ndarray  # (2, P, 2) px: untouched, and at the slide's end; none of a recorded image
-    state: np.ndarray  # (P,) of touch.FREE, STUCK, SLIPPING
-    force_n: np.ndarray  # (3,) on the sensor
-    note: str = ""  # one line: why something is missing
+    Args:
+        images: (S, S) uint8, by SHEARED, UNSHEARED and TAP, as far as there are any.
+        poses: mm and deg, by TRUE, SHEARED and UNSHEARED and by quantity; NaN if there is none.
+        pins: (2, P, 2) px, untouched and at the slide's end; P is 0 for a recorded image.
+        state: (P,) of touch.FREE, STUCK and SLIPPING.
+        force_n: (3,) on the sensor.
+        note: one line that says why something is missing.
+    """
+
+    images: dict[str, np.ndarray]
+    poses: dict[str, dict[str, float]]
+    pins: np.ndarray
+    state: np.ndarray
+    force_n: np.ndarray
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class Explorer:
+    """A simulated sensor and the networks of a model."""
+
     experiment: Experiment
     paired: PairedData  # how frames of the simulated sensor are taken and prepared
     perceive: Perceiver  # of simulated frames
-    recordings: Callable[
-        [], Perceiver
-    ]  # of recorded ones; raises UserError where these cannot be read
+    load_recording_perceiver: Callable[[], Perceiver]  # of recorded frames; raises UserError
     own_stimuli: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
 
     @property
     def stimuli(self) -> dict[str, Stimulus]:
-        """To choose from; those of one's own come first."""
+        """The stimuli to choose from by name; those from files come first."""
         return {stimulus.name: stimulus for stimulus in (*self.own_stimuli, *STIMULI.values())}
 
     def warm(self) -> None:
-        """Compiles what a touch of the model's own sensor needs."""
+        """Compile what a touch of the model's own sensor needs."""
         touches = list_warmup_touches(self.experiment.sensor, self.paired.friction or 0.0)
         with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
             for touch in touches:
@@ -87,88 +92,92 @@ class Explorer:
                 bar.advance()
 
     def simulate_picture(self, touch: Touch) -> Picture:
-        """Raises UserError where the contact cannot be simulated."""
-        felt = simulate_touch(touch)
+        """Simulate a touch and run the networks. Raises UserError if there is no contact."""
+        result = simulate_touch(touch)
         number, age = np.arange(BATCH), np.zeros(BATCH)
-        seen, pins = render_images(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
-        rest = _untouched_px(touch.sensor, self.paired)
-        images, note = {SHEARED: seen[0], TAP: seen[1]}, ""
-        poses = {TRUE: _true_pose(touch, self.perceive.targets)}
+        frames, pins = render_images(
+            self.paired, touch.sensor, result.tips, number, age, at_once=BATCH
+        )
+        images = {SHEARED: frames[0], TAP: frames[1]}
+        poses = {TRUE: _compute_true_pose(touch, self.perceive.targets)}
         if touch.sensor != self.experiment.sensor:
-            note = judge_images(seen[:1], self.perceive.expected).reason
-            note = f"the model does not know this sensor: {note or 'its pins only resemble those that it learnt from'}"
+            reason = judge_images(frames[:1], self.perceive.expected).reason
+            reason = reason or "its pins only resemble those that it learnt from"
+            note = f"the model does not know this sensor: {reason}"
         else:
             # what the simulator draws is of this sensor, however far it is pressed
-            note = _add_answer(
-                images, poses, self.perceive._replace(min_plausibility=NO_MINIMUM).predict(seen[:1])
-            )
-        return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
+            perceive = self.perceive._replace(min_plausibility=NO_MINIMUM)
+            note = _add_predictions(images, poses, perceive.predict(frames[:1]))
+        rest = _compute_rest_px(touch.sensor, self.paired)
+        return Picture(images, poses, np.stack([rest, pins[0]]), result.state, result.force_n, note)
 
-    def infer_recorded(self, name: str, data: bytes) -> Picture:
-        """Of an image file's bytes. Raises UserError, as `unshear` does, for what is no image or not one of the model's sensor."""
-        network = self.recordings()
+    def infer_recording(self, name: str, data: bytes) -> Picture:
+        """Run the networks on the bytes of an image file.
+
+        Raises UserError, as `unshear` does, if it is no image or not of the model's sensor.
+        """
+        perceive = self.load_recording_perceiver()
         try:
             raw = read_image(data)
-            image = prepare_frame(network.preprocess, raw, network.view or View())
+            image = prepare_frame(perceive.preprocess, raw, perceive.view or View())
         except UserError as error:
             raise UserError(f"{name}: {error}") from None
-        found = judge_images(image[None], network.expected)
-        if not found.ok and not found.inverted:
-            raise UserError(f"{name}: {found.reason}")
-        images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if found.inverted else image}
+        check = judge_images(image[None], perceive.expected)
+        if not check.ok and not check.inverted:
+            raise UserError(f"{name}: {check.reason}")
+        images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if check.inverted else image}
         poses: dict[str, dict[str, float]] = {}
-        note = _add_answer(
-            images,
-            poses,
-            network._replace(min_plausibility=NO_MINIMUM).predict(images[SHEARED][None]),
-        )
+        perceive = perceive._replace(min_plausibility=NO_MINIMUM)
+        note = _add_predictions(images, poses, perceive.predict(images[SHEARED][None]))
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
 
 def make_explorer(
-    folder: Path, experiment: Experiment, like: Path | None = None, own: tuple[Stimulus, ...] = ()
+    folder: Path,
+    experiment: Experiment,
+    like: Path | None = None,
+    own_stimuli: tuple[Stimulus, ...] = (),
 ) -> Explorer:
-    """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
+    """Make an explorer of the networks in a folder. Raises UserError.
+
+    `like` shows where pins rest in recordings, for networks over pins.
+    """
     paired, _ = require_simulated(experiment, "explore")
-    pins = uses_pins(experiment)
-    perceive = load_perceiver(
-        folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None
-    )
+    frame = _make_simulated_frame(experiment.sensor, paired) if uses_pins(experiment) else None
+    perceive = load_perceiver(folder, experiment, True, frame)
 
     @lru_cache(maxsize=1)
-    def recordings() -> Perceiver:
-        return (
-            load_perceiver(
-                folder, experiment, True, find_pin_frame(like, experiment) if like else None
-            )
-            if pins
-            else perceive
-        )
+    def load_recording_perceiver() -> Perceiver:
+        if not uses_pins(experiment):
+            return perceive
+        recorded_frame = find_pin_frame(like, experiment) if like else None
+        return load_perceiver(folder, experiment, True, recorded_frame)
 
-    return Explorer(experiment, paired, perceive, recordings, own)
+    return Explorer(experiment, paired, perceive, load_recording_perceiver, own_stimuli)
 
 
-def _add_answer(
-    images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Predictions
+def _add_predictions(
+    images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], predictions: Predictions
 ) -> str:
-    """Adds the networks' answer on one image to its pictures and numbers; what hinders it, in one line."""
-    if answers.rejection[0]:
-        return f"no unsheared image: {answers.rejection[0]}"
-    if answers.unsheared is not None:
-        images[UNSHEARED] = to_uint8(answers.unsheared[0])
-    for way, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):
-        if way in answers.poses:
-            poses[key] = {name: float(values[0]) for name, values in answers.poses[way].items()}
+    """Add the predictions for one image; return in one line why there are none, or nothing."""
+    if predictions.rejection[0]:
+        return f"no unsheared image: {predictions.rejection[0]}"
+    if predictions.unsheared is not None:
+        images[UNSHEARED] = to_uint8(predictions.unsheared[0])
+    for method, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):
+        if method in predictions.poses:
+            pose = predictions.poses[method]
+            poses[key] = {name: float(values[0]) for name, values in pose.items()}
     return ""
 
 
-def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
-    """What a PoseNet's quantities are in truth; NaN for those of an edge where there is none."""
+def _compute_true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
+    """Compute the true values of PoseNet's quantities; NaN for an edge that is not there."""
     distance, angle = _make_edge_labeler(touch.stimulus)(np.array([touch.pose[:3]]))[0]
     edge = (float(distance), float(angle)) if abs(distance) < NO_EDGE_MM else (np.nan, np.nan)
-    known = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
+    labels = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
     return {
-        name: known[field][column]
+        name: labels[field][column]
         for name, (field, column) in SIMULATED_FIELDS.items()
         if name in names
     }
@@ -180,17 +189,15 @@ def _make_edge_labeler(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]
 
 
 @lru_cache(maxsize=8)
-def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
+def _compute_rest_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
     return compute_rest_lattice(sensor, paired.camera, paired.preprocess).rest
 
 
-def _simulated_frame(sensor: Sensor, paired: PairedData) -> SensorFrame:
-    """What the simulator's frames have in common."""
+def _make_simulated_frame(sensor: Sensor, paired: PairedData) -> SensorFrame:
+    """Return what the simulator's frames have in common."""
     lattice = compute_rest_lattice(sensor, paired.camera, paired.preprocess)
-    image = render_images(
-        paired, sensor, compute_pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1
-    )[0][0]
+    tips = compute_pin_tips(sensor)[None]
+    images, _ = render_images(paired, sensor, tips, np.zeros(1), np.zeros(1), at_once=1)
+    radius = detect_pins(images[0]).radius
     size = paired.preprocess.size
-    return SensorFrame(
-        View(), lattice.rest, lattice.ring, lattice.spacing, detect_pins(image).radius, size, size
-    )
+    return SensorFrame(View(), lattice.rest, lattice.ring, lattice.spacing, radius, size, size)

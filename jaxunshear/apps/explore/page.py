@@ -1,4 +1,4 @@
-"""The page, by NiceGUI: where its controls and pictures stand. What they do is in `tab`."""
+"""Lays out the page of `explore` with NiceGUI. Its events are in `tab`."""
 
 import logging
 from pathlib import Path
@@ -29,7 +29,7 @@ STYLE = Path(__file__).with_name("page.css")
 
 
 def build(explorer: Explorer) -> None:
-    """One tab."""
+    """Build one tab."""
     stimulus = (*explorer.own_stimuli, explorer.stimuli["disk"])[0]
     tab = Tab(
         explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
@@ -42,20 +42,20 @@ def build(explorer: Explorer) -> None:
             ui.label("Press and slide the dome over a shape").classes("what")
             tab.parts["time"] = ui.label("").classes("time")
         with ui.element("section").classes("side"):
-            _map(tab)
-            _controls(tab)
+            _build_map(tab)
+            _build_controls(tab)
         with ui.element("section").classes("results"):
             tab.parts["problem"] = ui.label("").classes("problem").props('role="alert"')
-            _pictures(tab)
+            _build_pictures(tab)
     ui.timer(0.05, lambda: on_change(tab, move=(0.0, 0.0)), once=True)
 
 
-def _map(tab: Tab) -> None:
-    watched = ["pointerdown", "pointermove", "pointerup", "pointercancel", "pointerleave"]
+def _build_map(tab: Tab) -> None:
+    mouse_events = ["pointerdown", "pointermove", "pointerup", "pointercancel", "pointerleave"]
     with ui.element("div").classes("card"):
         tab.parts["map"] = ui.interactive_image(
             size=(MAP_PX, MAP_PX),
-            events=watched,
+            events=mouse_events,
             on_mouse=lambda event: on_map(tab, event),
             sanitize=False,
         ).classes("map")
@@ -67,7 +67,7 @@ def _map(tab: Tab) -> None:
             )
 
 
-def _controls(tab: Tab) -> None:
+def _build_controls(tab: Tab) -> None:
     touch = tab.touch
     with ui.element("div").classes("card controls"):
         tab.parts["stimulus"] = ui.select(
@@ -89,7 +89,7 @@ def _controls(tab: Tab) -> None:
             on_change=lambda event: on_pose(tab, 3, event.value),
         )
         depth.props("dense outlined")
-        _slider("depth", 0.1, DEEPEST_MM, 0.1).bind_value(depth, "value")
+        _make_slider("depth", 0.1, DEEPEST_MM, 0.1).bind_value(depth, "value")
         yaw = ui.number(
             "yaw, deg",
             value=touch.pose[2],
@@ -97,7 +97,7 @@ def _controls(tab: Tab) -> None:
             on_change=lambda event: on_pose(tab, 2, event.value),
         )
         yaw.props("dense outlined")
-        _slider("yaw", -180, 180, 1).bind_value(yaw, "value")
+        _make_slider("yaw", -180, 180, 1).bind_value(yaw, "value")
         friction = ui.number(
             "friction",
             value=touch.friction,
@@ -106,14 +106,14 @@ def _controls(tab: Tab) -> None:
                 event.value is not None and on_change(tab, friction=float(event.value))
             ),
         ).props("dense outlined")
-        _slider("friction", 0, 1.5, 0.05).bind_value(friction, "value")
+        _make_slider("friction", 0, 1.5, 0.05).bind_value(friction, "value")
 
 
-def _slider(name: str, low: float, high: float, step: float) -> ui.slider:
+def _make_slider(name: str, low: float, high: float, step: float) -> ui.slider:
     return ui.slider(min=low, max=high, step=step).props(f'aria-label="{name}" dense')
 
 
-def _pictures(tab: Tab) -> None:
+def _build_pictures(tab: Tab) -> None:
     with ui.element("div").classes("pictures"):
         for name, text in IMAGES.items():
             with ui.element("figure").classes("card"):
@@ -156,7 +156,7 @@ def _pictures(tab: Tab) -> None:
 
 
 def serve(explorer: Explorer, port: int) -> None:
-    """Until it is stopped."""
+    """Serve the page until it is stopped."""
     logging.getLogger("nicegui").setLevel(logging.ERROR)
     ui.run(
         lambda: build(explorer),

@@ -1,4 +1,4 @@
-"""What one tab of the page holds, and what happens in it. All that is computed comes from `explorer`; `page` lays it out."""
+"""State and events of one tab of the page. `explorer` computes, `page` has the layout."""
 
 import asyncio
 import math
@@ -23,29 +23,27 @@ ONE_AT_A_TIME = asyncio.Lock()  # two tabs that compute at once would make each 
 
 @dataclass
 class Tab:
-    """What one tab shows and asks for; nothing of it is shared with another."""
+    """State of one tab; tabs share nothing."""
 
     explorer: Explorer
     touch: Touch
     start: tuple[float, float] = (0.0, 0.0)  # mm: where the sensor was pressed down
-    line: list[tuple[float, float]] | None = (
-        None  # mm: an outline that is being drawn; None where none is
-    )
+    line: list[tuple[float, float]] | None = None  # mm: an outline that is being drawn
     pressed: bool = False
-    wanted: Touch | None = None
+    next_touch: Touch | None = None  # whose picture comes next
     busy: bool = False
     parts: dict[str, ui.element] = field(default_factory=dict)
 
-    def ask(self, **changes: object) -> None:
-        """Draws the touch at once, and its pictures as soon as they are there; of several asked for meanwhile the last."""
-        self.touch = self.wanted = replace(self.touch, **changes)  # type: ignore[arg-type]
+    def request(self, **changes: object) -> None:
+        """Draw the touch at once, and request its pictures; only the last request counts."""
+        self.touch = self.next_touch = replace(self.touch, **changes)  # type: ignore[arg-type]
         self.draw_map()
 
     def part(self, name: str, kind: type[Part]) -> Part:
-        """One of `parts`, of this kind."""
-        found = self.parts[name]
-        assert isinstance(found, kind)
-        return found
+        """Return one of `parts`, of this kind."""
+        part = self.parts[name]
+        assert isinstance(part, kind)
+        return part
 
     def draw_map(self) -> None:
         self.part("map", ui.interactive_image).set_content(render_map_svg(self.touch, self.line))
@@ -58,28 +56,28 @@ class Tab:
 
 
 async def compute(tab: Tab) -> None:
-    """The wanted pictures, and those wanted meanwhile."""
+    """Compute and show pictures until no touch is left."""
     if tab.busy:
         return
     tab.busy = True
     try:
-        while tab.wanted is not None:
-            touch, tab.wanted = tab.wanted, None
+        while tab.next_touch is not None:
+            touch, tab.next_touch = tab.next_touch, None
             async with ONE_AT_A_TIME:
-                began = time.perf_counter()
+                start = time.perf_counter()
                 try:
                     picture = await run.io_bound(tab.explorer.simulate_picture, touch)
                 except UserError as error:
                     show(tab, None, str(error))
                     continue
             if picture is not None:  # None: the server is going
-                show(tab, picture, picture.note, f"{1000 * (time.perf_counter() - began):.0f} ms")
+                show(tab, picture, picture.note, f"{1000 * (time.perf_counter() - start):.0f} ms")
     finally:
         tab.busy = False
 
 
-def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> None:
-    """All of a picture, or nothing beside the line that says why there is none."""
+def show(tab: Tab, picture: Picture | None, problem: str, duration: str = "") -> None:
+    """Show a picture, or only the line that says why there is none."""
     images = picture.images if picture else {}
     for name in IMAGES:
         tab.part(name, ui.interactive_image).set_source(
@@ -88,17 +86,18 @@ def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> No
     pins = force = ""
     if picture and len(picture.state):
         pins = render_pins_svg(picture.pins, picture.state, len(images[SHEARED]))
-        force = f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
+        sideways_n = math.hypot(*picture.force_n[:2])
+        force = f"force {picture.force_n[2]:.2f} N down, {sideways_n:.2f} N sideways"
     tab.part("pins", ui.interactive_image).set_content(pins)
     tab.part("force", ui.label).set_text(force)
-    tab.part("time", ui.label).set_text(spent and f"computed in {spent}")
+    tab.part("time", ui.label).set_text(duration and f"computed in {duration}")
     problem_line = tab.part("problem", ui.label)
     problem_line.set_text(problem)
     problem_line.set_visibility(bool(problem))
-    tab.part("poses", ui.table).rows = _rows(picture.poses) if picture else []
+    tab.part("poses", ui.table).rows = _make_rows(picture.poses) if picture else []
 
 
-def _rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
+def _make_rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
     names = next(iter(poses.values()), {})
     rows = []
     for name in names:
@@ -110,7 +109,7 @@ def _rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
 
 
 async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:
-    """Pressing sets the sensor down, moving slides it; while drawing, the same gives the outline."""
+    """Set the sensor down when pressed, slide it when moved; or draw an outline."""
     here = to_mm(event.image_x, event.image_y)
     if event.type == "pointerdown":
         tab.pressed, tab.start = True, here
@@ -130,10 +129,10 @@ async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:
 
 
 def place(tab: Tab, move: tuple[float, float]) -> None:
-    """The slide from where the sensor was pressed down."""
+    """Slide the sensor by `move` from where it was pressed down."""
     pose = (tab.start[0] + move[0], tab.start[1] + move[1], *tab.touch.pose[2:])
     if (pose, move) != (tab.touch.pose, tab.touch.move):
-        tab.ask(pose=pose, move=move)
+        tab.request(pose=pose, move=move)
 
 
 def finish_outline(tab: Tab) -> None:
@@ -145,7 +144,7 @@ def finish_outline(tab: Tab) -> None:
         show(tab, None, str(error))
         return
     tab.start = line[0]
-    tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
+    tab.request(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
     tab.part("stimulus", ui.select).set_options(
         [*tab.explorer.stimuli, DRAWN_NAME], value=DRAWN_NAME
     )
@@ -153,21 +152,21 @@ def finish_outline(tab: Tab) -> None:
 
 async def on_stimulus(tab: Tab, name: str) -> None:
     if name != tab.touch.stimulus.name:
-        tab.ask(stimulus=tab.explorer.stimuli[name])
+        tab.request(stimulus=tab.explorer.stimuli[name])
         await compute(tab)
 
 
 async def on_pose(tab: Tab, index: int, value: float | None) -> None:
-    """2: yaw, 3: depth; None while a field is empty."""
+    """Change the yaw (index 2) or the depth (3); the value is None while a field is empty."""
     if value is not None and value != tab.touch.pose[index]:
         pose = list(tab.touch.pose)
         pose[index] = float(value)
-        tab.ask(pose=(pose[0], pose[1], pose[2], pose[3]))
+        tab.request(pose=tuple(pose))
         await compute(tab)
 
 
 async def on_change(tab: Tab, **changes: object) -> None:
-    tab.ask(**changes)
+    tab.request(**changes)
     await compute(tab)
 
 
@@ -176,7 +175,7 @@ async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
     name = event.file.name
     try:
         async with ONE_AT_A_TIME:
-            picture = await run.io_bound(tab.explorer.infer_recorded, name, data)
+            picture = await run.io_bound(tab.explorer.infer_recording, name, data)
     except UserError as error:
         show(tab, None, str(error))
         return
@@ -191,6 +190,7 @@ def begin_outline(tab: Tab) -> None:
 
 
 async def lift(tab: Tab) -> None:
-    """A tap where the slide ended."""
-    tab.line, tab.start = None, tab.touch.pose[:2]
+    """Tap where the slide ended."""
+    x, y, *_ = tab.touch.pose
+    tab.line, tab.start = None, (x, y)
     await on_change(tab, move=(0.0, 0.0))

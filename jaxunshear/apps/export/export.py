@@ -1,4 +1,6 @@
-"""A trained model as one file for a computer without JAX: ONNX, or StableHLO. It is compared with JAX before it is put in its place.
+"""Exports a trained model as one file for a computer without JAX: ONNX, or StableHLO.
+
+The file is compared with JAX before it is put in its place.
 
 >>> export_model(Path("standard"), Path("standard.onnx"))
 """
@@ -15,7 +17,7 @@ from jaxunshear import __version__
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_bytes
+from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.infer import FRAMES, OWN_FRAME
 from jaxunshear.inference.suitability import describe_training
 from jaxunshear.model_folders import find_model_folder, load_settings
@@ -31,19 +33,25 @@ EXTRA = "pip install -c constraints.txt '.[onnx]'"
 PLATFORMS = ("cpu", "cuda")  # that a file of StableHLO runs on
 INPUTS = {
     "image": "uint8 of 0 and 255, (batch, {px}, {px}): a frame as jaxunshear prepares it",
-    "pins": "float32 px, (batch, {count}, 2): column and row of every pin in a prepared image of {px} px, in the order of rest_px, where "
-    "they stand untouched; NaN for one that is not seen",
-    "frame": "uint8, (batch, height, width) of greys or (batch, height, width, channels) in the order red, green, blue: as the camera "
-    "gives it",
+    "pins": "float32 px, (batch, {count}, 2): column and row of every pin in a prepared image of "
+    "{px} px, in the order of rest_px, where they stand untouched; NaN for one that is not seen",
+    "frame": "uint8, (batch, height, width) of greys or (batch, height, width, channels) in the "
+    "order red, green, blue: as the camera gives it",
 }
 
 
 def export_model(
     model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
 ) -> float:
-    """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
-    as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
-    _check(out, batch, preprocess)
+    """Write a model to `out` and return the largest difference to JAX, over an output's range.
+
+    Raises UserError, and then leaves nothing behind.
+
+    Args:
+        batch: how many images the file takes at once, None for any.
+        preprocess: frames of a camera; the file then takes such frames as they come.
+    """
+    _check_arguments(out, batch, preprocess)
     folder = find_model_folder(model)
     experiment = load_settings(folder)
     if preprocess is not None and uses_pins(experiment):
@@ -55,21 +63,22 @@ def export_model(
 
     parts = load_exported_model(folder, experiment)
     if out.suffix == ONNX:
-        data, off = _onnx(parts, folder, experiment, batch, preprocess)
+        camera = _read_camera(folder, experiment, preprocess) if preprocess else None
+        data, difference = _export_onnx(parts, experiment, batch, camera)
     else:
-        data, off = _stablehlo(parts, batch)
-    if not off <= MAX_DIFFERENCE:
+        data, difference = _export_stablehlo(parts, batch)
+    if not difference <= MAX_DIFFERENCE:
         raise UserError(
-            f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MAX_DIFFERENCE:g}: not written"
+            f"{out} would differ from JAX by {difference:.1e} of an output's range, "
+            f"more than {MAX_DIFFERENCE:g}: not written"
         )
     write_bytes(out, data)
-    print(
-        f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range"
-    )
-    return off
+    size = f"{len(data) / 1e6:.1f} MB"
+    print(f"{out}: {size}, differs from JAX by at most {difference:.1e} of an output's range")
+    return difference
 
 
-def _check(out: Path, batch: int | None, preprocess: Path | None) -> None:
+def _check_arguments(out: Path, batch: int | None, preprocess: Path | None) -> None:
     if out.suffix not in (ONNX, STABLEHLO):
         raise UserError(f"--out {out}: name a file that ends in {ONNX} or {STABLEHLO}")
     if out.is_dir():
@@ -95,73 +104,77 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
-def _onnx(
-    parts: "ExportedModel",
-    folder: Path,
-    experiment: Experiment,
-    batch: int | None,
-    preprocess: Path | None,
-) -> tuple[bytes, float]:
-    from jaxunshear.apps.export.frames import preprocess_frames, read_camera
-    from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
+def _read_camera(folder: Path, experiment: Experiment, frames: Path) -> "ExportCamera":
+    from jaxunshear.apps.export.frames import read_camera
     from jaxunshear.inference.perceiver import load_training_frame
 
-    camera = None
-    if preprocess is not None:
-        learnt = load_training_frame(folder, experiment)
-        camera = read_camera(
-            preprocess, experiment.paired.preprocess, learnt.view if learnt else None
-        )
-    data = build_onnx(parts, batch, camera, _metadata(parts, experiment, camera))
+    training_frame = load_training_frame(folder, experiment)
+    view = training_frame.view if training_frame else None
+    return read_camera(frames, experiment.paired.preprocess, view)
+
+
+def _export_onnx(
+    parts: "ExportedModel",
+    experiment: Experiment,
+    batch: int | None,
+    camera: "ExportCamera | None",
+) -> tuple[bytes, float]:
+    """Return a file of ONNX, and its difference to JAX."""
+    from jaxunshear.apps.export.frames import preprocess_frames
+    from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
+    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
+
+    data = build_onnx(parts, batch, camera, _make_metadata(parts, experiment, camera))
     run = make_onnx_runner(data, parts)
     if camera is None:
         return data, measure_difference(parts, run, make_check_inputs(parts), batch)
-    return data, measure_difference(
-        parts, run, camera.frames, batch, partial(preprocess_frames, camera)
-    )
+    prepare = partial(preprocess_frames, camera)
+    return data, measure_difference(parts, run, camera.frames, batch, prepare)
 
 
 def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
-    """`parts.make_exported_function` as `jax.export.deserialize` reads it. `batch`: None for any."""
+    """Serialise `parts.make_exported_function` for `jax.export.deserialize`.
+
+    `batch` is None for any.
+    """
     import jax
     from jax import export
 
     from jaxunshear.apps.export.parts import make_exported_function
     from jaxunshear.models import layer_choice
 
-    many = export.symbolic_shape("batch")[0] if batch is None else batch
-    given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
-    # layers that are compiled for this processor stay here; a GPU is not to round
+    count = export.symbolic_shape("batch")[0] if batch is None else batch
+    inputs = jax.ShapeDtypeStruct((count, *parts.shape), parts.dtype)
+    function = jax.jit(make_exported_function(parts))
+    # layers that are compiled for this processor stay here; a GPU must not round
     with layer_choice.use_layers(layer_choice.PLAIN), jax.default_matmul_precision("highest"):
-        return bytes(
-            export.export(jax.jit(make_exported_function(parts)), platforms=PLATFORMS)(
-                given
-            ).serialize()
-        )
+        return bytes(export.export(function, platforms=PLATFORMS)(inputs).serialize())
 
 
-def _stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
+def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
+    """Return a file of StableHLO, and its difference to JAX."""
     import jax
     from jax import export
 
     from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
     data = build_stablehlo(parts, batch)
-    run = jax.jit(export.deserialize(bytearray(data)).call)
-    return data, measure_difference(
-        parts, lambda each: jax.device_get(run(each)), make_check_inputs(parts), batch
-    )
+    call = jax.jit(export.deserialize(bytearray(data)).call)
+
+    def run(inputs: np.ndarray) -> Json:
+        return jax.device_get(call(inputs))
+
+    return data, measure_difference(parts, run, make_check_inputs(parts), batch)
 
 
-def _metadata(
+def _make_metadata(
     parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
 ) -> dict[str, str]:
-    """What a program needs to know of a file of ONNX, and its reader of the networks."""
+    """Describe inputs, outputs and training of a file of ONNX to programs and people."""
     from jaxunshear.config.targets import list_target_names
 
     names = list_target_names(parts.targets)
-    known = {
+    metadata = {
         "jaxunshear": __version__,
         "size_px": str(parts.size),
         "names": ",".join(names),
@@ -173,10 +186,10 @@ def _metadata(
     }
     if parts.rest is not None:
         rest = json.dumps(np.round(parts.rest.astype(float), 3).tolist())
-        return known | {
+        return metadata | {
             "input": INPUTS["pins"].format(count=len(parts.rest), px=parts.size),
             "rest_px": rest,
         }
     if camera is None:
-        return known | {"input": INPUTS["image"].format(px=parts.size)}
-    return known | {"input": INPUTS["frame"], "crop_px": ",".join(map(str, camera.box))}
+        return metadata | {"input": INPUTS["image"].format(px=parts.size)}
+    return metadata | {"input": INPUTS["frame"], "crop_px": ",".join(map(str, camera.box))}

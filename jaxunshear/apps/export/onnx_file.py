@@ -1,4 +1,4 @@
-"""A model as a file of ONNX, and what onnxruntime computes of it. Needs the extra `onnx`."""
+"""Builds a file of ONNX, and runs it with onnxruntime. Needs the extra `onnx`."""
 
 import numpy as np
 import onnxruntime
@@ -15,72 +15,69 @@ from jaxunshear.inference.perceiver import UNSHEARED
 def build_onnx(
     parts: ExportedModel, batch: int | None, camera: ExportCamera | None, metadata: dict[str, str]
 ) -> bytes:
-    """Input "frame" with a camera, else "image", or "pins"; outputs those of `parts.make_exported_function`, "pose" as one array (B, K), and with a
-    camera the prepared "image". `batch`: None for any. Raises ValueError where the graph is not sound."""
+    """Build the file. Raises ValueError if the graph is not sound.
+
+    The input is "frame" with a camera, else "image" or "pins". The outputs are those of
+    `parts.make_exported_function`, with "pose" as one array (B, K), and with a camera the prepared
+    "image". `batch` is None for any.
+    """
     graph, images = OnnxGraph(), parts.rest is None
     name, shape = ("image" if images else "pins"), parts.shape
-    many: int | str = "batch" if batch is None else batch
+    count: int | str = "batch" if batch is None else batch
     if camera is not None:
         white = frames.add_preprocessing(graph, camera, "frame")
-        graph.add_output("image", frames.add_uint8_cast(graph, white), (many, *shape), BYTE)
+        graph.add_output("image", frames.add_uint8_cast(graph, white), (count, *shape), BYTE)
         name, shape = "frame", camera.frames.shape[1:]
-        seen = graph.add("Cast", white, to=FLOAT)
+        inputs = graph.add("Cast", white, to=FLOAT)
+    elif images:
+        inputs = graph.add("Div", graph.add("Cast", name, to=FLOAT), np.float32(255))
     else:
-        seen = (
-            graph.add("Div", graph.add("Cast", name, to=FLOAT), np.float32(255)) if images else name
-        )
+        inputs = name
     if images:
-        seen = graph.add("Unsqueeze", seen, np.array([1]))
-    after = seen
+        inputs = graph.add("Unsqueeze", inputs, np.array([1]))
+    unsheared = inputs
     if parts.unshear_network is not None:
-        after = networks.unshear(
-            graph, parts.unshear_network.net, parts.unshear_network.variables, seen
-        )
-        flat = graph.add("Squeeze", after, np.array([1])) if images else after
-        graph.add_output("unsheared", flat, (many, *parts.shape))
+        unsheared = networks.add_unshear(graph, *parts.unshear_network, inputs)
+        flat = graph.add("Squeeze", unsheared, np.array([1])) if images else unsheared
+        graph.add_output("unsheared", flat, (count, *parts.shape))
         if images:
-            graph.add_output("confidence", _confidence(graph, flat), (many,))
+            graph.add_output("confidence", _add_confidence(graph, flat), (count,))
     if parts.pose_network is not None:
-        read = after if parts.method == UNSHEARED else seen
-        outputs = networks.predict(
-            graph, parts.pose_network.net, parts.pose_network.variables, read
-        )
-        graph.add_output(
-            "pose", networks.pose(graph, parts.targets, outputs), (many, len(parts.targets))
-        )
-    model = graph.model(name, (many, *shape), BYTE if images else FLOAT, metadata)
+        pose_inputs = unsheared if parts.method == UNSHEARED else inputs
+        outputs = networks.add_pose_network(graph, *parts.pose_network, pose_inputs)
+        pose = networks.add_pose(graph, parts.targets, outputs)
+        graph.add_output("pose", pose, (count, len(parts.targets)))
+    model = graph.build(name, (count, *shape), BYTE if images else FLOAT, metadata)
     return bytes(model.SerializeToString())
 
 
-def _confidence(graph: OnnxGraph, images: str) -> str:
-    """As `perception.confidence`, (B,)."""
-    total, squares = (
-        graph.add("ReduceSum", each, np.array([1, 2]), keepdims=0)
-        for each in (images, graph.add("Mul", images, images))
-    )
-    some = graph.add("Greater", total, np.float32(0))
-    return graph.add(
-        "Where",
-        some,
-        graph.add("Div", squares, graph.add("Where", some, total, np.float32(1))),
-        np.float32(0),
-    )
+def _add_confidence(graph: OnnxGraph, images: str) -> str:
+    """Add the nodes of `perception.confidence` (B,)."""
+    axes = np.array([1, 2])
+    total = graph.add("ReduceSum", images, axes, keepdims=0)
+    squares = graph.add("ReduceSum", graph.add("Mul", images, images), axes, keepdims=0)
+    is_positive = graph.add("Greater", total, np.float32(0))
+    divisor = graph.add("Where", is_positive, total, np.float32(1))
+    share = graph.add("Div", squares, divisor)
+    return graph.add("Where", is_positive, share, np.float32(0))
 
 
 def make_onnx_runner(model: bytes, parts: ExportedModel) -> Run:
-    """onnxruntime on the CPU: a batch -> the outputs by name, "pose" by name of its quantities."""
+    """Make a function from a batch to the outputs by name, with "pose" by name of its quantities.
+
+    It runs on the CPU.
+    """
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # errors alone
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    given = session.get_inputs()[0].name
+    input_name = session.get_inputs()[0].name
     names = [output.name for output in session.get_outputs()]
 
     def run(batch: np.ndarray) -> Json:
-        found: Json = dict(zip(names, session.run(None, {given: batch}), strict=True))
-        if "pose" in found:
-            found["pose"] = dict(
-                zip(list_target_names(parts.targets), found["pose"].T, strict=True)
-            )
-        return found
+        outputs: Json = dict(zip(names, session.run(None, {input_name: batch}), strict=True))
+        if "pose" in outputs:
+            targets = list_target_names(parts.targets)
+            outputs["pose"] = dict(zip(targets, outputs["pose"].T, strict=True))
+        return outputs
 
     return run

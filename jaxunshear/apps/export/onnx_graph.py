@@ -1,8 +1,8 @@
-"""A graph of ONNX in the making.
+"""Builds a graph of ONNX.
 
 >>> graph = OnnxGraph()
->>> doubled = graph.add("Mul", "given", np.float32(2))     # the name of what the node gives
->>> graph.give("twice", doubled, ("batch",))
+>>> doubled = graph.add("Mul", "input", np.float32(2))     # the name of the node's output
+>>> graph.add_output("twice", doubled, ("batch",))
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ Shape = Sequence[int | str]
 
 
 class OnnxGraph:
-    """Its nodes in the order in which they run."""
+    """Nodes in the order in which they run."""
 
     def __init__(self) -> None:
         self._nodes: list[Any] = []
@@ -26,23 +26,24 @@ class OnnxGraph:
         self._outputs: list[ValueInfoProto] = []
 
     def add(self, op: str, *inputs: str | np.ndarray | np.generic, **attributes: Any) -> str:
-        """The name of the one array that a node gives; arrays among the given ones are its constants."""
+        """Add a node and return the name of its output; arrays among its inputs are constants."""
         names = [
-            each if isinstance(each, str) else self._constant(np.asarray(each)) for each in inputs
+            each if isinstance(each, str) else self._add_constant(np.asarray(each))
+            for each in inputs
         ]
         name = f"{op}_{len(self._nodes)}"
         self._nodes.append(helper.make_node(op, names, [name], **attributes))
         return name
 
-    def add_output(self, name: str, what: str, shape: Shape, kind: int = FLOAT) -> None:
-        """Makes an output of what a node gives."""
-        self._nodes.append(helper.make_node("Identity", [what], [name]))
+    def add_output(self, name: str, node: str, shape: Shape, kind: int = FLOAT) -> None:
+        """Make an output of the graph from that of a node."""
+        self._nodes.append(helper.make_node("Identity", [node], [name]))
         self._outputs.append(helper.make_tensor_value_info(name, kind, shape))
 
-    def model(self, name: str, shape: Shape, kind: int, metadata: dict[str, str]) -> ModelProto:
-        """The graph of one input, checked."""
-        given = [helper.make_tensor_value_info(name, kind, shape)]
-        graph = helper.make_graph(self._nodes, "jaxunshear", given, self._outputs, self._constants)
+    def build(self, name: str, shape: Shape, kind: int, metadata: dict[str, str]) -> ModelProto:
+        """Build and check the model of a graph with one input."""
+        inputs = [helper.make_tensor_value_info(name, kind, shape)]
+        graph = helper.make_graph(self._nodes, "jaxunshear", inputs, self._outputs, self._constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],
@@ -53,9 +54,8 @@ class OnnxGraph:
         checker.check_model(model, full_check=True)
         return model
 
-    def _constant(self, array: np.ndarray) -> str:
+    def _add_constant(self, array: np.ndarray) -> str:
         name = f"constant_{len(self._constants)}"
-        self._constants.append(
-            numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name)
-        )
+        contiguous = np.ascontiguousarray(array).reshape(array.shape)  # which has a dimension more
+        self._constants.append(numpy_helper.from_array(contiguous, name))
         return name

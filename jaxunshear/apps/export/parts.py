@@ -1,4 +1,7 @@
-"""What of a trained model is exported: the networks that `stream` runs, as one function of a batch, and what it is checked with."""
+"""The exported part of a model: the networks that `stream` runs, as one function of a batch.
+
+Exported files are compared with this function.
+"""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,13 +24,13 @@ from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import has_model
 
 Run = Callable[[np.ndarray], Json]
-Prepared = Callable[[np.ndarray], np.ndarray]
-MAX_DIFFERENCE = 1e-4  # by which an exported network may differ from JAX, of each output's range
-CHECK_INPUTS = 6  # inputs
+Prepare = Callable[[np.ndarray], np.ndarray]
+MAX_DIFFERENCE = 1e-4  # between an exported network and JAX, over each output's range
+CHECK_INPUTS = 6
 
 
 class ExportedNetwork(NamedTuple):
-    """One network."""
+    """A network and its weights."""
 
     net: Net
     variables: Variables
@@ -38,14 +41,15 @@ class ExportedModel(NamedTuple):
 
     unshear_network: ExportedNetwork | None
     pose_network: ExportedNetwork | None
-    targets: Targets  # what `reads` gives
-    method: str  # whose pose: of the unsheared image, of the recorded one, or by a PoseNet that learnt from slides; "" without `reads`
+    targets: Targets  # of `pose_network`
+    # UNSHEARED or AS_RECORDED, by the input of `pose_network`; LEARNT if it learnt from slides
+    method: str
     rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
     size: int  # S, px
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one image, or of its pins."""
+        """The shape of one image, or of its pins."""
         return (self.size, self.size) if self.rest is None else self.rest.shape
 
     @property
@@ -54,119 +58,132 @@ class ExportedModel(NamedTuple):
 
 
 def load_exported_model(model: Path, experiment: Experiment) -> ExportedModel:
-    """From the folder of a finished run or of released weights. Raises UserError."""
-    reader = next((name for name in (POSENET, POSENET_SHEARED) if has_model(model / name)), "")
-    pairs = has_model(model / DISENTANGLED)
-    nets, variables, targets = load_networks(
-        model, filter(None, (DISENTANGLED if pairs else "", reader))
-    )
-    parts = {
+    """Load the folder of a finished run or of released weights. Raises UserError."""
+    posenet_names = [name for name in (POSENET, POSENET_SHEARED) if has_model(model / name)]
+    posenet_name = posenet_names[0] if posenet_names else ""
+    unshears = has_model(model / DISENTANGLED)
+    names = [DISENTANGLED] if unshears else []
+    nets, variables, targets = load_networks(model, [*names, *posenet_names[:1]])
+    networks = {
         name: ExportedNetwork(net, jax.device_get(variables[name])) for name, net in nets.items()
     }
-    if not parts:
+    if not networks:
         raise UserError(
-            f"{model} holds no trained network that unshears or reads poses: train one, or name another"
+            f"{model} holds no trained network that unshears or reads poses: "
+            "train one, or name another"
         )
-    way = LEARNT if reader == POSENET_SHEARED else UNSHEARED if pairs else AS_RECORDED
-    first = next(iter(parts.values()))
-    rest = (
-        np.asarray(first.variables["batch_stats"]["rest"], np.float32)
-        if uses_pins(experiment)
-        else None
-    )
-    size = experiment.paired.preprocess.size
+    method = ""
+    if posenet_name == POSENET_SHEARED:
+        method = LEARNT
+    elif posenet_name:
+        method = UNSHEARED if unshears else AS_RECORDED
+    rest = None
+    if uses_pins(experiment):
+        first = next(iter(networks.values()))
+        rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32)
     return ExportedModel(
-        parts.get(DISENTANGLED),
-        parts.get(reader),
-        targets.get(reader, ()),
-        way if reader else "",
+        networks.get(DISENTANGLED),
+        networks.get(posenet_name),
+        targets.get(posenet_name, ()),
+        method,
         rest,
-        size,
+        experiment.paired.preprocess.size,
     )
 
 
 def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
-    """Images (B, S, S) uint8 of {0, 255}, or pins (B, P, 2) px -> "unsheared", the same as taps (images in [0, 1]), "confidence" (B,) of
-    images, see `stream`, and "pose", mm and deg by name, (B,) each; what the model has no network for is left out."""
+    """Make a function of images (B, S, S) uint8 of {0, 255}, or of pins (B, P, 2) px.
 
-    def run(given: Array) -> Json:
-        found: Json = {}
-        seen = scale_to_unit(given) if parts.rest is None else given
+    It returns "unsheared" in the shape of its input (images in [0, 1]), "confidence" (B,) of
+    images, see `stream`, and "pose", mm and deg by name, (B,) each. An output that the model has no
+    network for is left out.
+    """
+
+    def run(inputs: Array) -> Json:
+        outputs: Json = {}
+        pose_inputs = inputs = scale_to_unit(inputs) if parts.rest is None else inputs
         if parts.unshear_network is not None:
-            after = unshear(*parts.unshear_network, seen)
-            found["unsheared"] = after[..., 0] if parts.rest is None else after
+            unsheared = unshear(*parts.unshear_network, inputs)
+            outputs["unsheared"] = unsheared[..., 0] if parts.rest is None else unsheared
             if parts.rest is None:
-                found["confidence"] = jax.vmap(compute_confidence)(after)
-            seen = after if parts.method == UNSHEARED else seen
+                outputs["confidence"] = jax.vmap(compute_confidence)(unsheared)
+            if parts.method == UNSHEARED:
+                pose_inputs = unsheared
         if parts.pose_network is not None:
-            outputs = predict(*parts.pose_network, seen)
-            found["pose"] = posenet.unscale_outputs(outputs, parts.targets)
-        return found
+            predictions = predict(*parts.pose_network, pose_inputs)
+            outputs["pose"] = posenet.unscale_outputs(predictions, parts.targets)
+        return outputs
 
     return run
 
 
 def make_check_inputs(parts: ExportedModel) -> np.ndarray:
-    """CHECKED inputs, always the same: images of a few large patches, of noise; pins that have moved, some of them not seen."""
+    """Make CHECK_INPUTS inputs, always the same.
+
+    They are images of noise and of large patches, or pins that have moved, some of them missing.
+    """
     random = np.random.default_rng(0)
     if parts.rest is None:
         shares = np.linspace(0.02, 0.5, CHECK_INPUTS)[:, None, None]
         coarse = 2 ** (np.arange(CHECK_INPUTS) % 4)
         noise = random.random((CHECK_INPUTS, *parts.shape))
-        white = [
-            np.kron(x, np.ones((n, n)))[: len(x), : len(x)]
-            for x, n in zip(noise < shares, coarse, strict=True)
-        ]
+        white = []
+        for image, scale in zip(noise < shares, coarse, strict=True):
+            patches = np.kron(image, np.ones((scale, scale)))
+            white.append(patches[: len(image), : len(image)])
         return np.uint8(255) * np.array(white, np.uint8)
-    moved = parts.rest + random.normal(
-        0, 0.01 * np.ptp(parts.rest), (CHECK_INPUTS, *parts.rest.shape)
-    )
-    return np.where(random.random((CHECK_INPUTS, len(parts.rest), 1)) < 0.02, np.nan, moved).astype(
-        np.float32
-    )
+    spread = 0.01 * np.ptp(parts.rest)
+    pins = parts.rest + random.normal(0, spread, (CHECK_INPUTS, *parts.rest.shape))
+    is_missing = random.random((CHECK_INPUTS, len(parts.rest), 1)) < 0.02
+    return np.where(is_missing, np.nan, pins).astype(np.float32)
 
 
 def measure_difference(
     parts: ExportedModel,
     run: Run,
-    given: np.ndarray,
+    inputs: np.ndarray,
     batch: int | None,
-    prepared: Prepared | None = None,
+    prepare: Prepare | None = None,
 ) -> float:
-    """Of `run` and `make_exported_function`, as other commands run it, over all that is given: the largest, of each output's range. `batch`: how
-    many `run` takes at once; None for any, which is one, and then the rest. With `prepared`, `run` is given frames: what it makes of
-    them counts by the share of pixels that are otherwise, since one on the verge of the threshold may fall to either side, and its
-    networks are compared on that."""
-    batches = _batches(given, batch)
-    found = jax.tree.map(lambda *each: np.concatenate(each), *map(run, batches))
-    given = np.concatenate(batches)
-    expected = jax.device_get(jax.jit(make_exported_function(parts))(found.get("image", given)))
-    wrong = 0.0 if prepared is None else float(np.mean(found["image"] != prepared(given)))
-    return float(np.max([wrong, *_differences(parts, found, expected)]))
+    """Measure the largest difference of `run` to `make_exported_function`, over an output's range.
+
+    With `prepare`, `run` takes frames. The images that it makes of them then count by the share of
+    pixels that differ from `prepare`, since a pixel at the threshold may fall to either side, and
+    its networks are compared on its own images.
+
+    Args:
+        batch: how many inputs `run` takes at once. None is any number: one, and then the rest.
+    """
+    batches = _split_batches(inputs, batch)
+    outputs = jax.tree.map(lambda *each: np.concatenate(each), *map(run, batches))
+    inputs = np.concatenate(batches)
+    function = jax.jit(make_exported_function(parts))
+    expected = jax.device_get(function(outputs.get("image", inputs)))
+    wrong = 0.0 if prepare is None else float(np.mean(outputs["image"] != prepare(inputs)))
+    return float(np.max([wrong, *_compute_differences(parts, outputs, expected)]))
 
 
-def _batches(given: np.ndarray, batch: int | None) -> list[np.ndarray]:
+def _split_batches(inputs: np.ndarray, batch: int | None) -> list[np.ndarray]:
     if batch is None:
-        return [each for each in (given[:1], given[1:]) if len(each)]
-    count = -(-len(given) // batch)
-    return list(
-        np.resize(given, (count * batch, *given.shape[1:])).reshape(count, batch, *given.shape[1:])
-    )
+        return [each for each in (inputs[:1], inputs[1:]) if len(each)]
+    count, shape = -(-len(inputs) // batch), inputs.shape[1:]
+    return list(np.resize(inputs, (count * batch, *shape)).reshape(count, batch, *shape))
 
 
-def _differences(parts: ExportedModel, found: Json, true: Json) -> Iterator[float]:
-    """Between two answers of `make_exported_function`, the largest of each output, over its range: white; all pins from the first to the last; half
-    the range of a target; half a circle."""
+def _compute_differences(parts: ExportedModel, outputs: Json, expected: Json) -> Iterator[float]:
+    """Yield the largest difference of each output over its range.
+
+    The ranges are: white; the distance of the outermost pins; half the range of a target; half a
+    circle.
+    """
     span = 1.0 if parts.rest is None else float(np.ptp(parts.rest))
-    for name in ("unsheared", "confidence"):
-        if name in true:
-            yield float(np.abs(found[name] - true[name]).max()) / (
-                span if name == "unsheared" else 1
-            )
+    ranges = {"unsheared": span, "confidence": 1.0}
+    for name, output_range in ranges.items():
+        if name in expected:
+            yield float(np.abs(outputs[name] - expected[name]).max()) / output_range
     for target in parts.targets:
-        off = np.abs(found["pose"][target.name] - true["pose"][target.name])
-        yield float(
-            np.max(
-                np.minimum(off, 360 - off) / 180 if target.is_circular else off / target.half_range
-            )
-        )
+        error = np.abs(outputs["pose"][target.name] - expected["pose"][target.name])
+        if target.is_circular:
+            yield float(np.max(np.minimum(error, 360 - error) / 180))
+        else:
+            yield float(np.max(error / target.half_range))

@@ -1,8 +1,8 @@
-"""Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
+"""Perception for a robot: a frame in; unsheared image, pose and confidence out, as a JSON line.
 
-The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights: no
-shear code, no DS. A frame that cannot be used, or is not understood, is reported
-and counted, and the next one comes.
+The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights:
+no shear code, no DS. A frame that cannot be used, or is not understood, is reported and counted,
+and the next one comes.
 """
 
 import base64
@@ -48,7 +48,7 @@ FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 
 
 class StreamOutput(NamedTuple):
-    """What networks give for one frame, whether they understood it or not."""
+    """The output of the networks for one frame, whether they understood it or not."""
 
     unsheared: np.ndarray | None  # unsheared (S, S) in [0, 1]
     pose: dict[str, float]
@@ -57,21 +57,18 @@ class StreamOutput(NamedTuple):
 
 
 Step = Callable[[np.ndarray], StreamOutput]  # of a binary image (S, S) uint8
-LabelReader = Callable[
-    [int], Mapping[str, float]
-]  # labels of a frame by its number, those that are known
+LabelReader = Callable[[int], Mapping[str, float]]  # from a frame's number to its labels
 
 
 class StreamModel(NamedTuple):
-    """What a stream needs of a model."""
+    """A model that is ready for a stream."""
 
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    expected: SensorAppearance | None = (
-        None  # how its sensor appears: confidence falls for what appears otherwise
-    )
-    min_plausibility: float = MIN_PLAUSIBILITY  # plausibility of a frame that is understood
+    # how its sensor appears: confidence falls for what appears otherwise
+    expected: SensorAppearance | None = None
+    min_plausibility: float = MIN_PLAUSIBILITY  # of a frame that is understood
 
 
 def load_stream_model(
@@ -80,64 +77,64 @@ def load_stream_model(
     frame: PinFrame | None,
     force: bool = False,
 ) -> StreamModel:
-    """Make a model ready for a stream, compiled already.
+    """Make a model ready for a stream and compile it.
 
-    `frame` as `load_perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
+    `frame` is that of `load_perceiver`; with `force` frames of other sensors are answered, too.
+    Raises UserError.
     """
-    least = NO_MINIMUM if force else MIN_PLAUSIBILITY
+    minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
     if not isinstance(experiment.paired, Recorded) and not uses_pins(experiment):
         step = make_image_step(model, experiment)
-        return StreamModel(
-            step,
-            experiment.paired.preprocess,
-            None,
-            load_sensor_appearance(model, experiment),
-            least,
-        )
+        appearance = load_sensor_appearance(model, experiment)
+        return StreamModel(step, experiment.paired.preprocess, None, appearance, minimum)
     perceive = load_perceiver(model, experiment, with_sheared_poses=False, frame=frame)
     size = perceive.preprocess.size
 
-    def step_on(image: np.ndarray) -> StreamOutput:
-        seen = perceive.read(image[None])
-        values = perceive.run(seen)
-        after = None if values.unsheared is None else values.unsheared[0]
-        poses = values.poses.get(UNSHEARED) or next(iter(values.poses.values()), {})
-        crisp = 1.0 if after is None else float(compute_confidence(after[..., None]))
+    def run_step(image: np.ndarray) -> StreamOutput:
+        inputs = perceive.read(image[None])
+        outputs = perceive.run(inputs)
+        unsheared = None if outputs.unsheared is None else outputs.unsheared[0]
+        poses = outputs.poses.get(UNSHEARED) or next(iter(outputs.poses.values()), {})
         return StreamOutput(
-            after,
+            unsheared,
             {name: float(value[0]) for name, value in poses.items()},
-            crisp,
-            bool(seen.identified[0]),
+            1.0 if unsheared is None else float(compute_confidence(unsheared[..., None])),
+            bool(inputs.identified[0]),
         )
 
-    step_on(np.zeros((size, size), np.uint8))  # compiles
-    return StreamModel(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
+    run_step(np.zeros((size, size), np.uint8))  # compiles
+    return StreamModel(run_step, perceive.preprocess, perceive.view, perceive.expected, minimum)
 
 
 def make_image_step(model: Path, experiment: Experiment) -> Step:
-    """Return what a frame is perceived by, of networks over images; compiled already."""
+    """Make the step of networks over images and compile it."""
     forward, variables, targets = load_forward(model, DISENTANGLED)
     names = list_target_names(targets)
     run = jit_for_inference(make_perceive_function(forward, names), variables)
     size = experiment.paired.preprocess.size
 
-    def step(image: np.ndarray) -> StreamOutput:
-        after, (*pose, crisp) = jax.device_get(run(image))
-        return StreamOutput(after, dict(zip(names, map(float, pose), strict=True)), float(crisp))
+    def run_step(image: np.ndarray) -> StreamOutput:
+        unsheared, values = jax.device_get(run(image))
+        *pose, sharpness = map(float, values)
+        return StreamOutput(unsheared, dict(zip(names, pose, strict=True)), sharpness)
 
-    step(np.zeros((size, size), np.uint8))  # compiles
-    return step
+    run_step(np.zeros((size, size), np.uint8))  # compiles
+    return run_step
 
 
 def make_perceive_function(
     forward: Forward, names: tuple[str, ...]
 ) -> Callable[[Variables, Array], tuple[Array, Array]]:
-    """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
-    the quantities of the pose and the confidence."""
+    """Make a function of variables and an image (S, S) uint8.
+
+    It returns the input of PoseNet (S, S), and the pose and the confidence as one array, which
+    takes one transfer to the host.
+    """
 
     def perceive(variables: Variables, image: Array) -> tuple[Array, Array]:
-        seen, pose = forward(variables, image[None])
-        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), compute_confidence(seen[0])])
+        unsheared, poses = forward(variables, image[None])
+        pose = [poses[name][0] for name in names]
+        return unsheared[0, ..., 0], jnp.stack([*pose, compute_confidence(unsheared[0])])
 
     return perceive
 
@@ -148,12 +145,21 @@ class _StreamStats:
 
     total_ms: list[float] = field(default_factory=list)  # of each frame that was used
     networks_ms: list[float] = field(default_factory=list)
-    confident: list[float] = field(default_factory=list)
+    confidences: list[float] = field(default_factory=list)
     errors: dict[str, list[float]] = field(default_factory=dict)  # by quantity
     problems: dict[str, int] = field(default_factory=dict)
     skipped: int = 0
     missed: int = 0
     last: int = -1  # number of a frame
+
+
+class _Answer(NamedTuple):
+    """The answer to one frame that was understood."""
+
+    unsheared: np.ndarray | None
+    pose: dict[str, float]
+    confidence: float
+    seconds: float  # that the networks took
 
 
 def stream(
@@ -165,115 +171,119 @@ def stream(
     inline: bool,
     truth: LabelReader | None = None,
 ) -> StreamResult:
-    """Writes a line for each frame to `out`. One that cannot be used, or is not understood, has no pose and no image, but a reason and a
-    confidence of 0.
+    """Write a line for each frame to `out`, and return a summary.
 
-    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
-    the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
+    A frame that cannot be used, or is not understood, has no pose and no image, but a reason and a
+    confidence of 0. A live source also ends by Ctrl-C, or when its camera is lost.
+
+    Args:
+        images: a folder for unsheared images.
+        inline: whether images are written into the lines as base64 PNG instead.
+        truth: labels, with which lines and summary have errors, too.
     """
-    seen = make_steady_view(robot.preprocess)
-    found = _StreamStats()
-    began = time.perf_counter()
+    find_view = make_steady_view(robot.preprocess)
+    stats = _StreamStats()
+    start = time.perf_counter()
     try:
-        for frame in _until_lost(frames, live, found.problems):
-            came = time.perf_counter()
-            found.missed += frame.number - found.last - 1
-            found.last = frame.number
+        for frame in _end_when_lost(frames, live, stats.problems):
+            arrival = time.perf_counter()
+            stats.missed += frame.number - stats.last - 1
+            stats.last = frame.number
             line: Json = {"frame": frame.number, "name": frame.name}
             try:
-                after, pose, sure, spent = _answer(robot, frame, seen)
+                answer = _answer_frame(robot, frame, find_view)
             except UserError as error:
-                found.skipped += 1
-                found.problems[str(error)] = found.problems.get(str(error), 0) + 1
-                _write(out, line | {"confidence": 0.0, "error": str(error)})
+                stats.skipped += 1
+                stats.problems[str(error)] = stats.problems.get(str(error), 0) + 1
+                _write_line(out, line | {"confidence": 0.0, "error": str(error)})
                 continue
-            line |= {name: round(value, 4) for name, value in pose.items()} | {
-                "confidence": round(sure, 4)
-            }
-            for name, off in _errors(pose, truth(frame.number) if truth else {}).items():
-                line[f"error_{name}"] = round(off, 4)
-                found.errors.setdefault(name, []).append(off)
-            if images is not None and after is not None:
-                line["image"] = _save(images, frame, after)
-            elif inline and after is not None:
-                line["image_png"] = base64.b64encode(
-                    encode_png(to_uint8(after), FAST_COMPRESSION)
-                ).decode()
-            found.networks_ms.append(1e3 * spent)
-            found.total_ms.append(1e3 * (time.perf_counter() - came))
-            found.confident.append(sure)
-            _write(out, line | {"ms": round(found.total_ms[-1], 3)})
+            line |= {name: round(value, 4) for name, value in answer.pose.items()}
+            line["confidence"] = round(answer.confidence, 4)
+            labels = truth(frame.number) if truth else {}
+            for name, error_value in _compute_errors(answer.pose, labels).items():
+                line[f"error_{name}"] = round(error_value, 4)
+                stats.errors.setdefault(name, []).append(error_value)
+            if answer.unsheared is not None:
+                line |= _store_image(images, inline, frame, answer.unsheared)
+            stats.networks_ms.append(1e3 * answer.seconds)
+            stats.total_ms.append(1e3 * (time.perf_counter() - arrival))
+            stats.confidences.append(answer.confidence)
+            _write_line(out, line | {"ms": round(stats.total_ms[-1], 3)})
     except KeyboardInterrupt:  # a camera's usual end
-        if not live or not found.total_ms:
+        if not live or not stats.total_ms:
             raise
-    return _summary(found, live, began)
+    return _summarise(stats, live, time.perf_counter() - start)
 
 
-def _answer(
-    robot: StreamModel, frame: SourceFrame, seen: Callable[[np.ndarray], View]
-) -> tuple[np.ndarray | None, dict[str, float], float, float]:
-    """Unsheared image, pose, confidence, and the seconds that the networks took. Raises UserError for a frame that cannot
-    be used, or is not understood."""
+def _answer_frame(
+    robot: StreamModel, frame: SourceFrame, find_view: Callable[[np.ndarray], View]
+) -> _Answer:
+    """Run the networks on a frame. Raises UserError if it cannot be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
-    image = prepare_frame(
-        robot.preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels)
-    )
+    view = robot.view or frame.view or find_view(frame.pixels)
+    image = prepare_frame(robot.preprocess, frame.pixels, view)
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
-    asked = time.perf_counter()
-    found = robot.step(image)
-    answered = time.perf_counter()
-    likely = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
-    if why := explain_rejection(found.identified, likely, robot.min_plausibility):
-        raise UserError(why)
-    return found.unsheared, found.pose, found.confidence * likely, answered - asked
+    start = time.perf_counter()
+    output = robot.step(image)
+    seconds = time.perf_counter() - start
+    plausibility = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
+    if reason := explain_rejection(output.identified, plausibility, robot.min_plausibility):
+        raise UserError(reason)
+    return _Answer(output.unsheared, output.pose, output.confidence * plausibility, seconds)
 
 
-def _summary(found: _StreamStats, live: bool, began: float) -> StreamResult:
-    used = len(found.total_ms)
+def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
+    used = len(stats.total_ms)
     return StreamResult(
-        frames=used + found.skipped + found.missed,
+        frames=used + stats.skipped + stats.missed,
         used=used,
-        skipped=found.skipped,
-        dropped=found.missed,
-        problems=found.problems,
+        skipped=stats.skipped,
+        dropped=stats.missed,
+        problems=stats.problems,
         live=live,
-        frames_per_s=used / max(time.perf_counter() - began, 1e-9),
-        confidence=float(np.mean(found.confident)) if used else None,
-        pose_mae={name: float(np.mean(values)) for name, values in found.errors.items()},
-        latency_ms=_spread(found.total_ms),
-        networks_ms=_spread(found.networks_ms),
+        frames_per_s=used / max(seconds, 1e-9),
+        confidence=float(np.mean(stats.confidences)) if used else None,
+        pose_mae={name: float(np.mean(values)) for name, values in stats.errors.items()},
+        latency_ms=_compute_percentiles(stats.total_ms),
+        networks_ms=_compute_percentiles(stats.networks_ms),
     )
 
 
-def _errors(pose: dict[str, float], true: Mapping[str, float]) -> dict[str, float]:
-    """Absolute errors of what has a label."""
-    known = {name: np.array([true[name]]) for name in pose if np.isfinite(true.get(name, np.nan))}
-    found = compute_pose_errors({name: np.array([pose[name]]) for name in known}, known)
-    return {name: float(error[0]) for name, error in found.items()}
+def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict[str, float]:
+    """Compute absolute errors of the quantities that have a label."""
+    truth = {name: np.array([labels[name]]) for name in pose if _is_labelled(labels, name)}
+    errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
+    return {name: float(error[0]) for name, error in errors.items()}
+
+
+def _is_labelled(labels: Mapping[str, float], name: str) -> bool:
+    return bool(np.isfinite(labels.get(name, np.nan)))
 
 
 def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
-    """A function of a camera's frames, one by one -> the view that the first PROBES usable ones of their size have had in common so
-    far."""
+    """Make a function from a camera's frames, one by one, to the view that they have in common.
+
+    It is that of the first PROBES usable frames of each size, as far as they have come.
+    """
     views: dict[tuple[int, ...], list[View]] = {}
     common: dict[tuple[int, ...], View] = {}
 
     def update_view(raw: np.ndarray) -> View:
-        known = views.setdefault(raw.shape, [])
-        if len(known) < PROBES:
-            known.append(find_view(preprocess, raw))
-            common[raw.shape] = combine_views(known)
+        views_of_size = views.setdefault(raw.shape, [])
+        if len(views_of_size) < PROBES:
+            views_of_size.append(find_view(preprocess, raw))
+            common[raw.shape] = combine_views(views_of_size)
         return common[raw.shape]
 
     return update_view
 
 
-def _until_lost(
+def _end_when_lost(
     frames: Iterator[SourceFrame], live: bool, problems: dict[str, int]
 ) -> Iterator[SourceFrame]:
-    """The frames of a live source until it is lost, which ends them as a problem; of another source that is an error."""
+    """Yield frames; if a live source is lost, end them and store the problem."""
     try:
         yield from frames
     except UserError as error:
@@ -282,16 +292,22 @@ def _until_lost(
         problems[str(error)] = 1
 
 
-def _spread(values: list[float]) -> dict[str, float] | None:
+def _compute_percentiles(values: list[float]) -> dict[str, float] | None:
     return {f"p{q}": float(np.percentile(values, q)) for q in (50, 95, 99)} if values else None
 
 
-def _write(out: TextIO, line: Json) -> None:
+def _write_line(out: TextIO, line: Json) -> None:
     out.write(json.dumps(line) + "\n")
     out.flush()
 
 
-def _save(folder: Path, frame: SourceFrame, image: np.ndarray) -> str:
+def _store_image(folder: Path | None, inline: bool, frame: SourceFrame, image: np.ndarray) -> Json:
+    """Write an image into `folder`, or return it inline, as a field of the line."""
+    if folder is None and not inline:
+        return {}
+    png = encode_png(to_uint8(image), FAST_COMPRESSION)
+    if folder is None:
+        return {"image_png": base64.b64encode(png).decode()}
     path = folder / f"{frame.number:06d}.png"
-    write_bytes(path, encode_png(to_uint8(image), FAST_COMPRESSION))
-    return str(path)
+    write_bytes(path, png)
+    return {"image": str(path)}

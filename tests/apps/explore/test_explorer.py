@@ -128,7 +128,7 @@ def png_of(image):
 
 
 def test_a_recorded_image_is_read_as_unshear_reads_it(explorer, picture):
-    seen = explorer.infer_recorded("slide.png", png_of(picture.images[SHEARED]))
+    seen = explorer.infer_recording("slide.png", png_of(picture.images[SHEARED]))
     assert np.array_equal(seen.images[UNSHEARED], picture.images[UNSHEARED])
     assert TRUE not in seen.poses and seen.poses[UNSHEARED] == picture.poses[UNSHEARED]
 
@@ -141,7 +141,7 @@ def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
         ("flat.png", png_of(np.full((64, 64), 9, np.uint8)), "flat.png: "),
     ):
         with pytest.raises(UserError, match=reason) as refused:
-            explorer.infer_recorded(name, data)
+            explorer.infer_recording(name, data)
         assert "\n" not in str(refused.value)
 
 
@@ -168,4 +168,4 @@ def test_what_is_made_ready_reaches_as_deep_as_the_page():
 def test_pins_need_a_folder_for_recorded_images():
     skin = RELEASED / "skin"
     with pytest.raises(UserError, match="--like"):
-        make_explorer(skin, load_settings(skin)).infer_recorded("a.png", b"")
+        make_explorer(skin, load_settings(skin)).infer_recording("a.png", b"")

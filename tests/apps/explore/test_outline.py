@@ -1,4 +1,4 @@
-"""Outlines that a hand draws are stimuli like those that have a name; what is no outline is refused in a line."""
+"""Drawn outlines are stimuli like those with a name; what is no outline is refused in a line."""
 
 from functools import partial
 

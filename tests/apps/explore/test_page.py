@@ -1,4 +1,4 @@
-"""The page in a real browser: every control, a wrong file, two tabs, a phone's width, and nothing fetched from elsewhere."""
+"""The page in a real browser: controls, a wrong file, two tabs, a phone's width, no fetches."""
 
 import io
 import os
@@ -81,11 +81,12 @@ class Tab:
         return {row.split("\t")[0]: row.split("\t")[1:] for row in rows}
 
     def changed(self, do):
-        """The images after `do` has changed the sheared one."""
+        """Return the images after `do` has changed the sheared one."""
         before = self.images()["sheared"]
         do()
         self.page.wait_for_function(
-            "before => ![before, '', null].includes(document.querySelector('.sheared img').getAttribute('src'))",
+            "before => ![before, '', null].includes("
+            "document.querySelector('.sheared img').getAttribute('src'))",
             arg=before,
         )
         self.page.wait_for_timeout(500)

@@ -1,4 +1,4 @@
-"""Models as files for a computer without JAX: they compute what JAX computes, say what they are, and are refused where they do not."""
+"""Models as files for a computer without JAX compute what JAX computes, or are refused."""
 
 import ast
 import dataclasses
@@ -59,7 +59,7 @@ EXPERIMENT = Experiment(
 
 
 def drawn(init):
-    """Variables of the shapes that `init` makes, as if trained: no two layers, and no two of their statistics, are alike."""
+    """Make variables of the shapes of `init`, as if trained: no two layers are alike."""
     random = np.random.default_rng(1)
 
     def draw(path, leaf):
@@ -96,9 +96,9 @@ def pins(turned=0.0, convolved=(), read_by=()):
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
-    "no reader": lambda: images()._replace(pose_network=None, targets=(), way=""),
-    "reader alone": lambda: images()._replace(unshear_network=None, way="as_recorded"),
-    "reader of slides": lambda: images()._replace(way="learnt"),
+    "no reader": lambda: images()._replace(pose_network=None, targets=(), method=""),
+    "reader alone": lambda: images()._replace(unshear_network=None, method="as_recorded"),
+    "reader of slides": lambda: images()._replace(method="learnt"),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
     "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
@@ -143,9 +143,9 @@ def test_a_full_circle_has_no_seam():
     angle = np.deg2rad(np.arange(-180, 181, 15, dtype=np.float64))
     outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
     graph, circle = OnnxGraph(), (targets.Target("edge_deg", "edge", 1, is_circular=True),)
-    graph.add_output("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
+    graph.add_output("pose", networks.add_pose(graph, circle, "outputs"), ("batch", 1))
     session = onnxruntime.InferenceSession(
-        graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
+        graph.build("outputs", ("batch", 2), FLOAT, {}).SerializeToString()
     )
     off = session.run(None, {"outputs": outputs})[0][:, 0] - np.rad2deg(angle)
     np.testing.assert_allclose((off + 180) % 360 - 180, 0, atol=1e-4)

@@ -81,7 +81,7 @@ def test_bad_frames_are_reported_and_skipped():
 
 
 def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
-    """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
+    """One is noise, another has no identified pins; with `force` only the latter is refused."""
     preprocess = EXPERIMENT.paired.preprocess
     expected = load_sensor_appearance(None, EXPERIMENT)
     known = compute_rest_lattice(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
@@ -98,7 +98,11 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     def answer(least):
         sure, out = iter((True, True, False)), io.StringIO()
         robot = StreamModel(
-            lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least
+            lambda image: step(image)._replace(identified=next(sure)),
+            preprocess,
+            None,
+            expected,
+            least,
         )
         summary = stream(
             iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number}
@@ -161,7 +165,7 @@ def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(chann
 
 
 def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
-    cv2 = frame_sources._opencv()  # first, since it decides what OpenCV prints
+    cv2 = frame_sources._import_opencv()  # first, since it decides what OpenCV prints
     video = tmp_path / "touch.avi"
     grey = np.zeros((120, 160), np.uint8)
     grey[:, :80] = 255
@@ -195,7 +199,7 @@ def test_images_go_to_a_folder(tmp_path):
 
 def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
     frames = (SourceFrame(number, str(number), dots(), "") for number in range(40))
-    live = frame_sources._latest(frame_sources._at_pace(frames, fps=200))
+    live = frame_sources._yield_latest(frame_sources._play(frames, fps=200))
     summary, lines = run(live, live=True, seconds=0.03)
     assert summary.dropped > 10 and summary.used + summary.dropped == 40
     assert lines[-1]["frame"] == 39
@@ -208,7 +212,7 @@ def test_a_problem_in_the_reading_thread_is_reported():
         raise UserError("camera 0 gave no frame")
 
     with pytest.raises(UserError, match="camera 0 gave no frame"):
-        list(frame_sources._latest(broken()))
+        list(frame_sources._yield_latest(broken()))
 
 
 def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
@@ -245,7 +249,7 @@ def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
 
 
 def disc(middle, size=240):
-    """A dark dome in a light surround, with something in it."""
+    """Make a dark dome in a light surround, with something in it."""
     row, column = np.mgrid[:size, :size]
     inside = np.hypot(row - size / 2, column - middle) < 80
     return np.where(inside, 40 + (row + column) % 9 * 4, 230).astype(np.uint8)

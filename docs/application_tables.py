@@ -1,0 +1,194 @@
+"""Tables of what networks are used for, of the time that takes, and of faults."""
+
+from typing import Any
+
+from docs.reading import format_line, format_range, load_result, load_rows, load_runs, start_table
+
+SENSORS = {"tactip331-flush": "flush", "tactip331-fitted": "fitted", "tactip331": "levers"}
+GEOMETRY_KINDS = ("tap", "sheared", "entangled", "disentangled")
+TRAINING_SHAPES = ("disk", "clover", "teardrop")
+TRAJECTORIES = {
+    "true": "true pose",
+    "sheared": "sheared, tap PoseNet",
+    "entangled": "entangled",
+    "disentangled": "disentangled",
+    "learnt": "sheared, PoseNet that learnt slides",
+}
+
+
+def tabulate_detected_pins() -> str:
+    """Tabulate how surely, how exactly and how fast pins of simulated frames are found."""
+    lines = start_table(
+        "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |"
+    )
+    sensors = list(SENSORS)
+    rows = load_result("bench_pins")["rows"]
+    for row in sorted(rows, key=lambda row: (-row["size"], sensors.index(row["sensor"]))):
+        cells = [
+            str(row["size"]),
+            f"{row['sure']:.1%}",
+            str(row["wrong"]),
+            f"{row['rms_px']:.3f}",
+            f"{row['ms']:.1f} ({row['ms_p95']:.0f})",
+        ]
+        lines.append(format_line(f"{SENSORS[row['sensor']]}, {row['kind']}", cells))
+    return "\n".join(lines)
+
+
+def tabulate_geometry() -> str:
+    """Tabulate correlation with the true indentation and error in mm, by method.
+
+    Of images without contact the error is the largest height in mm.
+    """
+    rows = load_rows("geometry")
+    lines = start_table(format_line("correlation / rms error, mm", (*GEOMETRY_KINDS, "untouched")))
+    for method in ("areas", "inverse"):
+        cells = []
+        for kind in GEOMETRY_KINDS:
+            row = rows[f"all/{kind}/{method}"]
+            cells.append(f"{row['correlation']:.3f} / {row['rmse_mm']:.2f}")
+        untouched = rows[f"all/untouched/{method}"]
+        if untouched["largest_mm"] == 0:
+            cells.append("0 / 0")
+        else:
+            cells.append(f"{untouched['correlation']:.3f} / {untouched['largest_mm']:.2f}")
+        lines.append(format_line(f"`{method}`", cells))
+    return "\n".join(lines)
+
+
+def _label_shapes(rows: dict[str, dict[str, Any]]) -> dict[str, str]:
+    names = dict.fromkeys(row["stimulus"] for row in rows.values())
+    return {name: name if name in TRAINING_SHAPES else f"{name} (unseen)" for name in names}
+
+
+def _format_trajectories(runs: list[dict[str, dict[str, Any]]], name: str, field: str) -> str:
+    """Format a field over all trajectories of the row `name` of all runs."""
+    values = [value for run in runs if name in run for value in run[name][field]]
+    return format_range(values, 2)
+
+
+def tabulate_servo() -> str:
+    """Tabulate the distance from the edge in mm: the mean of each trajectory."""
+    runs = load_runs("servo")
+    lines = start_table(f"| | {' | '.join(TRAJECTORIES.values())} |")
+    for shape, label in _label_shapes(runs[0]).items():
+        cells = [_format_trajectories(runs, f"{shape}/{way}", "walk_mm") for way in TRAJECTORIES]
+        lines.append(format_line(label, cells))
+    return "\n".join(lines)
+
+
+def tabulate_servo_pins() -> str:
+    """Tabulate distances from the edge of networks over pins beside those over images."""
+    pins, images = load_runs("servo_pins"), load_runs("servo")
+    lines = start_table("| | pins, unsheared | images, unsheared | images, sheared | true pose |")
+    for shape, label in _label_shapes(pins[0]).items():
+        cells = [_format_trajectories(pins, f"{shape}/disentangled", "walk_mm")]
+        for way in ("disentangled", "sheared", "true"):
+            cells.append(_format_trajectories(images, f"{shape}/{way}", "walk_mm"))
+        lines.append(format_line(label, cells))
+    return "\n".join(lines)
+
+
+def tabulate_objects() -> str:
+    """Tabulate IoU with the true shape by method, over starts and trainings."""
+    runs = load_runs("reconstruct")
+    images = {"disentangled": "unsheared", "sheared": "sheared"}
+    methods = [(method, image) for method in ("voronoi", "skin") for image in images]
+    heads = [f"{method}, {images[image]}" for method, image in methods]
+    lines = start_table(f"| | {' | '.join(heads)} |")
+    for shape, label in _label_shapes(runs[0]).items():
+        cells = [
+            _format_trajectories(runs, f"{shape}/{method}/{image}", "walk_iou")
+            for method, image in methods
+        ]
+        lines.append(format_line(label, cells))
+    return "\n".join(lines)
+
+
+def tabulate_stream() -> str:
+    """Tabulate how long a robot's perception takes for one image, next to PyTorch."""
+    heads = ["px", "images", "ms, median", "ms, 99th percentile"]
+    lines = start_table(format_line("one image at a time", heads))
+    for row in load_result("bench_stream")["rows"]:
+        times = [f"{row['ms_per_image']:.1f}", f"{row['ms_p99']:.1f}"]
+        lines.append(format_line(row["name"], [str(row["size"]), f"{row['steps']:,}", *times]))
+    return "\n".join(lines)
+
+
+def tabulate_exported_speed() -> str:
+    """Tabulate a frame's time as our own stream takes it and as an exported file does."""
+    rows = load_result("bench_stream_onnx")["rows"]
+    names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
+    lines = start_table("| a frame, ms: median (95 %) | 128 px | 256 px |")
+    for name, label in names.items():
+        times = {}
+        for row in rows:
+            if row["name"] == name:
+                times[row["size"]] = f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})"
+        lines.append(format_line(label, [times[128], times[256]]))
+    return "\n".join(lines)
+
+
+def tabulate_explorer() -> str:
+    """Tabulate how long pictures of `explore` take."""
+    lines = start_table("| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |")
+    for row in load_result("bench_explore")["rows"]:
+        times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
+        lines.append(format_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
+    return "\n".join(lines)
+
+
+def tabulate_sizes() -> str:
+    """Tabulate a simulated set's processor time and storage, per contact and multiplied."""
+    lines = start_table("| step | measured, a contact | a million | 10^8, on paper |")
+    for row in load_result("bench_data")["rows"]:
+        if row["cpu_ms"] is not None:
+            hours = row["cpu_ms"] / 3.6
+            cells = [f"{row['cpu_ms']:.3g} ms", f"{hours:.2g} h", f"{100 * hours:.0f} h"]
+            lines.append(format_line(f"{row['name']}: core", cells))
+        if row["bytes"]:
+            size = row["bytes"] / 1e3
+            cells = [f"{size:.3g} kB", f"{size:.2g} GB", f"{size / 10:.2g} TB"]
+            lines.append(format_line(f"{row['name']}: bytes", cells))
+    return "\n".join(lines)
+
+
+def tabulate_input() -> str:
+    """Tabulate training steps with examples in memory, and with examples read as they go."""
+    lines = start_table(
+        "| networks over | batch | ms a step, examples there | read and drawn "
+        "| ratio, median [its interval] | 95 % of turns |"
+    )
+    for row in load_result("bench_input")["rows"]:
+        cells = [
+            str(row["batch"]),
+            f"{row['ms_there']:.1f}",
+            f"{row['ms_drawn']:.1f}",
+            f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]",
+            f"{row['ratio_p95']:.2f}",
+        ]
+        lines.append(format_line(row["name"], cells))
+    return "\n".join(lines)
+
+
+def tabulate_pin_networks() -> str:
+    """Tabulate times of networks over pins, and how much longer plain layers take."""
+    lines = start_table(
+        "| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |"
+    )
+    for row in load_result("bench_pinnets")["rows"]:
+        times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
+        lines.append(format_line(row["name"], [row["what"], str(row["batch"]), *times]))
+    return "\n".join(lines)
+
+
+def tabulate_faults() -> str:
+    """Tabulate the outcomes of the cases of each fault."""
+    lines = start_table(
+        "| fault | read or done by | cases | harmless | refused by name | lost | silent |"
+    )
+    outcomes = ("cases", "harmless", "refused", "lost", "silent")
+    for row in load_result("faults")["rows"]:
+        counts = [f"{row[name]:,}" for name in outcomes]
+        lines.append(format_line(row["fault"], [row["command"], *counts]))
+    return "\n".join(lines)

@@ -1,0 +1,249 @@
+"""Tables of networks on recordings of a real sensor."""
+
+from docs.reading import (
+    format_interval,
+    format_line,
+    format_range,
+    format_seeds,
+    load_cells,
+    load_locked_scores,
+    load_runs,
+    start_table,
+)
+
+TARGETS = {"y_mm": 2, "Rz_deg": 1}
+EDGE_TARGETS = {"y_mm": 3, "z_mm": 3, "Rz_deg": 2}
+ROWS = {
+    "taps": "taps: pose/tap",
+    "slides as recorded": "pose/sheared",
+    "**slides unsheared**": "pose/disentangled",
+    "slides, by a PoseNet that learnt from labelled slides": "pose/sheared_learnt",
+    "unsheared less learnt directly": "difference/sheared_learnt",
+}
+OTHER = "other recordings (locked)"
+SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
+UNLABELLED = ("left_out", "read")
+LEARNT = (
+    "directly",
+    "unsheared",
+    "directly, pins turned",
+    "unsheared, pins turned, the others read",
+)
+SOURCES = {"simulated": "simulated slides", "rendered": "recorded slides"}
+PAIRINGS = {
+    "rendered": "what a renderer draws at its pose",
+    "nearest": "the nearest tap, weighted by the gap",
+}
+
+
+def _name_target(target: str) -> str:
+    return target.replace("_", ", ")
+
+
+def tabulate_real_skin() -> str:
+    """Tabulate errors over pins and images: same session with intervals, and other recordings."""
+    modalities = ("pins", "images")
+    columns = [(name, target, digits) for name in modalities for target, digits in TARGETS.items()]
+    metrics = {name: load_cells(f"recorded_{name}")[0].metrics for name in modalities}
+    locked = {name: load_locked_scores(f"recorded_{name}_seed0") for name in modalities}
+    heads = [
+        f"{name}: {_name_target(target)}: same session | {OTHER}" for name, target, _ in columns
+    ]
+    lines = start_table(format_line("a PoseNet that learnt from taps reads", heads))
+    for label, key in ROWS.items():
+        cells = []
+        for name, target, digits in columns:
+            same_session = format_interval(metrics[name][f"{key}/{target}"], digits)
+            cells.append(f"{same_session} | {_get_locked(locked[name], key, target):.{digits}f}")
+        lines.append(format_line(label, cells))
+    recoveries = []
+    for name, target, _ in columns:
+        same_session = format_interval(metrics[name][f"pose_recovery/disentangled/{target}"], 2)
+        other = locked[name][f"pose_recovery.disentangled.{target}"]
+        recoveries.append(f"{same_session} | {other:.2f}")
+    lines.append(format_line("recovery: the share of the slide's damage undone", recoveries))
+    return "\n".join(lines)
+
+
+def tabulate_other_recordings() -> str:
+    """Tabulate errors of one training over pins, and what its half-widths hold, on two tests."""
+    metrics = load_cells("recorded_pins")[0].metrics
+    locked = load_locked_scores("recorded_pins_seed0")
+    heads = [f"{_name_target(target)}: same session | {OTHER}" for target in EDGE_TARGETS]
+    lines = start_table(format_line("pins, seed 0", heads))
+    for label, key in list(ROWS.items())[:4]:
+        cells = []
+        for target, digits in EDGE_TARGETS.items():
+            same_session = metrics[f"{key}/{target}"].per_seed["0"]
+            other = _get_locked(locked, key, target)
+            cells.append(f"{same_session:.{digits}f} | {other:.{digits}f}")
+        lines.append(format_line(label, cells))
+    coverages = []
+    for target in EDGE_TARGETS:
+        same_session = metrics[f"coverage/unsheared/{target}"].per_seed["0"]
+        other = locked[f"coverage.unsheared.{target}"]
+        coverages.append(f"{same_session:.1%} | {other:.1%}")
+    lines.append(format_line("95 % half-widths of slides unsheared hold", coverages))
+    return "\n".join(lines)
+
+
+def _get_locked(scores: dict[str, float], key: str, target: str) -> float:
+    """Return the score of locked recordings that a sweep's results have under `key`."""
+    table, kind = key.removeprefix("taps: ").split("/")
+    error = scores[f"pose_mae.{kind}.{target}"]
+    return scores[f"pose_mae.disentangled.{target}"] - error if table == "difference" else error
+
+
+def tabulate_few_labels() -> str:
+    """Tabulate errors over the share of slides with labels, by what is learnt from."""
+    lines = start_table(format_line("slides with a label", LEARNT))
+    cells = load_cells("few_labels")
+    for share in SHARES:
+        errors = []
+        for unlabelled in UNLABELLED:
+            metrics = next(
+                cell.metrics
+                for cell in cells
+                if f"labelled={share}," in cell.label and f"={unlabelled}:" in cell.label
+            )
+            for kind in ("sheared_learnt", "disentangled"):
+                y_mm = metrics[f"pose/{kind}/y_mm"].mean
+                angle_deg = metrics[f"pose/{kind}/Rz_deg"].mean
+                errors.append(f"{y_mm:.2f} / {angle_deg:.1f}")
+        lines.append(format_line(f"{float(share):.0%}", errors))
+    return "\n".join(lines)
+
+
+def tabulate_pairings() -> str:
+    """Tabulate errors by what a slide is paired with."""
+    lines = start_table("| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |")
+    for cell in load_cells("pairings"):
+        name = next(shown for pairing, shown in PAIRINGS.items() if pairing in cell.label)
+        errors = [
+            format_interval(cell.metrics[f"pose/disentangled/{target}"], digits)
+            for target, digits in TARGETS.items()
+        ]
+        lines.append(format_line(name, errors))
+    return "\n".join(lines)
+
+
+def tabulate_simulated_slides() -> str:
+    """Tabulate errors on recorded slides by the slides that the network learnt from."""
+    targets = {"y_mm": 2, "z_mm": 2, "Rz_deg": 1}
+    lines = start_table("| read | learnt from | y, mm | z, mm | Rz, deg |")
+    metrics = {}
+    for source in SOURCES:
+        metrics[source] = next(
+            cell.metrics for cell in load_cells("simulated_slides") if source in cell.label
+        )
+    for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
+        errors = [
+            format_interval(metrics["simulated"][f"{key}/{target}"], digits)
+            for target, digits in targets.items()
+        ]
+        lines.append(format_line(name, ["taps", *errors]))
+    for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
+        for source, shown in SOURCES.items():
+            errors = [
+                format_interval(metrics[source][f"pose/{key}/{target}"], digits)
+                for target, digits in targets.items()
+            ]
+            lines.append(format_line(name, [f"taps and {shown}", *errors]))
+    for source, shown in SOURCES.items():
+        recoveries = [
+            format_interval(metrics[source][f"pose_recovery/disentangled/{target}"], 2)
+            for target in targets
+        ]
+        lines.append(format_line("recovery", [f"taps and {shown}", *recoveries]))
+    return "\n".join(lines)
+
+
+def tabulate_transfer() -> str:
+    """Tabulate errors on recordings of the weights that learnt in simulation alone.
+
+    Poses are those of their own PoseNet and of a ridge that learnt from recorded taps: means of
+    the trainings, each with its least and largest; and of the released weights on other recordings.
+    """
+    runs, dense_runs = _load_values("skin"), _load_values("dense")
+    locked = load_locked_scores("skin")
+    estimators = {"pose_mae": "its PoseNet", "readers.pins": "a ridge on recorded taps"}
+    columns = [
+        (table, target, digits) for table in estimators for target, digits in TARGETS.items()
+    ]
+    heads = [
+        f"{estimators[table]}: {_name_target(target)}: same session | {OTHER}"
+        for table, target, _ in columns
+    ]
+    lines = start_table(format_line("learnt in simulation; reads recorded", heads))
+    kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
+    for label, kind in kinds.items():
+        cells = []
+        for table, target, digits in columns:
+            key = f"{table}.{kind}.{target}"
+            values = format_range([run[key] for run in runs], digits)
+            cells.append(f"{values} | {locked[key]:.{digits}f}")
+        lines.append(format_line(label, cells))
+    recoveries = []
+    for table, target, _ in columns:
+        values = format_range([_compute_recovery(run, table, target) for run in runs], 2)
+        recoveries.append(f"{values} | {_compute_recovery(locked, table, target):.2f}")
+    lines.append(format_line("recovery: the share of the slide's damage undone", recoveries))
+    dense = []
+    for table, target, digits in columns:
+        key = f"{table}.unsheared.{target}"
+        dense.append(f"{format_range([run[key] for run in dense_runs], digits)} | ")
+    lines.append(format_line("for comparison: unsheared by dense layers", dense))
+    return "\n".join(lines)
+
+
+def _load_values(label_start: str) -> list[dict[str, float]]:
+    values = []
+    for run in load_runs("skin", label_start):
+        values.append({name: row["value"] for name, row in run.items()})
+    return values
+
+
+def _compute_recovery(errors: dict[str, float], table: str, target: str) -> float:
+    tap = errors[f"{table}.tap.{target}"]
+    sheared = errors[f"{table}.sheared.{target}"]
+    return (sheared - errors[f"{table}.unsheared.{target}"]) / (sheared - tap)
+
+
+def tabulate_rivals() -> str:
+    """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
+    keys = {
+        "unsheared": "pose/disentangled",
+        "direct": "pose/sheared_learnt",
+        "unsheared - direct": "difference/sheared_learnt",
+    }
+    heads = [f"{name}: {_name_target(target)}" for name in keys for target in EDGE_TARGETS]
+    lines = start_table(format_line("recorded, pins", heads))
+    for cell in load_cells("rivals"):
+        errors = [
+            format_interval(cell.metrics[f"{key}/{target}"], digits)
+            for key in keys.values()
+            for target, digits in EDGE_TARGETS.items()
+        ]
+        lines.append(format_line(cell.label, errors))
+    return "\n".join(lines)
+
+
+def tabulate_joint() -> str:
+    """Tabulate pose and slide predicted together from recorded slides, with their half-widths."""
+    lines = start_table("| | error | 95 % of errors within | which holds of the test |")
+    for name, label in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
+        (cell,) = load_cells(name)
+        for key, error in cell.metrics.items():
+            if not key.startswith("pose/sheared_learnt/"):
+                continue
+            target = key.rpartition("/")[2]
+            quantity, unit = target.rsplit("_", 1)
+            half_width = cell.metrics[f"half_width/sheared_learnt/{target}"]
+            coverage = cell.metrics[f"coverage/sheared_learnt/{target}"]
+            cells = [
+                f"{format_interval(error, 2)} {unit}",
+                f"{half_width.mean:.2f} {unit}",
+                format_seeds(coverage),
+            ]
+            lines.append(format_line(f"{label}: {quantity.replace('_', ' ')}", cells))
+    return "\n".join(lines)
