@@ -18,11 +18,9 @@ from scipy.stats import bootstrap
 
 from benchmarks.training_steps import make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.networks import PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader

@@ -127,7 +127,9 @@ def _list_cases(net: UnshearNet) -> Iterator[Case]:
     training = Training(batch=BATCH)
     usual = _make_step(net, training)
     name = "training step"
-    no_patches = _make_step(net, replace(training, losses={"supervised": 1.0, "reconstruction": 1.0}))
+    no_patches = _make_step(
+        net, replace(training, losses={"supervised": 1.0, "reconstruction": 1.0})
+    )
     yield Case(name, "crops: lambda 0", usual, no_patches)
     no_shear_code = _make_step(replace(net, shear_channels=0), training)
     yield Case(name, "shear channels", usual, no_shear_code)

@@ -18,12 +18,10 @@ from jax import Array
 
 from benchmarks.training_steps import make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.config.targets import make_range_targets
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
 from jaxunshear.perception.rest_positions import compute_rest_lattice

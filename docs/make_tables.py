@@ -30,7 +30,10 @@ TABLES = {
         recorded_tables.tabulate_simulated_slides,
     ),
     "docs/skin.md": (recorded_tables.tabulate_transfer,),
-    "docs/unshear-or-directly.md": (recorded_tables.tabulate_rivals,),
+    "docs/unshear-or-directly.md": (
+        recorded_tables.tabulate_rivals,
+        recorded_tables.tabulate_rivals_block,
+    ),
     "docs/calibration.md": (
         simulator_tables.tabulate_fits,
         simulator_tables.tabulate_fitted_images,

@@ -210,15 +210,25 @@ def _compute_recovery(errors: dict[str, float], table: str, target: str) -> floa
 
 
 def tabulate_rivals() -> str:
+    """Tabulate errors of rivals on a random tenth of the poses."""
+    return _tabulate_rivals("rivals")
+
+
+def tabulate_rivals_block() -> str:
+    """Tabulate errors of rivals on a block of poses that was kept out."""
+    return _tabulate_rivals("rivals_block")
+
+
+def _tabulate_rivals(name: str) -> str:
     """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
     keys = {
         "unsheared": "pose/disentangled",
         "direct": "pose/sheared_learnt",
         "unsheared - direct": "difference/sheared_learnt",
     }
-    heads = [f"{name}: {_name_target(target)}" for name in keys for target in EDGE_TARGETS]
+    heads = [f"{way}: {_name_target(target)}" for way in keys for target in EDGE_TARGETS]
     lines = start_table(format_line("recorded, pins", heads))
-    for cell in load_cells("rivals"):
+    for cell in load_cells(name):
         errors = [
             format_interval(cell.metrics[f"{key}/{target}"], digits)
             for key in keys.values()

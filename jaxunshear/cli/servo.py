@@ -50,7 +50,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> TrajectorySco
     for result in servo(*model, tasks, ways, out):
         name = str(result.task.stimulus)
         rows += result.scores
-        write_bytes(out / f"{name}.png", plot_trajectories(result.trajectories, result.contour, name))
+        write_bytes(
+            out / f"{name}.png", plot_trajectories(result.trajectories, result.contour, name)
+        )
         columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
         print(format_text_table([vars(row) for row in result.scores], columns))
     print(out)

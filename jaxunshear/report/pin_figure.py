@@ -1,7 +1,6 @@
 """A picture of images with their pins, whose motions are lines from the rest positions."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -10,7 +9,6 @@ from matplotlib.collections import LineCollection
 
 from jaxunshear.data.recorded_pins import ShownImage
 from jaxunshear.perception.lattice import Lattice
-from jaxunshear.perception.pin_track import PinTrack
 from jaxunshear.report.figures import make_panels
 from jaxunshear.style import encode_png
 

@@ -142,7 +142,10 @@ def select_training_part(experiment: Experiment, network: str) -> Experiment:
         unused += UNUSED_WITH_TEACHER if has_teacher else REGISTRY[network].unused_groups
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if uses_pins(experiment) and network in (*POSENETS, RENDERER):
-        train_pins, pins = drop_pair_losses(part.train_pins, supervised=1.0), drop_pin_codes(part.pins)
+        train_pins, pins = (
+            drop_pair_losses(part.train_pins, supervised=1.0),
+            drop_pin_codes(part.pins),
+        )
         part = dataclasses.replace(part, train_pins=train_pins, pins=pins)
     if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # learns from taps only
         part = dataclasses.replace(part, paired=plain.paired)

@@ -25,20 +25,11 @@ from jaxunshear.perception.preprocess import (
 CHECKED_FRAMES = 8  # frames on which the nodes are compared
 
 
-class CropBox(NamedTuple):
-    """The part of a frame that is kept, in px."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-
 class ExportCamera(NamedTuple):
     """Size and crop of a camera's frames, and how they are prepared."""
 
     preprocess: Preprocess
-    box: CropBox
+    box: Box
     frames: np.ndarray  # some of them, (N, H, W) or (N, H, W, channels) uint8
 
 
@@ -65,7 +56,7 @@ def read_camera(path: Path, preprocess: Preprocess, view: View | None) -> Export
             f"--preprocess {path}: the crop {left},{top},{right},{bottom} is no square: "
             "name other frames"
         )
-    return ExportCamera(preprocess, CropBox(*box), np.stack(frames))
+    return ExportCamera(preprocess, box, np.stack(frames))
 
 
 def _read_frame(file: Path) -> np.ndarray:
