@@ -4,7 +4,8 @@ All have the signature of `admm.solve_increment`, but for its relaxation. They a
 without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
-- `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
+- `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its
+  last steps (Walker & Ni 2011)
 - `solve_newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
 """
 
@@ -48,7 +49,10 @@ def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
 def _length(
     w: jax.Array, miss: jax.Array, force: jax.Array, factor: jax.Array | float
 ) -> jax.Array:
-    """(B,) mm, as the simulator's own: what a miss of the forces does to the skin, and `factor` times the miss."""
+    """Compute the simulator's length (B,) mm of a miss of the forces.
+
+    It has the motion of the skin that the miss causes, and `factor` times the miss.
+    """
     touching = jnp.maximum(jnp.sum(force[..., -1] > 0, axis=-1), 1)
     squared = _times(w, miss) ** 2 + (factor * miss) ** 2
     return jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
@@ -74,7 +78,10 @@ def _iterate(
     limit: int,
     every: int,
 ) -> tuple[State, jax.Array, jax.Array]:
-    """Repeat `step`(state) -> (state, error (B,)), `every` times between checks, until all are below their tolerance."""
+    """Repeat `step`, state -> (state, error (B,)), until all errors are below their tolerance.
+
+    There are `every` steps between checks.
+    """
 
     def is_unfinished(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, error, _, count = carry
@@ -142,7 +149,10 @@ def solve_anderson(
     tolerance: jax.Array,
     limit: int,
 ) -> SolverResult:
-    """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
+    """Solve an increment by ADMM with Anderson's extrapolation, undone where it does harm.
+
+    ADMM moves v = z + y by 1.8 (x - z), with z = P(v).
+    """
     _check_untilted(increment.frame)
     w, offset, friction = increment.w, increment.offset, increment.friction
     count, size = len(offset), offset[0].size

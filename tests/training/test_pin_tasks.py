@@ -172,11 +172,11 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
     poses[:, 1] = np.linspace(-3, 3, 64)
     given = {"pins": REST + poses[:, 1, None, None] / 3 * direction, "pose": poses}
     targets = make_label_targets((), poses)
-    for kind, make, loss in (
+    for kind, make, name in (
         (PinRenderer, make_renderer_task, "pins"),
         (PinPoseNet, make_pin_posenet_task, "pose"),
     ):
-        training = Training(losses={loss: 1.0})
+        training = Training(losses={name: 1.0})
         task = make(kind(**SMALL | {"hidden": 32}), training, targets, REST, 1.0)
         variables = task.init(KEY)
         optimiser = optax.adam(1e-2)
