@@ -14,7 +14,7 @@ from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment, get_recorded, get_training
 from jaxunshear.config.registry import TEACHER, TRAINABLE
-from jaxunshear.config.serialization import from_json, to_json, with_version
+from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
@@ -108,7 +108,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
             )
         if changed:
             (folder / TIMES).unlink(missing_ok=True)  # of the making of other data
-    write_json(path, with_version(wanted))
+    write_json(path, add_version(wanted))
 
 
 def _make_data(experiment: Experiment, data: Path, spread: CallRunner) -> bool:

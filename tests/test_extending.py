@@ -83,7 +83,14 @@ def test_a_loss_that_no_file_has_registered_is_refused(experiment_file):
 
 def test_a_loss_of_images_is_refused_over_pins(experiment_file):
     experiment = load_experiment(experiment_file(LOSS))
-    words = "--unshear.input pins --train_pins.batch 8 --train_pins.losses.smooth 1".split()
+    words = [
+        "--unshear.input",
+        "pins",
+        "--train_pins.batch",
+        "8",
+        "--train_pins.losses.smooth",
+        "1",
+    ]
     over_pins = override_fields(replace(experiment, networks=("disentangled",)), words)
     with pytest.raises(UserError, match="is for networks over images"):
         validate(over_pins)

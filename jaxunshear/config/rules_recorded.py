@@ -22,47 +22,47 @@ def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
     """Of an experiment about recordings; what only they can show is refused when they are read."""
     recorded = experiment.paired
     if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
-        yield (
+        yield Rule(
             False,
             "name",
             "paired and pose are both simulated (PairedData, PoseData) or both recorded (Recorded, RecordedTaps)",
         )
         return
-    yield (
+    yield Rule(
         recorded.pairing != "simulated" or experiment.sensor.pins == TACTIP_331_FITTED.pins,
         "paired.pairing",
         f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
     )
-    yield (
+    yield Rule(
         recorded.direct_taps == "none" or POSENET_SHEARED in list_trained_networks(experiment),
         "paired.direct_taps",
         "is for posenet_sheared, which this experiment does not train: leave it at none",
     )
-    yield (
+    yield Rule(
         recorded.direct_taps != "rendered" or uses_pins(experiment),
         "paired.direct_taps",
         "rendered is for networks over pins: use recorded",
     )
     yield from list_target_rules(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES)
     slides = list_slide_names(experiment.targets)
-    yield (
+    yield Rule(
         not slides or recorded.direct_taps != "rendered",
         "paired.direct_taps",
         f"rendered knows no {', '.join(slides)}: use recorded or none",
     )
-    yield (
+    yield Rule(
         not slides or set(list_trained_networks(experiment)) == {POSENET_SHEARED},
         "targets",
         f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
     )
-    yield (
+    yield Rule(
         not slides or not experiment.pins.turned,
         "pins.turned",
         f"does not turn {', '.join(slides)}: leave it at 0",
     )
     yield from list_network_rules(experiment, recorded.preprocess, recorded.preprocess)
     for field in ("unseen", *FURTHER_TEST_PREFIXES):
-        yield (
+        yield Rule(
             not getattr(experiment, field),
             field,
             "is a test of simulated touches: leave it empty",

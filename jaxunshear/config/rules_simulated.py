@@ -27,7 +27,7 @@ from jaxunshear.config.targets import (
     list_target_names,
     make_range_targets,
 )
-from jaxunshear.config.types import Rule, list_own_rules
+from jaxunshear.config.types import Rule, list_declared_rules
 from jaxunshear.errors import UserError
 
 # fields of an experiment that ask for tests of their own, and how the names of these begin
@@ -43,7 +43,7 @@ def list_simulated_rules(
 ) -> Iterator[Rule]:
     for group, data in (("paired", paired), ("pose", pose)):
         known = CONFIGS[get_set_name(data)]
-        yield (
+        yield Rule(
             data.config in known,
             f"{group}.config",
             f"is no stored configuration: use one of {', '.join(known)}; changed fields get a name of their own",
@@ -59,7 +59,7 @@ def list_simulated_rules(
     yield from _tests(experiment, paired, pose)
     pairs, taps = count_training_poses(paired) * paired.slides, count_training_poses(pose)
     yield from list_training_rules(experiment, pairs, taps)
-    yield (
+    yield Rule(
         "pose_label" not in experiment.train.losses
         or make_range_targets(experiment.targets, paired.ranges)
         == make_range_targets(experiment.targets, pose.ranges),
@@ -71,14 +71,16 @@ def list_simulated_rules(
 def _list_reach_rules(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
     """What the sensor can reach, and its camera see."""
     ranges, dome = data.ranges, sensor.dome_radius_mm
-    yield (
+    yield Rule(
         ranges.lateral_mm <= dome,
         f"{group}ranges.lateral_mm",
         f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched",
     )
-    yield ranges.move_mm <= dome, f"{group}ranges.move_mm", f"use 0 to {dome:g} (the dome's radius)"
+    yield Rule(
+        ranges.move_mm <= dome, f"{group}ranges.move_mm", f"use 0 to {dome:g} (the dome's radius)"
+    )
     edge = compute_contact_angle(sensor)
-    yield (
+    yield Rule(
         ranges.tilt_deg < edge,
         f"{group}ranges.tilt_deg",
         f"use 0 to below {edge:.0f}, where the dome's contact ends",
@@ -87,18 +89,18 @@ def _list_reach_rules(data: PairedData | PoseData, group: str, sensor: Sensor) -
     leaning = (
         f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
     )
-    yield (
+    yield Rule(
         ranges.depth_max_mm <= deepest,
         f"{group}ranges.depth_max_mm",
         f"this depth cannot be reached: a dome of radius {dome:g} mm goes to {deepest:.1f} mm{leaning}",
     )
     jitter = data.tap_depth_jitter_mm if isinstance(data, PairedData) else 0.0
-    yield (
+    yield Rule(
         ranges.depth_max_mm + jitter <= deepest,
         f"{group}tap_depth_jitter_mm",
         f"with ranges.depth_max_mm ({ranges.depth_max_mm:g}) it cannot be reached: together at most {deepest:.1f} mm",
     )
-    yield (
+    yield Rule(
         data.camera.distance_mm > dome,
         f"{group}camera.distance_mm",
         f"must exceed the dome's radius ({dome:g}): the camera views the pins from above",
@@ -116,33 +118,37 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
             }
         )
     )
-    yield not twice, "pose.stimuli", f"two outlines are called {twice}: give each a name of its own"
+    yield Rule(
+        not twice, "pose.stimuli", f"two outlines are called {twice}: give each a name of its own"
+    )
     seen = ", ".join(
         name
         for name in list_stimulus_names(experiment.unseen)
         if name in {*paired.names, *pose.names}
     )
-    yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
+    yield Rule(not seen, "unseen", f"{seen} is trained on: name it in one place only")
     for field in FURTHER_TEST_PREFIXES:
         names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
-        yield len(set(names)) == len(names), field, "name each once"
+        yield Rule(len(set(names)) == len(names), field, "name each once")
         for data in (
             data
             for name, data in list_further_tests(experiment).items()
             if name.startswith(FURTHER_TEST_PREFIXES[field])
         ):
             for holds, _, remedy in (
-                *list_own_rules(data),
+                *list_declared_rules(data),
                 *_list_reach_rules(data, "", experiment.sensor),
             ):
-                yield holds, field, remedy
+                yield Rule(holds, field, remedy)
             yield from _list_target_rules(
                 experiment, data.ranges, field, "leaves nothing to predict"
             )
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
     read = bool({POSENET, TEACHER} & set(list_trained_networks(experiment)))
-    yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
+    yield Rule(
+        not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
+    )
 
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
@@ -152,7 +158,7 @@ def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iter
     for stimulus, shown in STIMULUS_TEXTS.items():
         hidden = sorted(named - {*shown})
         remedy = f"the stimulus '{stimulus}' does not show {', '.join(hidden)}: name of {', '.join(shown)}"
-        yield stimulus not in touched or not hidden, "targets", remedy
+        yield Rule(stimulus not in touched or not hidden, "targets", remedy)
     for ranges in (paired.ranges, pose.ranges):
         yield from _list_target_rules(
             experiment,
@@ -170,17 +176,17 @@ def _list_target_rules(
         varied, wrong = len(make_range_targets(experiment.targets, ranges)) > 0, none
     except UserError as error:
         varied, wrong = False, str(error)
-    yield varied, field, wrong
+    yield Rule(varied, field, wrong)
 
 
 def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     """PoseNet, which learns from taps, is judged by the poses of pairs; a teacher's outputs are compared one by one."""
     pairs, taps = (make_range_targets(experiment.targets, part.ranges) for part in (paired, pose))
     remedy = f"pairs vary {', '.join(list_target_names(pairs))} and taps {', '.join(list_target_names(taps))}: name those that both vary"
-    yield list_target_names(pairs) == list_target_names(taps), "targets", remedy
+    yield Rule(list_target_names(pairs) == list_target_names(taps), "targets", remedy)
     for pair, tap in zip(pairs, taps, strict=False):
         remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
-        yield (
+        yield Rule(
             TEACHER not in list_trained_networks(experiment) or pair.is_circular == tap.is_circular,
             "targets",
             remedy,
@@ -190,7 +196,7 @@ def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) ->
 def _list_seed_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
     for settings in (paired, *list_further_tests(experiment).values()):
-        yield (
+        yield Rule(
             settings.seed != pose.seed or not set(settings.names) & set(pose.names),
             "pose.seed",
             "gives PoseNet the taps of poses that it is tested at: use another",
@@ -201,10 +207,10 @@ def _list_range_rules(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
     for field in ("lateral_mm", "yaw_deg", "depth_max_mm", "tilt_deg"):
         most = getattr(taps, field)
         remedy = f"goes beyond pose.ranges.{field} ({most:g}), where PoseNet knows no pose: widen that one, too"
-        yield getattr(pairs, field) <= most, f"paired.ranges.{field}", remedy
+        yield Rule(getattr(pairs, field) <= most, f"paired.ranges.{field}", remedy)
     least = taps.depth_min_mm
     remedy = f"is below pose.ranges.depth_min_mm ({least:g}), where PoseNet knows no pose: lower that one, too"
-    yield pairs.depth_min_mm >= least, "paired.ranges.depth_min_mm", remedy
+    yield Rule(pairs.depth_min_mm >= least, "paired.ranges.depth_min_mm", remedy)
 
 
 def _list_camera_rules(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
@@ -212,7 +218,7 @@ def _list_camera_rules(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
         of_pairs, of_taps = getattr(paired, group), getattr(pose, group)
         for field in fields(of_pairs):
             value, name = getattr(of_pairs, field.name), f"{group}.{field.name}"
-            yield (
+            yield Rule(
                 getattr(of_taps, field.name) == value,
                 f"pose.{name}",
                 f"differs from paired.{name} ({value:g}): make them equal; PoseNet also reads the images of pairs",

@@ -126,61 +126,63 @@ def _check_form(sweep: Sweep, source: str) -> None:
 
 
 def _rules(sweep: Sweep) -> Iterator[Rule]:
-    yield isinstance(sweep.name, str), "name", "is no text"
-    yield isinstance(sweep.claim, str), "claim", "is no text"
-    yield (
+    yield Rule(isinstance(sweep.name, str), "name", "is no text")
+    yield Rule(isinstance(sweep.claim, str), "claim", "is no text")
+    yield Rule(
         isinstance(sweep.base, Experiment),
         "base",
         f"is of type {type(sweep.base).__name__}, not Experiment",
     )
-    yield (
+    yield Rule(
         isinstance(sweep.grid, tuple) and all(_is_change(axis) for axis in sweep.grid),
         "grid",
         'is no tuple of axes ("field", (value, value)) or (("field", "field"), ((value, value), (value, value)))',
     )
     for fields, values in sweep.grid:
-        yield (
+        yield Rule(
             isinstance(values, tuple) and len(values) > 0,
             "grid",
             f"lists no values for {fields}: give a tuple of some",
         )
-        yield (
+        yield Rule(
             all(_suits(fields, value) for value in values),
             "grid",
             f"needs tuples of a value each for {fields}",
         )
-    yield (
+    yield Rule(
         isinstance(sweep.rows, tuple)
         and all(isinstance(row, tuple) and all(map(_is_change, row)) for row in sweep.rows),
         "rows",
         'is no tuple of rows (("field", value), ("field", value))',
     )
-    yield (
+    yield Rule(
         isinstance(sweep.labels, tuple)
         and all(isinstance(label, str) and label for label in sweep.labels),
         "labels",
         "is no tuple of texts",
     )
-    yield (
+    yield Rule(
         len(sweep.labels) in (0, len(sweep.rows)),
         "labels",
         f"needs one for each of the {len(sweep.rows)} rows, or none",
     )
-    yield len(set(sweep.labels)) == len(sweep.labels), "labels", "lists one twice"
+    yield Rule(len(set(sweep.labels)) == len(sweep.labels), "labels", "lists one twice")
     for fields, value in (change for row in sweep.rows for change in row):
-        yield _suits(fields, value), "rows", f"needs a tuple of a value each for {fields}"
+        yield Rule(_suits(fields, value), "rows", f"needs a tuple of a value each for {fields}")
     varied = [field for fields, _ in sweep.grid for field in list_fields(fields)]
     twice = next((field for field in varied if varied.count(field) > 1), None)
-    yield twice is None, "grid", f"varies {twice} on two axes"
+    yield Rule(twice is None, "grid", f"varies {twice} on two axes")
     changed = [field for row in sweep.rows for fields, _ in row for field in list_fields(fields)]
     for place, field in (
         *(("grid", field) for field in varied),
         *(("rows", field) for field in changed),
     ):
-        yield field not in ("name", "claim"), place, f"varies {field}, which decides nothing"
-        yield field != "seed", place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
+        yield Rule(field not in ("name", "claim"), place, f"varies {field}, which decides nothing")
+        yield Rule(
+            field != "seed", place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
+        )
     seeds = sweep.seeds
-    yield (
+    yield Rule(
         isinstance(seeds, tuple)
         and len(seeds) > 0
         and all(
@@ -190,9 +192,9 @@ def _rules(sweep: Sweep) -> Iterator[Rule]:
         "seeds",
         f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
     )
-    yield len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice"
-    yield isinstance(sweep.ablation, bool), "ablation", "is neither True nor False"
-    yield (
+    yield Rule(len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice")
+    yield Rule(isinstance(sweep.ablation, bool), "ablation", "is neither True nor False")
+    yield Rule(
         sweep.reference is None or isinstance(sweep.reference, str),
         "reference",
         "is no label of a cell",
