@@ -176,7 +176,7 @@ def compute_config_name(settings: DataSettings, sensor: Sensor = TACTIP_331) -> 
 
 
 def get_set_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Path:
-    """Return the folder of a finished set, as TFDS names it: <data_dir>/<set>/<config>/<version>."""
+    """Return a finished set's folder as TFDS names it: <data_dir>/<set>/<config>/<version>."""
     return (
         Path(data_dir).absolute()
         / get_set_name(settings)

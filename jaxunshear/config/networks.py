@@ -22,7 +22,7 @@ class UnshearNet:
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)  # channels a stride-2 convolution
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
-    # both codes are vectors without place; z_s has an encoder of its own, and DS trains neither code
+    # both codes are vectors without place; z_s has its own encoder, and DS trains neither code
     apart: bool = False
     disentangled: bool = True  # of a network built from these settings; experiments leave it True
     # "pins": networks over pins (`PinNet`) instead of these

@@ -15,23 +15,26 @@ from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS, list_slide_names
 from jaxunshear.config.types import Rule
 
-ANY_COUNT = 2**62  # so many examples: how many there are is seen when the recordings are read
+# no limit: the recordings are not read yet, so the numbers of their examples are unknown
+ANY_COUNT = 2**62
 
 
 def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
-    """Of an experiment about recordings; what only they can show is refused when they are read."""
+    """Yield the rules of an experiment about recordings, before these are read."""
     recorded = experiment.paired
     if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
         yield Rule(
             False,
             "name",
-            "paired and pose are both simulated (PairedData, PoseData) or both recorded (Recorded, RecordedTaps)",
+            "paired and pose are both simulated (PairedData, PoseData) "
+            "or both recorded (Recorded, RecordedTaps)",
         )
         return
     yield Rule(
         recorded.pairing != "simulated" or experiment.sensor.pins == TACTIP_331_FITTED.pins,
         "paired.pairing",
-        f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
+        f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; "
+        f"yours has {experiment.sensor.pins}",
     )
     yield Rule(
         recorded.direct_taps == "none" or POSENET_SHEARED in list_trained_networks(experiment),
