@@ -181,7 +181,7 @@ class Recorded:
     """
 
     tap_folder: str = ""  # empty: there are no taps
-    slide_folder: str = ""  # may be the tap folder: labels tell slides from taps
+    slide_folder: str = ""  # may be the tap folder: labels distinguish slides from taps
     digest: str = ""  # of the files there; computed when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     # a slide's partner: "rendered": what a renderer, trained on taps, draws at its pose; "nearest":

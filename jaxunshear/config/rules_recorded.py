@@ -46,6 +46,19 @@ def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         "paired.direct_taps",
         "rendered is for networks over pins: use recorded",
     )
+    yield from _list_recorded_target_rules(experiment, recorded)
+    yield from list_network_rules(experiment, recorded.preprocess, recorded.preprocess)
+    for field in ("unseen", *FURTHER_TEST_PREFIXES):
+        yield Rule(
+            not getattr(experiment, field),
+            field,
+            "is a test of simulated touches: leave it empty",
+        )
+    yield from list_training_rules(experiment, ANY_COUNT, ANY_COUNT)
+
+
+def _list_recorded_target_rules(experiment: Experiment, recorded: Recorded) -> Iterator[Rule]:
+    """Yield the rules of targets, which slides of the recordings may be among."""
     yield from list_target_rules(experiment.targets, RECORDED_FIELDS | LABELLED_SLIDES)
     slides = list_slide_names(experiment.targets)
     yield Rule(
@@ -63,11 +76,3 @@ def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         "pins.turned",
         f"does not turn {', '.join(slides)}: leave it at 0",
     )
-    yield from list_network_rules(experiment, recorded.preprocess, recorded.preprocess)
-    for field in ("unseen", *FURTHER_TEST_PREFIXES):
-        yield Rule(
-            not getattr(experiment, field),
-            field,
-            "is a test of simulated touches: leave it empty",
-        )
-    yield from list_training_rules(experiment, ANY_COUNT, ANY_COUNT)

@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 StimulusName = Literal[
     "disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"
 ]
-# The targets that a contact determines on shapes that look alike in many places. On all other
+# The targets that a contact determines on shapes with many places that are the same. On all other
 # shapes it determines all targets.
 SHOWN_TARGETS = {
     "edge": ("x_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg", "tilt_x_deg", "tilt_y_deg"),
@@ -104,7 +104,7 @@ class Outline:
         width, description = _FIELDS[field]
         complaint = f"outline '{self.name}': its {field} must be"
         try:
-            numbers = tuple(tuple(float(value) for value in row) for row in rows)
+            numbers = tuple(tuple(map(float, row)) for row in rows)
         except (TypeError, ValueError):
             raise UserError(f"{complaint} {description}") from None
         if any(len(row) != width for row in numbers):

@@ -107,7 +107,8 @@ def list_varied_fields(sweep: Sweep) -> list[str]:
 
 def list_changed_fields(sweep: Sweep) -> list[str]:
     """List the fields that rows change."""
-    return [field for row in sweep.rows for fields, _ in row for field in list_fields(fields)]
+    changes = [change for row in sweep.rows for change in row]
+    return [field for fields, _ in changes for field in list_fields(fields)]
 
 
 def check_sweep(sweep: Sweep, source: str) -> None:
