@@ -6,7 +6,7 @@ A training computes the losses that it names, and no other. A new loss is one fu
 of LOSSES, or one function with `@register_loss` in an experiment file:
 
     @register_loss("smooth", modalities=("images",))
-    def compute_smooth_loss(inputs):  # see training/losses.py
+    def compute_smooth_loss(inputs):  # see training/pair_losses.py
         return jnp.mean(jnp.square(jnp.diff(inputs.canonical, axis=1)), (1, 2, 3))
 """
 
@@ -146,9 +146,9 @@ def register_loss(
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a function as a loss that a training can name.
 
-    The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
-    and returns a loss per example (B,). `LossSpec` explains the other arguments. Raises UserError
-    if another loss has this name.
+    The function takes the inputs of its role, `PairInputs` of training/pair_losses.py or
+    `PoseInputs` of training/pose_losses.py, and returns a loss per example (B,). `LossSpec`
+    explains the other arguments. Raises UserError if another loss has this name.
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Stored settings: of this version alone, of the kind that they fit best, refused for what differs."""
+"""Stored settings are read by their own version, and refused for what does not fit it."""
 
 import dataclasses
 
