@@ -246,12 +246,12 @@ def _list_pair_setting_rules(training: Training, group: str) -> Iterator[Rule]:
         )
 
 
-def list_target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
-    """Yield the rules that each target is well written and among `known`, and named once."""
+def list_target_rules(texts: tuple[str, ...], fields: Mapping[str, object]) -> Iterator[Rule]:
+    """Yield the rules that each text is a target with a name among `fields`, named once."""
     names = []
-    for text in targets:
+    for text in texts:
         try:
-            names.append(parse_target(text, known).name)
+            names.append(parse_target(text, fields).name)
         except UserError as error:
             yield Rule(False, "targets", str(error))
     yield Rule(len(set(names)) == len(names), "targets", "name each once")

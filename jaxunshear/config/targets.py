@@ -75,11 +75,11 @@ class TargetText(NamedTuple):
     weight: float
 
 
-def parse_target(text: str, known: Iterable[str]) -> TargetText:
-    """Parse a target whose name must be among `known`. Raises UserError."""
+def parse_target(text: str, names: Iterable[str]) -> TargetText:
+    """Parse a target whose name must be among `names`. Raises UserError."""
     name, *more = text.split(":")
-    if name not in known:
-        raise UserError(f"target '{name}' is unknown: use {', '.join(known)}")
+    if name not in names:
+        raise UserError(f"target '{name}' is unknown: use {', '.join(names)}")
     kind = more[0] if more else None
     if kind not in (None, RANGE, CIRCLE) or len(more) > 2:
         raise UserError(
