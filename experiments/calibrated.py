@@ -1,9 +1,9 @@
-"""Claim: of a sensor that was fitted to real recordings, minutes of training take the slide out of images, and not out of the pose that is
-read off them.
+"""Claim: with a sensor fitted to real recordings, minutes of training remove the slide from images,
+but hardly from the pose that a PoseNet reads in them.
 
     jaxunshear run experiments/calibrated.py
 
-The demo with the sensor, the camera and the friction that were fitted. Expected
+This is the demo with the sensor, the camera and the friction that were fitted. Expected
 (docs/results/calibrated.json, one seed, seven minutes on two cores of an AMD EPYC): MS-SSIM is
 0.954 (sheared 0.561). The edge errors hardly change: 0.40 mm (tap 0.23, sheared 0.43) and 10.4 deg
 (6.9, 9.4). Slides mislead this PoseNet less than they mislead the demo's. We think that the lower
@@ -21,7 +21,10 @@ from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
 experiment = replace(
     demo.experiment,
     name="calibrated",
-    claim="Minutes of training take the slide out of images of a fitted sensor, and not out of the pose read off them.",
+    claim=(
+        "Minutes of training take the slide out of images of a fitted sensor, "
+        "and not out of the pose read off them."
+    ),
     sensor=get_config_sensor("calibrated"),
     paired=PAIRED["calibrated"],
     pose=POSE["calibrated"],

@@ -1,4 +1,5 @@
-"""Claim: minutes of training on simulated pairs take most of the slide out of an image; the pins are flush, as no real skin's.
+"""Claim: minutes of training on simulated pairs remove most of a slide's effect from an image. The
+simulated pins are flush with the skin, which those of a real sensor are not.
 
     jaxunshear run experiments/demo.py          # `make demo` does this after setting up
 
@@ -8,10 +9,10 @@ are at most 0.6 times as large on the unsheared images as on the sheared ones. M
 (docs/results/demo.json, two cores of an Intel Xeon): four seeds took 8 to 9 minutes each after the
 data were made, one took 20.
 
-Its pins end flush with the skin and its friction is 0.7. With the fitted sensor of calibrated.py
-training of the same length undoes less of the slide's damage: 15 % in edge distance, where the
-demo undoes 69 % (docs/results/calibrated.json, one seed; demo.json, five). We think that pins as
-levers are the reason, because they show how the skin turns at an edge; this was not tested.
+The friction is 0.7. With the fitted sensor of calibrated.py, training of the same length undoes
+less of the slide's damage: 15 % in edge distance, where the demo undoes 69 %
+(docs/results/calibrated.json, one seed; demo.json, five). We think that pins as levers are the
+reason, because they show how the skin turns at an edge; this was not tested.
 """
 
 from dataclasses import replace

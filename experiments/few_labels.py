@@ -1,11 +1,12 @@
-"""Claim: with few labelled slides, those without a label are worth using.
+"""Claim: if few slides are labelled, it pays to use those without a label, too.
 
     jaxunshear sweep experiments/few_labels.py --recordings DIR
 
-Over pins. All taps are labelled; of the slides a share, drawn at random anew for each seed, smaller shares within the larger ones. Two
-ways: slides without a label are left out; or a PoseNet that learns from the labelled ones, turned about the sensor's axis as well,
-reads their poses, and all slides are unsheared to how taps appear there. Rows `sheared_learnt` are of the PoseNet that learns from
-the labelled slides directly.
+Over pins. All taps are labelled, but only a share of the slides. Each seed draws that share anew;
+smaller shares lie within larger ones. Slides without a label are either left out, or a PoseNet
+reads their poses, which has learnt from the labelled ones with rotation augmentation; all slides
+are then unsheared to how taps appear at these poses. Rows `sheared_learnt` are of the PoseNet that
+learns from the labelled slides directly.
 
 Expected, docs/results/few_labels.json: with a tenth of the labels y .21 mm and Rz 2.9 deg
 unsheared, .25 and 3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2. Its rows took
@@ -26,7 +27,7 @@ sweep = Sweep(
         BASE_EXPERIMENT,
         name="few_labels",
         unshear=replace(BASE_EXPERIMENT.unshear, input="pins"),
-        pins=PinNet(),  # dense layers alone: many rows
+        pins=PinNet(),  # dense layers alone, which train fast
         train_pins=replace(PIN_TRAINING, epochs=40),
     ),
     grid=(

@@ -1,13 +1,14 @@
-"""Claim: with taps that no slide belongs to, a tenth of the pairs is enough; with slides that have no tap, too, fewer are of use.
+"""Claim: a tenth of the pairs is enough if there are also taps that no slide belongs to. With
+slides that have no tap, even fewer pairs are of use.
 
     jaxunshear sweep experiments/few_pairs.py
 
-Over pins, of the sensor that was fitted to recordings. A share of the 1,440 training poses has a tap
-and four slides: 1 % are 14 poses. Each seed draws the share anew; smaller shares lie within larger
-ones. There are three ways. The first learns from pairs alone. The second adds 2,880 taps of other
-poses, which must come out of the network as they went in. The third adds slides that have no tap:
-two slides to the same pose must be unsheared alike. No way knows a pose: taps and slides need no
-label, but the third must know which slides were to one pose.
+Over pins, of the sensor that was fitted to recordings. A share of the 1,440 training poses has a
+tap and four slides: 1 % are 14 poses. Each seed draws the share anew; smaller shares lie within
+larger ones. There are three ways. The first learns from pairs alone. The second adds 2,880 taps of
+other poses, which must come out of the network as they went in. The third adds slides that have no
+tap: two slides to the same pose must be unsheared alike. No way knows a pose: taps and slides need
+no label, but the third must know which slides were to one pose.
 
 The 2,880 taps replace 1,296 of the 1,440 pairs' poses, and they are the taps that the scoring
 PoseNet learns from. So the two ways are not compared at equal numbers of contacts.
@@ -30,7 +31,10 @@ SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
 
 sweep = Sweep(
     name="few_pairs",
-    claim="Errors over the share of poses whose slides have their tap, without and with taps that have no slide.",
+    claim=(
+        "Errors over the share of poses whose slides have their tap, "
+        "without and with taps that have no slide."
+    ),
     base=replace(
         parted.sweep.base,
         name="few_pairs",

@@ -1,4 +1,5 @@
-"""Claim: longer training buys more than a wider network, and than larger images in all but the pins; Muon more than Adam.
+"""Claim: longer training helps more than a wider network, and more than larger images except for
+pins; Muon helps more than Adam.
 
     jaxunshear sweep experiments/frontier.py
 
@@ -41,7 +42,10 @@ ROWS = {
 
 sweep = Sweep(
     name="frontier",
-    claim="Longer training buys more than a wider network, and than larger images in all but the pins; Muon more than Adam.",
+    claim=(
+        "Longer training buys more than a wider network, and than larger images in all but the "
+        "pins; Muon more than Adam."
+    ),
     base=replace(
         demo.experiment,
         train=replace(demo.experiment.train, epochs=4, validate_every=270),

@@ -7,8 +7,8 @@ Expected, docs/results/paper_short.json: one seed's disentangled network and Pos
 took 12 minutes each. The 97 minutes include a halt. The entangled network has not been trained on
 today's data. Sensor and shapes are those of experiments/standard.py at twice the resolution.
 
-Slides are paired with taps of their own depth; against taps that miss it by up to 1 mm, as the paper pairs them, stands a test of its
-own.
+Slides are paired with taps of their own depth. A further test has taps that miss it by up to 1 mm,
+as the paper pairs them.
 """
 
 from dataclasses import replace
@@ -38,7 +38,8 @@ experiment = Experiment(
     sensor=get_config_sensor("paper_short"),
     paired=PAIRED["paper_short"],
     pose=POSE["paper_short"],
-    # a layer more than at 128 px, to see as far; codes of 4x4x256 hold as many numbers as the paper's of 8x8x64
+    # a layer more than at 128 px, for the same field of view; codes of 4x4x256 hold as many numbers
+    # as the paper's of 8x8x64
     unshear=UnshearNet(
         size=SIZE, widths=(16, 32, 64, 128, 256, 256), pose_channels=256, shear_channels=256
     ),

@@ -1,10 +1,14 @@
-"""Claim: trained as appendix B says, as experiments/paper.py reads it, the disentangled network is ahead of the entangled one, with a
-tenth of the paper's taps and slides, too.
+"""Claim: trained as appendix B says, the disentangled network is better than the entangled one with
+a tenth of the paper's taps and slides, too.
 
-    jaxunshear sweep experiments/paper_tenth.py --seeds 0,1,2        # one seed: jaxunshear run experiments/paper_tenth.py
+    # three seeds; and one seed, as a run
+    jaxunshear sweep experiments/paper_tenth.py --seeds 0,1,2
+    jaxunshear run experiments/paper_tenth.py
 
-At 256 px, of the sensor, camera and friction that were fitted to recordings: 200 poses of each of
-three shapes with 5 taps and 15 slides, and the paper's epochs with its drops of the learning rate.
+Appendix B is read as in experiments/paper.py. At 256 px, of the sensor, camera and friction that
+were fitted to recordings: 200 poses of each of three shapes with 5 taps and 15 slides, and the
+paper's epochs with its drops of the learning rate.
+
 Expected, docs/results/paper_tenth.json: MS-SSIM 0.935 against taps of the slide's own depth,
 entangled 0.927 (sheared 0.59, best translation 0.81); 0.89 against taps that miss that depth by up
 to 1 mm, as the paper pairs them. With three seeds at a time on one H200, the disentangled network
@@ -25,6 +29,8 @@ experiment = replace(
     paired=PAIRED["paper_tenth"],
     pose=POSE["paper_tenth"],
     train=replace(
-        paper.experiment.train, validate_every=845, validation_images=10_000
-    ),  # five epochs; the entire set
+        paper.experiment.train,
+        validate_every=845,  # five epochs
+        validation_images=10_000,  # the entire split
+    ),
 )

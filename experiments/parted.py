@@ -1,17 +1,19 @@
-"""Claim: a simulator that shows the same pose after several slides, and the same slide at several poses,
-disentangles the codes that the paper's losses leave mixed.
+"""Claim: a simulator that shows the same pose after several slides, and the same slide at several
+poses, disentangles the codes that the paper's losses leave mixed.
 
     jaxunshear sweep experiments/parted.py
 
-Over pins, of the sensor that was fitted to recordings. Four poses share four slides, as the sensor feels
-them. The first row learns that the pose code of one slide with the shear code of another reconstructs the
-contact of just that pose after just that slide, and that equal poses have equal pose codes, in every
-direction of the code over its variance. Its shear code has an encoder of its own and learns the slide,
-which a simulator knows, and a robot that was commanded it. DS, which reconstructs the slide from both
-codes, teaches neither. The other rows leave one of these out; `the paper's losses` leave out all.
+Over pins, of the sensor that was fitted to recordings. Four poses share four slides in the frame of
+the sensor. The first row has two losses of exchanged codes: the pose code of one slide with the
+shear code of another must reconstruct the contact of that pose after that slide, and equal poses
+must have equal pose codes, in every direction of the code over its variance. Its shear code has an
+encoder of its own, which learns the slide: a simulator knows it, and a robot that was commanded it.
+DS, which reconstructs the slide from both codes, trains neither. Each other row leaves one of these
+out; `the paper's losses` leave out all.
 
-Expected: docs/results/parted.json. `jaxunshear ablate runs/sweeps/parted/rows/ROW --leakage` for a full
-table.
+Expected: docs/results/parted.json. For a full table:
+
+    jaxunshear ablate runs/sweeps/parted/rows/ROW --leakage
 """
 
 from dataclasses import replace

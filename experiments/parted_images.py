@@ -2,14 +2,14 @@
 
     jaxunshear sweep experiments/parted_images.py
 
-The contacts of parted.py, as images. Both codes are a few numbers without place. The shear code is the
-slide, two numbers, and has an encoder of its own. The pose codes of two slides to one pose agree, in every
-direction of the code over its variance. DS, which reconstructs the slide from both, teaches neither. The
-other rows leave out agreement, or all of it: the last has the paper's losses, and codes as large as the
-paper's.
+The contacts are those of parted.py, as images. Both codes are vectors of a few numbers, without
+place. The shear code is the slide, two numbers, and has an encoder of its own. The pose codes of
+two slides to one pose agree, in every direction of the code over its variance. DS, which
+reconstructs the slide from both, trains neither. The other rows leave out agreement, or all of it:
+the last has the paper's losses, and codes as large as the paper's.
 
-Expected: docs/results/parted_images.json, which is of an earlier form of agreement; 45 minutes per seed
-on a core.
+Expected: docs/results/parted_images.json, which is of an earlier form of agreement; 45 minutes per
+seed on a core.
 """
 
 from dataclasses import replace

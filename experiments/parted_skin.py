@@ -1,14 +1,16 @@
-"""Claim: codes over pins of a real sensor are disentangled, by the strongest of five families of probes.
+"""Claim: codes over pins of a real sensor are disentangled, by the strongest of five families of
+probes.
 
     jaxunshear sweep experiments/parted_skin.py --recordings DIR
 
-A recording has no two slides that are known to be alike, and no pose under several slides. So the pose
-code of a slide agrees with that of its tap, in every direction of the code over its variance. The shear
-code has an encoder of its own, and learns the two shifts of the slide as they are labelled: the pins show
-next to nothing of its turns. All rows also learn from true poses, as recorded.py does.
+A recording has no two slides that are known to be alike, and no pose under several slides. So the
+pose code of a slide agrees with that of its tap, in every direction of the code over its variance.
+The shear code has an encoder of its own, and learns the two shifts of the slide as they are
+labelled: the pins show next to nothing of its turns. All rows also learn from true poses, as
+recorded.py does.
 
 Weight of agreement and sizes of the codes were chosen on validation contacts of seed 0.
-Expected: docs/results/parted_skin.json. For a full table
+Expected: docs/results/parted_skin.json. For a full table:
 
     jaxunshear ablate runs/sweeps/parted_skin/rows/ROW --leakage
 """

@@ -2,9 +2,9 @@
 
     jaxunshear sweep experiments/parted_skin_images.py --recordings DIR
 
-The recorded slides of parted_skin.py, as images. The pose code of a slide agrees with that of its tap, in
-every direction of the code over its variance. The shear code has an encoder of its own, and learns the
-two shifts of the slide as they are labelled.
+The recorded slides are those of parted_skin.py, as images. The pose code of a slide agrees with
+that of its tap, in every direction of the code over its variance. The shear code has an encoder of
+its own, and learns the two shifts of the slide as they are labelled.
 
 Expected: docs/results/parted_skin_images.json; 20 minutes per row on a core.
 """

@@ -1,19 +1,22 @@
-"""Claim: a sensor's own recordings are enough to take the slide out of its touch.
+"""Claim: a sensor's own recordings are enough to remove the slide from its tactile images.
 
-    jaxunshear run experiments/recorded.py --recordings DIR                          # images
-    jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins     # pins: more exact, in minutes
+    # over images; and over pins, which is more exact and takes minutes
+    jaxunshear run experiments/recorded.py --recordings DIR
+    jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins
 
-DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md. Taps alone train a PoseNet; slides
-alone train one that reads slides; both together are unsheared.
+DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md.
+One PoseNet learns from taps alone, another from slides alone; the networks that unshear learn from
+both.
 
 Expected of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json,
 recorded_images.json): over pins y .12 mm for taps, .16 unsheared and .16 learnt directly; over
 images .19, .28 and .31 mm. Over pins a seed took 10 to 12 minutes on a core of an AMD EPYC, over
 images 17 to 20 minutes on one or two.
 
-A surface instead of an edge is a matter of the targets:
+For a surface instead of an edge, change the targets:
 
-    jaxunshear run experiments/recorded.py --recordings DIR --targets z_mm,Rx_deg,Ry_deg --name surface
+    jaxunshear run experiments/recorded.py --recordings DIR --targets z_mm,Rx_deg,Ry_deg \
+        --name surface
 """
 
 from jaxunshear.fit import BASE_EXPERIMENT

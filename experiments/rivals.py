@@ -1,10 +1,10 @@
-"""Claim: like for like, it decides which is better over recorded pins: to unshear slides, or to learn
-their poses directly.
+"""Claim: it compares like with like, over recorded pins: networks that unshear slides, and those
+that learn their poses directly.
 
     jaxunshear sweep experiments/rivals.py --recordings DIR
 
-Each row trains a network that unshears and a PoseNet that learns poses of slides directly, of the
-same make, on the same contacts. One PoseNet of taps reads all unsheared slides of a seed. It learns
+Each row trains a network that unshears and a PoseNet that learns poses of slides directly, of equal
+encoders, on the same contacts. One PoseNet of taps reads all unsheared slides of a seed. It learns
 from recorded and rendered taps, and it is dense in every row.
 
 What differs between rows:
@@ -31,8 +31,8 @@ OPTIONS are the first or second of these lines, and the third or fourth where a 
 `jaxunshear evaluate runs/ROW --recordings OTHER` scores it on other recordings; a row's folder in
 `runs/sweeps/rivals/rows` is a run, too.
 
-Expected: docs/results/rivals.json, and what it shows in docs/unshear-or-directly.md. Five rows of three seeds took
-two hours on a core of an AMD EPYC, beside other work.
+Expected: docs/results/rivals.json, discussed in docs/unshear-or-directly.md. Five rows of three
+seeds took two hours on a core of an AMD EPYC, beside other work.
 """
 
 from dataclasses import replace

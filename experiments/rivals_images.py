@@ -1,17 +1,19 @@
-"""Claim: a PoseNet that learns poses of recorded slides directly, over images, overfits; one of these
-ways to stop that gives it smaller errors.
+"""Claim: a PoseNet that learns poses of recorded slides directly, over images, overfits; one of
+these ways to stop that gives it smaller errors.
 
     jaxunshear sweep experiments/rivals_images.py --recordings DIR --seeds 0
 
 Rows are trainings of that PoseNet alone. The first is the one of recorded.py. Every training keeps
 the checkpoint of the smallest validation loss, so the rows of more epochs also stop early. The
-network that unshears learns from slides and taps; with "taps, too" the PoseNet has as many contacts.
+network that unshears learns from slides and taps; with "taps, too" the PoseNet has as many
+contacts.
 
 Choose a row by its validation loss, `best_loss` in `rows/ROW/posenet_sheared/summary.json`, not by
 the errors in the table, which are of test contacts. Then train it with the network that unshears,
 which a PoseNet of taps reads that learns by the same settings; for "15 epochs":
 
-    jaxunshear sweep experiments/recorded.py --recordings DIR --seeds 0,1,2 --train_posenet.epochs 15
+    jaxunshear sweep experiments/recorded.py --recordings DIR --seeds 0,1,2 \
+        --train_posenet.epochs 15
 
 Expected: the figures are still to be measured. The first row is that of
 docs/results/recorded_images.json: .31 mm in y, where unsheared slides are at .28 mm.

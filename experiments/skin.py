@@ -1,11 +1,12 @@
-"""Claim: networks that learnt in simulation alone take most of a slide's turn out of recorded pins.
+"""Claim: networks that learnt in simulation alone remove most of a slide's turn from recorded pins.
 
     jaxunshear run experiments/skin.py
     jaxunshear evaluate runs/skin --recordings DIR
 
-Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn as other sensors, cameras and days would show them
-(`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it as it was in
-version 0.2.0: their slides dragged the pins 0.5 to 2.5 times as far as simulated, today's 0.5 to 2 times.
+Over pins: contacts of the fitted sensor with an edge and three shapes, varied as between sensors,
+cameras and days (`--pins.turned`). The released weights `skin`, which `unshear`, `pose` and
+`stream` use by default, come from this experiment as it was in version 0.2.0: its slides dragged
+the pins 0.5 to 2.5 times as far as simulated, today's 0.5 to 2 times.
 
 Expected: minutes to simulate and to train on two cores (no file has the times);
 docs/results/skin.json for its scores on recordings of a real edge.
@@ -17,7 +18,9 @@ from jaxunshear.config.networks import PinNet, UnshearNet
 
 experiment = Experiment(
     name="skin",
-    claim="Networks that learnt in simulation alone take most of a slide's turn out of recorded pins.",
+    claim=(
+        "Networks that learnt in simulation alone take most of a slide's turn out of recorded pins."
+    ),
     networks=("disentangled", "posenet"),
     targets=("edge_mm", "edge_deg:circle", "depth_mm"),
     sensor=get_config_sensor("skin"),

@@ -1,10 +1,12 @@
-"""Claim: while some of the skin still sticks, both codes together predict the slide's shift to about
-0.1 mm and its turn to 0.7 deg; disentangled codes do no worse than those of the paper's losses.
+"""Claim: while some of the skin still sticks, both codes together predict the slide's shift to
+about 0.1 mm and its turn to 0.7 deg; disentangled codes do no worse than those of the paper's
+losses.
 
     jaxunshear sweep experiments/slide_read.py
 
-The networks of `parted.py`, with its losses and with the paper's, learn from slides that turn by up to 5 deg on their way. Where all of the
-skin slips, how far a slide went does not show in its image; the figures are given for both kinds apart.
+The networks of `parted.py`, with its losses and with the paper's, learn from slides that turn by up
+to 5 deg. If all of the skin slips, the length of the slide does not show in the image; contacts
+with and without skin that sticks have figures of their own.
 
 Expected: docs/results/slide_read.json. Its rows took 15 minutes in all, each on a core of an AMD
 EPYC.

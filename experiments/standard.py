@@ -1,6 +1,8 @@
 """Claim: about half an hour of training makes the paper's tables, with rivals and unseen shapes.
 
-    jaxunshear sweep experiments/standard.py --seeds 0,1,2        # one seed: jaxunshear run experiments/standard.py
+    # three seeds; and one seed, as a run
+    jaxunshear sweep experiments/standard.py --seeds 0,1,2
+    jaxunshear run experiments/standard.py
 
 The sensor, its camera and its friction are those fitted to recordings. Expected
 (docs/results/standard.json): MS-SSIM 0.970 (sheared 0.565), edge distance error 0.31 mm (taps 0.23,
@@ -8,9 +10,9 @@ sheared 0.48). Of the file's eighteen networks fifteen were trained on an H100, 
 time, in 15 to 32 s each without compilation; their kernels were then stored as float16, as in
 released weights. Three were trained on two cores of an Intel Xeon: `entangled_large` in 10.5
 minutes, `unet` in 6.8, `posenet_sheared` in 3.0. So all six of a seed should take about half an
-hour there; this was not measured. Images are of 128 px, camera noise and drift on. Tests of their
-own: the four shapes that no network has seen, and taps whose depth misses the slide's by up to
-1 mm, as the paper pairs them.
+hour there; this was not measured. Images are of 128 px, camera noise and drift on. Further tests
+have the four shapes that no network was trained on, and taps whose depth misses the slide's by up
+to 1 mm, as the paper pairs them.
 """
 
 from dataclasses import replace
@@ -33,16 +35,18 @@ POSENET = replace(
 
 experiment = Experiment(
     name="standard",
-    claim="Half an hour of training: the paper's tables, with rivals and shapes that no network has seen.",
+    claim=(
+        "Half an hour of training: the paper's tables, with rivals and shapes that no network has "
+        "seen."
+    ),
     networks=ALL_NETWORKS,
     unseen=("flower", "leaf", "spiral_1", "spiral_2"),
     other_jitters_mm=(1.0,),
     sensor=get_config_sensor("standard"),
     paired=PAIRED["standard"],
     pose=POSE["standard"],
-    unshear=UnshearNet(
-        widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256
-    ),  # 4x4: the paper's 4096 numbers
+    # codes of 4x4x256 hold 4096 numbers, like the paper's
+    unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
     train=Training(
         epochs=8,
         batch=8,

@@ -1,10 +1,13 @@
-"""Claim: a network that has seen the sensor upright alone fails where it leans; one that has seen it lean undoes half of the damage.
+"""Claim: a network trained with an upright sensor alone fails if the sensor leans; one trained with
+a leaning sensor undoes half of the damage.
 
     jaxunshear sweep experiments/tilted.py
 
-The sensor leans by up to 25 deg, any way, from the first touch to the slide's end; depths are 1 to 5 mm, as deep as it can lean so far. Two
-networks over pins learn from slides to the same places with the sensor upright and leaning; both are tested on slides to other places
-with the sensor upright and leaning. One PoseNet, of leaning taps, reads all of them.
+The sensor leans by up to 25 deg in any direction, from the first touch to the slide's end. Depths
+are 1 to 5 mm, the greatest that it can reach at that angle. Two networks over pins learn from
+slides to the same places, one with the sensor upright, one with it leaning; both are tested on
+slides to other places, upright and leaning. One PoseNet, trained on leaning taps, reads all of
+them.
 
 Expected: docs/results/tilted.json. Its rows took 21 minutes in all, on two cores of an Intel Xeon.
 """

@@ -1,8 +1,9 @@
-"""Claim: every stage runs and hands its work to the next. The figures mean nothing: the networks barely start to learn.
+"""Claim: every stage runs and hands its work to the next.
 
     jaxunshear run experiments/tiny.py
 
-Expected on two cores: a minute or two, most of it compilation.
+The figures mean nothing: the networks barely start to learn. Expected on two cores: a minute or
+two, most of it compilation.
 """
 
 from dataclasses import replace

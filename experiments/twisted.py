@@ -1,13 +1,16 @@
-"""Claim: slides that twist are unsheared as well as slides that do not, once a network has seen some; one that has not errs little more.
+"""Claim: slides that twist are unsheared as well as slides that do not, once a network was trained
+on some; one that was not errs little more.
 
     jaxunshear sweep experiments/twisted.py
 
-The paper's first named limit: its slides shift the sensor and never turn it. Here they turn by up to 5 deg on their way, and by up to 20 as
-an extreme. Three networks over pins learn from slides to the same poses, that do not twist, twist by up to 5 and by up to 20 deg. Each is
-tested on three sets of slides to other poses, one of each kind. One PoseNet, of taps, reads all of them. The losses are the paper's.
+This is the first limit that the paper names: its slides shift the sensor and never turn it. Here
+they turn by up to 5 deg, and as an extreme by up to 20. Three networks over pins learn from slides
+to the same poses that do not twist, twist by up to 5 and by up to 20 deg. Each is tested on three
+sets of slides to other poses, one of each kind. One PoseNet, trained on taps, reads all of them.
+The losses are the paper's.
 
-Expected: docs/results/twisted.json. Its rows took 40 minutes in all, on one or two cores of an Intel
-Xeon.
+Expected: docs/results/twisted.json. Its rows took 40 minutes in all, on one or two cores of an
+Intel Xeon.
 """
 
 from dataclasses import replace

@@ -1,20 +1,19 @@
-"""Runs the stages of an experiment in their order: data, trainings, evaluation, report.
+"""Run the stages of an experiment: data, trainings, evaluation, report.
 
-Every stage leaves its work under one folder and finds it again, so the same command continues a
-stopped run. Only this file knows their order.
+Every stage writes its work to one folder and finds it there again, so the same command continues a
+stopped run.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment, get_recorded, get_training
 from jaxunshear.config.registry import TEACHER, TRAINABLE
-from jaxunshear.config.serialization import from_json, to_json, with_version
+from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
@@ -23,8 +22,8 @@ from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.training.data_origin import check_origin, describe_origin
 from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
 
-TEACHER_SEED = 1000  # beyond the run's own
-LOCK = "run.lock"  # a row of a sweep has a lock of its own
+TEACHER_SEED = 1000  # is added to the seed of the run
+LOCK = "run.lock"  # a row of a sweep has another lock
 
 
 def run_stages(
@@ -37,61 +36,75 @@ def run_stages(
 ) -> Results | None:
     """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
-    `run_calls` runs the simulations. Returns the results if they were evaluated. Raises UserError
-    for whatever a person can fix, and if another process is at work in that folder.
+    Returns the results if they were evaluated. Raises UserError for whatever a person can fix, and
+    if another process is at work in that folder.
+
+    Args:
+        data: folder of the data sets.
+        command: the command line, which the results state.
+        run_calls: how the simulation of data is run, in one process or several.
     """
     for network in TRAINABLE:
         if network in stages:
-            start_folder(experiment, network)  # refused before data are made in vain
+            start_folder(experiment, network)  # raises before data are made for nothing
     folder = Path(out) / experiment.name
     with hold_lock(folder / LOCK, wait=False) as free:
         if not free:
             raise UserError(
                 f"another run is at work in {folder}: wait for it, stop it, or give another --out"
             )
-        _store_settings(experiment, folder)
-        return _run(experiment, stages, folder, data, command, run_calls)
+        _write_settings(experiment, folder)
+        run = _Run(experiment, folder, Path(data), command, run_calls)
+        results = None
+        for stage in stages:
+            results = _run_stage(run, stage) or results
+        return results
 
 
-def _run(
-    experiment: Experiment,
-    stages: tuple[str, ...],
-    folder: Path,
-    data: Path,
-    command: str,
-    run_calls: CallRunner,
-) -> Results | None:
+@dataclass(frozen=True)
+class _Run:
+    """One run in its folder, with the folder `data` of the data sets."""
+
+    experiment: Experiment
+    folder: Path
+    data: Path
+    command: str
+    run_calls: CallRunner
+
+
+def _run_stage(run: _Run, stage: str) -> Results | None:
+    """Run one stage, and write the time that it took. Returns the results of an evaluation."""
     results = None
-    for stage in stages:
-        is_partial = partial(_is_partial, experiment, stage, folder, data)
-        before = read_times(folder).get(stage, 0.0) if is_partial() else 0.0
-        began, worked = time.perf_counter(), False
-        try:
-            if stage == "data":
-                worked = _make_data(experiment, data, run_calls)
-            elif stage in TRAINABLE:
-                worked = _train(experiment, stage, folder, data)
-            elif stage == "evaluate":
-                from jaxunshear.evaluation.evaluate import evaluate
+    seconds = read_times(run.folder).get(stage, 0.0) if _is_unfinished(run, stage) else 0.0
+    began, worked = time.perf_counter(), False
+    try:
+        if stage == "data":
+            worked = _make_data(run)
+        elif stage in TRAINABLE:
+            worked = _train(run, stage)
+        elif stage == "evaluate":
+            from jaxunshear.evaluation.evaluate import evaluate
 
-                results, worked = evaluate(experiment, folder, data, command), True
-                print_summary(results, folder)
-            else:
-                from jaxunshear.report.report import write_report
+            results, worked = evaluate(run.experiment, run.folder, run.data, run.command), True
+            print_summary(results, run.folder)
+        else:
+            from jaxunshear.report.report import write_report
 
-                print(f"report: {write_report(folder)}")  # its time cannot stand in itself
-        finally:
-            if worked or is_partial():
-                _store_time(folder, stage, before + time.perf_counter() - began)
+            # its time is not written, because the report, which shows the times, cannot have it
+            print(f"report: {write_report(run.folder)}")
+    finally:
+        # also of a stopped stage that the next run continues; a process that is killed writes none
+        if worked or _is_unfinished(run, stage):
+            seconds += time.perf_counter() - began
+            write_json(run.folder / TIMES, read_times(run.folder) | {stage: round(seconds, 3)})
     return results
 
 
-def _store_settings(experiment: Experiment, folder: Path) -> None:
-    """Write experiment.json; refuse to mix two different experiments in one folder."""
+def _write_settings(experiment: Experiment, folder: Path) -> None:
+    """Write experiment.json. Raises UserError if the folder has work of another experiment."""
     path = folder / "experiment.json"
     settings = to_json(experiment)
-    # a run that has not started has data at most, which lie elsewhere
-    started = any(each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir())
+    started = any(file.name not in (path.name, LOCK, TIMES) for file in folder.iterdir())
     if path.exists():
         try:
             stored = to_json(from_json(read_object(path), str(path)))
@@ -108,25 +121,28 @@ def _store_settings(experiment: Experiment, folder: Path) -> None:
                 "give another --out, or delete that folder"
             )
         if changed:
-            (folder / TIMES).unlink(missing_ok=True)  # it is of other data
-    write_json(path, with_version(settings))
+            (folder / TIMES).unlink(missing_ok=True)  # the times are of other data
+    write_json(path, add_version(settings))
 
 
-def _make_data(experiment: Experiment, data: Path, run_calls: CallRunner) -> bool:
-    """Make the data sets, or find them. Return whether there was anything to do."""
+def _make_data(run: _Run) -> bool:
+    """Make the data sets. Returns whether any was missing."""
     from jaxunshear.data.chunks import make_engine
     from jaxunshear.data.generation import make_sets
 
-    complete = all(_exist(experiment, data, configs.get_set_folder))
-    for name, metadata in make_sets(experiment, data, make_engine(run_calls)).items():
+    complete = all(_list_existing(run, configs.get_set_folder))
+    engine = make_engine(run.run_calls)
+    for name, metadata in make_sets(run.experiment, run.data, engine).items():
         counts = metadata["counts"]
-        text = f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
-        print(text + _describe_slowest(counts))
+        print(
+            f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
+            f"{_describe_iterations(counts)}"
+        )
     return not complete
 
 
-def _describe_slowest(counts: Json) -> str:
-    """Name the slowest simulated contact; recordings have none."""
+def _describe_iterations(counts: Json) -> str:
+    """Describe the slowest contact; nothing for recordings, and for sets that lack the count."""
     if "iterations" not in counts:
         return ""
     iterations = counts["iterations"]
@@ -136,27 +152,26 @@ def _describe_slowest(counts: Json) -> str:
     )
 
 
-def _exist(experiment: Experiment, data: Path, get_folder: Callable[..., Path]) -> list[bool]:
-    """Return for each data set whether its folder exists."""
+def _list_existing(run: _Run, get_folder: Callable[..., Path]) -> list[bool]:
+    """List for each data set whether its folder exists."""
     from jaxunshear.data.generation import list_sets
 
-    return [
-        get_folder(settings, experiment.sensor, data).exists()
-        for settings in list_sets(experiment).values()
-    ]
+    sensor = run.experiment.sensor
+    sets = list_sets(run.experiment).values()
+    return [get_folder(settings, sensor, run.data).exists() for settings in sets]
 
 
-def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
-    """Train one network, or find it trained. Returns whether there was anything to do."""
+def _train(run: _Run, network: str) -> bool:
+    """Train a network, unless it is trained already. Returns whether it was trained."""
     from jaxunshear.training.checkpoint import SUMMARY, compute_weights_digest, has_model, load_best
 
-    if (folder / network / SUMMARY).exists():
-        if not has_model(folder / network):
+    experiment, folder = run.experiment, run.folder / network
+    if (folder / SUMMARY).exists():
+        if not has_model(folder):
             raise UserError(
-                f"{folder / network} has lost its checkpoints: delete that folder, "
-                "then run the same command"
+                f"{folder} has lost its checkpoints: delete that folder, then run the same command"
             )
-        check_origin(experiment, network, folder)
+        check_origin(experiment, network, run.folder)
         return False
     from jaxunshear.training.examples import FRAME, open_examples, open_recorded_set
     from jaxunshear.training.few_pairs import (
@@ -169,34 +184,32 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     from jaxunshear.training.trainer import train
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training, examples = (
-        get_training(experiment, network),
-        open_examples(experiment, network, data, folder),
-    )
+    training = get_training(experiment, network)
+    all_examples = open_examples(experiment, network, run.data, run.folder)
     if get_recorded(experiment):
-        write_json(folder / FRAME, open_recorded_set(experiment, data).frame)
-    full = examples
+        write_json(run.folder / FRAME, open_recorded_set(experiment, run.data).frame)
+    examples = all_examples
     if training.paired_share < 1:
-        examples = select_few_pairs(full, training.paired_share, experiment.seed)
-    task, fields = make_task(experiment, network, examples, folder)
+        examples = select_few_pairs(all_examples, training.paired_share, experiment.seed)
+    task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
-    beside = max(1, training.batch // 2)
+    extra = max(1, training.batch // 2)  # examples a step, in addition to the pairs
     if "tap" in training.losses:
-        batches = add_taps(batches, open_taps(experiment, data), beside, seed)
+        batches = add_taps(batches, open_taps(experiment, run.data), extra, seed)
     if "consistency" in training.losses:
-        batches = add_same_pose_slides(batches, full, beside, seed)
-    begin = start_folder(experiment, network)
+        batches = add_same_pose_slides(batches, all_examples, extra, seed)
+    start = start_folder(experiment, network)
     summary = train(
         task,
         training,
-        lambda start: map(rename_inputs, batches(start)),
+        lambda step: map(rename_inputs, batches(step)),
         take_first(examples.reader.split, training.validation_images, fields),
         seed,
-        folder / network,
+        folder,
         epoch_images=examples.epoch,
         origin=describe_origin(experiment, network),
-        data=data_of(experiment, network, begin),
-        start=InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
+        data=data_of(experiment, network, start),
+        start=InitialWeights(load_best(start), compute_weights_digest(start)) if start else None,
     )
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
@@ -207,29 +220,24 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     return True
 
 
-def _is_partial(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:
-    """Return whether a stopped run has left work of `stage` that can be continued.
-
-    An evaluation always begins from the start.
-    """
+def _is_unfinished(run: _Run, stage: str) -> bool:
+    """Return whether a stopped run has left work of `stage` that can be continued."""
     if stage == "data":
-        complete = _exist(experiment, data, configs.get_set_folder)
-        partial_sets = _exist(experiment, data, configs.get_unfinished_folder)
-        return not all(complete) and any((*complete, *partial_sets))
-    place = folder / stage
-    started = (place / "model.json").exists()
-    return stage in TRAINABLE and started and not (place / "summary.json").exists()
-
-
-def _store_time(folder: Path, stage: str, seconds: float) -> None:
-    """Store the seconds that a stage took; those of a killed process are lost."""
-    write_json(folder / TIMES, read_times(folder) | {stage: round(seconds, 3)})
+        complete = _list_existing(run, configs.get_set_folder)
+        partial = _list_existing(run, configs.get_unfinished_folder)
+        return not all(complete) and any((*complete, *partial))
+    folder = run.folder / stage
+    return (
+        stage in TRAINABLE
+        and (folder / "model.json").exists()
+        and not (folder / "summary.json").exists()
+    )
 
 
 def print_summary(results: Results, folder: Path) -> None:
-    """Print the main figures of an evaluation, and where the rest is."""
+    """Print scores and errors of each kind of image, and the bars that the run met or missed."""
     if not results.simulated:
-        _print_recordings_summary(results, folder)
+        _print_recorded(results, folder)
         return
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
@@ -254,15 +262,17 @@ def print_summary(results: Results, folder: Path) -> None:
     print(f"results: {folder / 'results.json'}")
 
 
-def _print_recordings_summary(results: Results, folder: Path) -> None:
-    """Print a table of all targets, which recordings may have any of."""
+def _print_recorded(results: Results, folder: Path) -> None:
+    """Print a table of the errors, whose targets the labels decide, and where the rest is."""
     from jaxunshear.evaluation.other_recordings import format_table
     from jaxunshear.evaluation.score import choose_main_kind
 
     print(format_table(results))
-    if likeness := results.ms_ssim:
-        sheared = likeness["sheared"]["overall"]
-        unsheared = likeness[choose_main_kind(likeness)]["overall"]
-        metric = results.metric["ms_ssim"]
-        print(f"{metric} with the partner: {sheared:.3f} as felt, {unsheared:.3f} unsheared")
+    if similar := results.ms_ssim:
+        sheared = similar["sheared"]["overall"]
+        unsheared = similar[choose_main_kind(similar)]["overall"]
+        print(
+            f"{results.metric['ms_ssim']} with the partner: "
+            f"{sheared:.3f} as felt, {unsheared:.3f} unsheared"
+        )
     print(f"results: {folder / 'results.json'}")

@@ -1,4 +1,4 @@
-"""Experiments and sweeps of the repository are valid, and `paper.py` is appendix B."""
+"""Experiments and sweeps of the repository are valid, and `paper.py` follows appendix B."""
 
 import re
 from dataclasses import replace
@@ -21,15 +21,11 @@ FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
 
 FILES = sorted(FOLDER.rglob("*.py"))
-SOMEWHERE = [
-    "--paired.tap_folder",
-    "somewhere",
-    "--paired.slide_folder",
-    "somewhere",
-]  # recordings that nobody opens
+# recordings that nobody opens
+SOMEWHERE = ["--paired.tap_folder=somewhere", "--paired.slide_folder=somewhere"]
 
 
-def of_recordings(experiment):
+def is_recorded(experiment):
     return isinstance(experiment.paired, Recorded)
 
 
@@ -41,7 +37,7 @@ SWEEPS = [path for path in FILES if "\nsweep = " in path.read_text()]
 )
 def test_valid_and_self_describing(path):
     experiment = load_experiment(path)
-    if of_recordings(experiment):
+    if is_recorded(experiment):
         with pytest.raises(UserError, match="add --recordings DIR"):
             validate(experiment)
         validate(override_fields(experiment, SOMEWHERE))
@@ -59,12 +55,12 @@ def test_valid_and_self_describing(path):
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
 def test_sweeps_are_valid_and_self_describing(path):
     sweep = load_sweep(path)
-    if of_recordings(sweep.base):
+    if is_recorded(sweep.base):
         sweep = override_base(sweep, SOMEWHERE)
     check_sweep(sweep, path.name)
     cells = list_cells(sweep)
     assert sweep.name == path.stem and find_reference(sweep, cells) is not None
-    for data in () if of_recordings(sweep.base) else (sweep.base.paired, sweep.base.pose):
+    for data in () if is_recorded(sweep.base) else (sweep.base.paired, sweep.base.pose):
         assert (
             compute_config_name(data, sweep.base.sensor) in CONFIGS[get_set_name(data)]
         )  # a set that an experiment has, too
@@ -119,7 +115,8 @@ def test_the_commands_that_rivals_gives_make_its_rows():
     }
     recorded = load_experiment(FOLDER / "recorded.py")
     cells = {
-        c.label: c for c in list_cells(override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
+        cell.label: cell
+        for cell in list_cells(override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))
     }
     given = {
         label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split(

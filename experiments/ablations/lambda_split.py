@@ -1,15 +1,15 @@
-"""Claim: the paper's weight of the patch loss, lambda = 0.1, and its even split of the channels between pose and shear code are a
-fair choice: nothing else on the grid is clearly better.
+"""Claim: the paper's weight of the patch loss, lambda = 0.1, and its even split of the channels
+between pose and shear code are a fair choice: nothing else on the grid is clearly better.
 
     jaxunshear sweep experiments/ablations/lambda_split.py
 
 Expected, docs/results/lambda_split.json (its `command` gives this file's earlier place,
-experiments/lambda_split.py): the claim holds for lambda. It does not hold for the split: larger pose
-codes are a little better. Its rows took 402 minutes in all, each on a core of an Intel Xeon; one of
-the 75 took 107 of these, the others 1 to 9 each. There is one PoseNet per seed. Each row has its
-swapped codes and what they leak. `runs/sweeps/lambda_split/sweep.png` has a heat map for every
-figure. Sensor, images and settings are the demo's, but each network is trained for four of the
-demo's five epochs, so compare the rows with each other.
+experiments/lambda_split.py): the claim holds for lambda. It does not hold for the split: larger
+pose codes are a little better. Its rows took 402 minutes in all, each on a core of an Intel Xeon;
+one of the 75 took 107 of these, the others 1 to 9 each. There is one PoseNet per seed. For each row
+codes are swapped, and what they leak is measured. `runs/sweeps/lambda_split/sweep.png` has a heat
+map for every figure. Sensor, images and settings are the demo's, but each network is trained for
+four of the demo's five epochs, so compare the rows with each other.
 """
 
 from dataclasses import replace
@@ -20,7 +20,9 @@ from jaxunshear.config.sweep import Sweep
 
 sweep = Sweep(
     name="lambda_split",
-    claim="The paper's weight of the patch loss and its even split of the channels are a fair choice.",
+    claim=(
+        "The paper's weight of the patch loss and its even split of the channels are a fair choice."
+    ),
     base=replace(
         demo.experiment,
         unshear=replace(demo.experiment.unshear, pose_channels=64, shear_channels=64),

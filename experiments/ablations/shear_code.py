@@ -1,16 +1,18 @@
-"""Claim: it shows what the shear code does for unsheared images, and what one more convolution does.
+"""Claim: it shows what the shear code does for unsheared images, and what one more convolution
+does.
 
     jaxunshear sweep experiments/ablations/shear_code.py
 
 Before DC, the disentangled network has a 3x3 convolution for its pose code, which the entangled one
 lacks. So the two differ in more than the shear code. "No shear code" is the control: it keeps that
-convolution, and has neither shear code nor DS. "L_rec at full weight" is the paper's loss; standard.py
-takes .3 of it. Everything else is as in standard.py, its data sets too.
+convolution, and has neither shear code nor DS. "L_rec at full weight" is the paper's loss;
+standard.py uses .3 of it. Everything else is as in standard.py, its data sets too.
 
-Compare rows by `disentangled`. `difference/entangled` in a row is that row less the entangled network.
+Compare rows by `disentangled`. `difference/entangled` in a row is that row less the entangled
+network.
 
-Expected: the figures are still to be measured. Per seed four networks are trained: three that unshear
-with codes, and an entangled one; a PoseNet, which all rows share, reads them.
+Expected: the figures are still to be measured. Per seed four networks are trained: three that
+unshear with codes, and an entangled one; a PoseNet, which all rows share, reads them.
 """
 
 from dataclasses import replace

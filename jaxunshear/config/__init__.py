@@ -1,1 +1,1 @@
-"""What can be set, and what of it cannot be: every step reads its settings here. Imports neither JAX nor any step."""
+"""Settings of experiments and sweeps, and the rules for them; imports no JAX."""

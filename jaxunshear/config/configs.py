@@ -1,4 +1,4 @@
-"""The stored configurations of both data sets, and how a set made with other settings is distinguished."""
+"""The stored configurations of both data sets, and the names of sets with other settings."""
 
 import dataclasses
 import hashlib
@@ -22,32 +22,34 @@ from jaxunshear.files import Json
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
 METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and versions
-MANIFEST = (
-    "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
-)
+# of a stored set: the SHA-256 of each shard, and the checksum of its metadata
+MANIFEST = "shards.json"
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
-# of `Recorded`: where it lies, and what is made of it
+# fields of `Recorded` that do not decide a set's bits: its place, and how trainings use it
 NOT_STORED_CONFIGS = (
-    *("tap_folder", "slide_folder", "pairs", "pairing"),
-    *("labelled", "unlabelled", "direct_taps"),
+    "tap_folder",
+    "slide_folder",
+    "pairs",
+    "pairing",
+    "labelled",
+    "unlabelled",
+    "direct_taps",
 )
 DataSettings = PairedData | PoseData | Recorded
 
-FITTED: Json = {
-    "camera": FITTED_CAMERA,
-    "friction": FITTED_FRICTION,
-}  # what sets of the fitted sensor share
+# what sets of the fitted sensor share
+FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}
 FITTED_256: Json = FITTED | {
     "camera": replace(FITTED_CAMERA, frame_px=256),
     "preprocess": Preprocess(size=256),
 }
-SKIN_RANGES: Json = FITTED | {  # touches as recordings of an edge have them
+SKIN_RANGES: Json = FITTED | {  # contacts such as recordings of an edge have
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(
         lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0
     ),
 }
-# as deep as a dome that leans so far can touch without contact beyond its rings
+# the greatest depth at which a dome that leans so far touches within its contact rings
 TILTED_RANGES = Ranges(depth_max_mm=5.0, tilt_deg=25.0)
 
 PAIRED = {
@@ -108,12 +110,12 @@ CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {
 
 
 def get_config_sensor(config: str) -> Sensor:
-    """The sensor of a stored configuration."""
+    """Return the sensor of a stored configuration."""
     return {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}.get(config, TACTIP_331_FITTED)
 
 
 def get_set_name(settings: DataSettings) -> str:
-    """The data set that these settings describe."""
+    """Return the name of the data set that these settings describe."""
     if isinstance(settings, Recorded):
         return RECORDED_SET
     return PAIRED_SET if isinstance(settings, PairedData) else POSE_SET
@@ -124,53 +126,57 @@ def get_version(settings: DataSettings) -> str:
 
 
 def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
-    """Everything that decides a set's bits, as plain JSON types."""
+    """Describe in plain JSON types everything that decides a set's bits."""
     fields = dataclasses.asdict(settings)
-    for name in (
-        NOT_STORED_CONFIGS if isinstance(settings, Recorded) else ("config",)
-    ):  # a name only
+    for name in NOT_STORED_CONFIGS if isinstance(settings, Recorded) else ("config",):
         del fields[name]
-    full = {
+    description = {
         "set": get_set_name(settings),
         "version": get_version(settings),
         "sensor": dataclasses.asdict(sensor),
         "settings": fields,
     }
-    return json.loads(json.dumps(full))
+    return json.loads(json.dumps(description))
 
 
-def convert_to_floats(thing: Any) -> Any:
-    """Numbers as floats: 1 and 1.0 are the same setting."""
-    if isinstance(thing, dict):
-        return {name: convert_to_floats(value) for name, value in thing.items()}
-    if isinstance(thing, list | tuple):
-        return [convert_to_floats(value) for value in thing]
-    return float(thing) if isinstance(thing, int) and not isinstance(thing, bool) else thing
+def convert_to_floats(settings: Any) -> Any:
+    """Convert all numbers in nested settings to floats: 1 and 1.0 are the same setting."""
+    if isinstance(settings, dict):
+        return {name: convert_to_floats(value) for name, value in settings.items()}
+    if isinstance(settings, list | tuple):
+        return [convert_to_floats(value) for value in settings]
+    is_integer = isinstance(settings, int) and not isinstance(settings, bool)
+    return float(settings) if is_integer else settings
 
 
 def compute_fingerprint(settings: DataSettings, sensor: Sensor) -> str:
-    """Eight hexadecimal digits of `describe_set`."""
+    """Compute a hash of `describe_set`, eight hexadecimal digits."""
     text = json.dumps(convert_to_floats(describe_set(settings, sensor)), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def compute_config_name(settings: DataSettings, sensor: Sensor = TACTIP_331) -> str:
-    """Name of the stored configuration: `settings.config` if nothing in it was changed, else `custom-<8 hex digits>`; of recordings
-    `recorded-<8 hex digits>`."""
+    """Return the name under which a set is stored.
+
+    It is `settings.config` if nothing in that configuration was changed, else
+    `custom-<fingerprint>`; for recordings `recorded-<fingerprint>`. Raises UserError for an unknown
+    configuration.
+    """
     if isinstance(settings, Recorded):
         return f"recorded-{compute_fingerprint(settings, sensor)}"
-    known = CONFIGS[get_set_name(settings)]
-    if settings.config not in known:
+    name = get_set_name(settings)
+    configs = CONFIGS[name]
+    if settings.config not in configs:
         raise UserError(
-            f"config '{settings.config}' of {get_set_name(settings)} is unknown: use one of {', '.join(known)}"
+            f"config '{settings.config}' of {name} is unknown: use one of {', '.join(configs)}"
         )
-    if settings == known[settings.config] and sensor == get_config_sensor(settings.config):
+    if settings == configs[settings.config] and sensor == get_config_sensor(settings.config):
         return settings.config
     return f"custom-{compute_fingerprint(settings, sensor)}"
 
 
 def get_set_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Path:
-    """Where a finished set lies, as TFDS names it: <data_dir>/<set>/<config>/<version>."""
+    """Return a finished set's folder as TFDS names it: <data_dir>/<set>/<config>/<version>."""
     return (
         Path(data_dir).absolute()
         / get_set_name(settings)
@@ -180,16 +186,17 @@ def get_set_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Pa
 
 
 def get_unfinished_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Path:
-    """Where the chunks of a set lie until it is finished."""
-    name = f"{get_set_name(settings)}-{compute_config_name(settings, sensor)}-{compute_fingerprint(settings, sensor)}"
+    """Return the folder of a set's chunks until it is finished."""
+    config = compute_config_name(settings, sensor)
+    name = f"{get_set_name(settings)}-{config}-{compute_fingerprint(settings, sensor)}"
     return Path(data_dir).absolute() / ".partial" / name
 
 
-def list_differences(stored: dict, wanted: dict, path: str = "") -> list[str]:
-    """Names of the fields in which two `describe_set` dictionaries differ, dotted."""
+def list_differences(one: dict, other: dict, path: str = "") -> list[str]:
+    """List the dotted names of the fields in which two nested dictionaries differ."""
     names = []
-    for key in sorted(stored.keys() | wanted.keys()):
-        here, there = stored.get(key), wanted.get(key)
+    for key in sorted(one.keys() | other.keys()):
+        here, there = one.get(key), other.get(key)
         if isinstance(here, dict) and isinstance(there, dict):
             names += list_differences(here, there, f"{path}{key}.")
         elif here != there:

@@ -1,7 +1,7 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -51,44 +51,50 @@ PIN_TRAINING = Training(
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run: `jaxunshear run FILE` reads the variable `experiment` of FILE. Results go to runs/<name>/."""
+    """One run: `jaxunshear run FILE` reads the variable `experiment` of FILE.
 
-    name: str  # of the folder of its results
+    Results go to runs/<name>/.
+    """
+
+    name: str  # also of the folder of its results
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
-    networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
-    # stimuli that no network sees in training, evaluated as a test of their own
+    networks: tuple[Network, ...] = NETWORKS  # to train and evaluate, of ALL_NETWORKS
+    # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
-    # tests of their own, with taps that miss the slide's depth by up to this
+    # one further test for each: taps miss the slide's depth by up to this
     other_jitters_mm: tuple[float, ...] = ()
-    other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
-    other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
+    other_twists_deg: tuple[float, ...] = ()  # likewise: slides twist by up to this
+    other_tilts_deg: tuple[float, ...] = ()  # likewise: the sensor leans by up to this
     sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
-    # of a pose, as targets.py writes them; none: all usual ones that the data vary
+    # pose targets, written as in targets.py; empty: all usual ones that vary in the data
     targets: tuple[str, ...] = ()
     paired: PairedData | Recorded = field(default_factory=PairedData)
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
-    # all networks over pins: those of `unshear.input` "pins", and the renderer
+    # of all networks over pins: those of `unshear.input` "pins", and the renderer
     pins: PinNet = field(default_factory=PinNet)
-    # UnshearNets, and the U-Net of the same widths
+    # of UnshearNets, and of the U-Net of the same widths
     train: Training = field(default_factory=Training)
-    train_posenet: Training = POSENET_TRAINING  # both PoseNets that are evaluated
-    train_teacher: Training = POSENET_TRAINING  # the PoseNet of pose_label and pose_tap
-    train_pins: Training = PIN_TRAINING  # networks over pins, in the place of the first two
+    train_posenet: Training = POSENET_TRAINING  # of both PoseNets that are evaluated
+    train_teacher: Training = POSENET_TRAINING  # of the PoseNet of pose_label and pose_tap
+    train_pins: Training = PIN_TRAINING  # of networks over pins, instead of the other three
 
     def rules(self) -> Iterator[Rule]:
-        named = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name)
-        yield (
-            named is not None,
+        yield Rule(
+            re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name) is not None,
             "name",
             "use letters, digits, '-', '_' and '.'; it names the folder of the results",
         )
         yield make_seed_rule(self.seed)
-        yield len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
-        yield len(set(self.networks)) == len(self.networks), "networks", "name each network once"
-        yield (
+        yield Rule(
+            len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
+        )
+        yield Rule(
+            len(set(self.networks)) == len(self.networks), "networks", "name each network once"
+        )
+        yield Rule(
             len(set(list_stimulus_names(self.unseen))) == len(self.unseen),
             "unseen",
             "name each stimulus once",
@@ -96,12 +102,15 @@ class Experiment:
 
 
 def get_recorded(experiment: Experiment) -> Recorded | None:
-    """The recordings that an experiment is about; None for a simulated one."""
+    """Return the recordings that an experiment is about; None for a simulated one."""
     return experiment.paired if isinstance(experiment.paired, Recorded) else None
 
 
 def require_simulated(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
-    """The simulated sets of an experiment. Raises UserError where it is about recordings, which `what` cannot use."""
+    """Return the simulated sets of an experiment.
+
+    Raises UserError if it is about recordings, which `what` cannot use.
+    """
     if isinstance(experiment.paired, Recorded) or isinstance(experiment.pose, RecordedTaps):
         raise UserError(
             f"{what} needs a model of simulated touches: '{experiment.name}' learnt from recordings"
@@ -110,46 +119,52 @@ def require_simulated(experiment: Experiment, what: str) -> tuple[PairedData, Po
 
 
 def uses_pins(experiment: Experiment) -> bool:
-    """Whether the networks that are evaluated read pins, not images."""
+    """Return whether the networks that are evaluated read pins, not images."""
     return experiment.unshear.input == "pins"
 
 
 def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
-    """The networks to train, in this order: those of the results, after those that one of them needs: a
-    renderer, a teacher, a reader of slides without labels."""
-    unshears = set(experiment.networks) & set(UNSHEARING)
+    """List the networks to train, in this order: `experiment.networks` after those they need.
+
+    They may need a renderer, a teacher, and a PoseNet that reads slides without labels.
+    """
     recorded = get_recorded(experiment)
-    reader = (POSENET_SHEARED,) if recorded and recorded.unlabelled == "read" and unshears else ()
-    training = experiment.train_pins if uses_pins(experiment) else experiment.train
-    taught = (TEACHER,) if uses_teacher(training) and unshears else ()
-    drawn = uses_pins(experiment) and set(TAP_NETWORKS) & {
-        *experiment.networks,
-        *taught,
-    }  # learn from rendered taps, too
-    direct = (
-        recorded is not None
-        and recorded.direct_taps == "rendered"
-        and POSENET_SHEARED in (*reader, *experiment.networks)
+    networks: list[str] = []
+    if set(experiment.networks) & set(UNSHEARING):
+        training = experiment.train_pins if uses_pins(experiment) else experiment.train
+        if uses_teacher(training):
+            networks.append(TEACHER)
+        if recorded and recorded.unlabelled == "read":
+            networks.append(POSENET_SHEARED)
+    networks += experiment.networks
+    if recorded and _needs_renderer(recorded, networks, uses_pins(experiment)):
+        networks.insert(0, RENDERER)
+    return tuple(dict.fromkeys(networks))
+
+
+def _needs_renderer(recorded: Recorded, networks: Collection[str], pins: bool) -> bool:
+    """Return whether one of `networks` learns from rendered taps."""
+    return (
+        (recorded.pairing in RENDERED_PAIRINGS and not set(UNSHEARING).isdisjoint(networks))
+        or (recorded.direct_taps == "rendered" and POSENET_SHEARED in networks)
+        or (pins and not set(TAP_NETWORKS).isdisjoint(networks))
     )
-    partners = recorded is not None and recorded.pairing in RENDERED_PAIRINGS and unshears
-    rendered = (RENDERER,) if recorded and (drawn or direct or partners) else ()
-    return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
 
 def list_required_networks(experiment: Experiment, network: str) -> tuple[str, ...]:
-    """The networks that must be trained in a folder, in this order, to have `network` there."""
+    """List the networks that must be trained in a folder, in this order, to have `network`."""
     return list_trained_networks(replace(experiment, networks=(cast(Network, network),)))
 
 
 def get_training_data(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
-    """The data set that `network` learns from."""
+    """Return the data set that `network` learns from."""
     if isinstance(experiment.pose, PoseData) and network in TAP_NETWORKS:
         return experiment.pose
     return experiment.paired
 
 
 def takes_taps(experiment: Experiment) -> bool:
-    """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
+    """Return whether a network of a simulated experiment learns from the taps of `pose`."""
     return any(
         name in TAP_NETWORKS or "tap" in get_training(experiment, name).losses
         for name in list_trained_networks(experiment)
@@ -162,7 +177,7 @@ def get_training(experiment: Experiment, network: str) -> Training:
         return drop_pair_losses(experiment.train_pins, pins=1.0)
     if uses_pins(experiment) and network in POSENETS:
         return drop_pair_losses(
-            experiment.train_pins, **_list_pin_posenet_losses(experiment, network)
+            experiment.train_pins, **_get_pin_posenet_losses(experiment, network)
         )
     if uses_pins(experiment):
         return experiment.train_pins
@@ -171,8 +186,8 @@ def get_training(experiment: Experiment, network: str) -> Training:
     return experiment.train_posenet if network in POSENETS else experiment.train
 
 
-def _list_pin_posenet_losses(experiment: Experiment, network: str) -> dict[str, float]:
-    """Return the losses of a PoseNet over pins: rendered taps teach it, too, where there are any."""
+def _get_pin_posenet_losses(experiment: Experiment, network: str) -> dict[str, float]:
+    """Return the losses of a PoseNet over pins, which also learns from rendered taps, if any."""
     recorded = get_recorded(experiment)
     if network in TAP_NETWORKS:
         rendered = RENDERER in list_trained_networks(experiment)
@@ -182,7 +197,10 @@ def _list_pin_posenet_losses(experiment: Experiment, network: str) -> dict[str, 
 
 
 def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:
-    """Data sets that are for tests alone, all of their splits: a fifth of the poses, as the test split has."""
+    """Return the settings of further test sets by the names of the tests.
+
+    All splits of such a set are for testing, so it has a fifth of the poses, like a test split.
+    """
     if not isinstance(experiment.paired, PairedData):
         return {}
     paired = experiment.paired

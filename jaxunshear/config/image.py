@@ -10,42 +10,46 @@ SMALLEST_PX, LARGEST_PX = 16, 4096
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole on the dome's axis that sees the pins from inside, and a square grey frame.
+    """A pinhole on the dome's axis that sees the pins from inside, and its square grey frame.
 
-    `mm_across` is the width, at the height of the undeformed apex pin, that fills the frame. Both lengths are fitted to
-    real 331-pin images: the outermost pins stand at 0.375 of the width from the centre, and rings draw closer together
-    towards the rim (outermost gap 0.083 of that radius, real 0.08 to 0.09). A wide lens does that to a near pinhole's view;
-    a far pinhole does it without a lens model.
+    Both lengths are fitted to real 331-pin images: the outermost pins are at 0.375 of the width
+    from the centre, and rings get closer together towards the rim (outermost gap 0.083 of that
+    radius; in real images 0.08 to 0.09). A real camera is near and has a wide lens, which does
+    this; a far pinhole does the same without a model of the lens.
     """
 
     frame_px: int = 256  # side of the frame
-    mm_across: float = 33.5  # that fill the frame, at the height of the undeformed apex pin
-    distance_mm: float = 200.0  # pinhole above the undeformed apex
+    mm_across: float = 33.5  # that the frame shows, at the height of the undeformed apex pin
+    distance_mm: float = 200.0  # from the undeformed apex up to the pinhole
     # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
     housing: float = 1.22
 
     def rules(self) -> Iterator[Rule]:
-        yield (
+        yield Rule(
             SMALLEST_PX <= self.frame_px <= LARGEST_PX,
             "frame_px",
             f"use {SMALLEST_PX} to {LARGEST_PX}",
         )
-        yield self.mm_across > 0, "mm_across", "must be above zero"
-        yield (
+        yield Rule(self.mm_across > 0, "mm_across", "must be above zero")
+        yield Rule(
             self.housing >= 1,
             "housing",
             "use 1 or more: the housing lies outside the outermost pins",
         )
 
 
-FLUSH_CAMERA = Camera(mm_across=35.3)  # frames the wider ring of `sensor.TACTIP_331_FLUSH` alike
-# to the contacts of `sensor.TACTIP_331_FITTED`
+# shows the wider outer ring of `sensor.TACTIP_331_FLUSH` at the same place in the frame
+FLUSH_CAMERA = Camera(mm_across=35.3)
+# fitted to the same contacts as `sensor.TACTIP_331_FITTED`
 FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What a real frame has beside its pins; zero switches a term off. Grey levels are fractions of full scale."""
+    """What a real frame shows beside its pins; zero switches a term off.
+
+    Grey levels are fractions of full scale.
+    """
 
     housing_ring: bool = True  # the lit housing around the dome
     specks: int = 6  # mean number in a frame
@@ -56,9 +60,9 @@ class Nuisance:
     drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
 
     def rules(self) -> Iterator[Rule]:
-        yield 0 <= self.specks <= 1000, "specks", "use 0 to 1000"
+        yield Rule(0 <= self.specks <= 1000, "specks", "use 0 to 1000")
         for field in ("noise", "brightness", "drift_brightness"):
-            yield (
+            yield Rule(
                 0 <= getattr(self, field) < 1,
                 field,
                 "use 0 up to, but not, 1 (fractions of full scale)",
@@ -67,7 +71,10 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Preprocess:
-    """Grey, crop, resize by area, adaptive threshold on a local mean, circular mask: for simulated and real frames alike."""
+    """How a simulated or a real frame becomes a binary image.
+
+    The steps are: grey, crop, resize by area, threshold against a local mean, circular mask.
+    """
 
     size: int = 128  # output pixels, square
     block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
@@ -78,19 +85,19 @@ class Preprocess:
     outer_pins: float = 0.375
 
     def rules(self) -> Iterator[Rule]:
-        yield (
+        yield Rule(
             SMALLEST_PX <= self.size <= LARGEST_PX,
             "size",
             f"use {SMALLEST_PX} to {LARGEST_PX} px",
         )
-        yield 0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1"
-        yield -1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1"
-        yield (
+        yield Rule(0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1")
+        yield Rule(-1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1")
+        yield Rule(
             0 < self.outer_pins <= 0.5,
             "outer_pins",
             "use a fraction of the image above 0, at most 0.5",
         )
-        yield (
+        yield Rule(
             0 < self.mask_radius <= 1,
             "mask_radius",
             "use a fraction of the image above 0, at most 1",

@@ -1,4 +1,4 @@
-"""Experiments and sweeps as Python files."""
+"""Read experiments and sweeps, which are Python files."""
 
 import contextlib
 import runpy
@@ -14,26 +14,28 @@ from jaxunshear.errors import UserError
 
 
 def load_experiment(path: str | Path) -> Experiment:
-    """The variable `experiment` of the Python file `path`, of the right types but not yet validated."""
-    found = load_variable(path, experiment=Experiment)
-    check_types(found)
-    return found
+    """Return the variable `experiment` of a Python file, with its types checked, not its values."""
+    experiment = load_variable(path, experiment=Experiment)
+    check_types(experiment)
+    return experiment
 
 
 def load_variable(path: str | Path, **kinds: type) -> Any:
-    """The first variable named in `kinds` that the Python file `path` defines, of that type. The file may import those beside it, and in
-    the folder above. Raises `UserError`.
+    """Return the first variable of a Python file that is among `kinds`, of the type given there.
+
+    The file may import files beside it, and in the folder above. Raises UserError.
     """
     path = Path(path)
     variables = run_file(path)
     for name, kind in kinds.items():
-        found = variables.get(name)
-        if found is not None and not isinstance(found, kind):
+        value = variables.get(name)
+        if isinstance(value, kind):
+            return value
+        if value is not None:
             raise UserError(
-                f"experiment file {path}: `{name}` is of type {type(found).__name__}, not {kind.__name__}"
+                f"experiment file {path}: `{name}` is of type {type(value).__name__}, "
+                f"not {kind.__name__}"
             )
-        if found is not None:
-            return found
     if "sweep" in variables:
         raise UserError(
             f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`"
@@ -47,36 +49,38 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
 def run_file(path: Path) -> dict[str, Any]:
     """Run an experiment file and return its variables. Raises UserError.
 
-    What it registers stays registered.
+    The losses that it registers stay registered.
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
         raise UserError(f"experiment file {path} {problem}: name a Python file")
     try:
-        with _neighbours(path):
+        with _import_neighbours(path):
             return runpy.run_path(str(path), run_name="jaxunshear_experiment")
     except (Exception, SystemExit) as error:
-        raise UserError(f"experiment file {path} {_failure(path, error)}") from error
+        raise UserError(f"experiment file {path} {_describe_failure(path, error)}") from error
 
 
 @contextlib.contextmanager
-def _neighbours(path: Path) -> Iterator[None]:
-    """Files beside `path`, and in the folder above, are modules; afterwards, files of the same names in other folders can be."""
-    folder, before, places = path.resolve().parent, set(sys.modules), list(sys.path)
-    sys.path[:] = [str(folder), *places, str(folder.parent)]
+def _import_neighbours(path: Path) -> Iterator[None]:
+    """Let files beside `path`, and in the folder above, be imported, and forget them afterwards.
+
+    Else a file of the same name in another folder could not be imported later.
+    """
+    folder = path.resolve().parent
+    modules_before, path_before = set(sys.modules), list(sys.path)
+    sys.path[:] = [str(folder), *path_before, str(folder.parent)]
     try:
         yield
     finally:
-        sys.path[:] = places
-        for name in set(sys.modules) - before:
-            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent in (
-                folder,
-                folder.parent,
-            ):
+        sys.path[:] = path_before
+        for name in set(sys.modules) - modules_before:
+            file = Path(getattr(sys.modules[name], "__file__", None) or "/")
+            if file.parent in (folder, folder.parent):
                 del sys.modules[name]
 
 
-def _failure(path: Path, error: BaseException) -> str:
+def _describe_failure(path: Path, error: BaseException) -> str:
     if "null bytes" in str(error) or "codec can't decode" in str(error):
         return "is not text: name a Python file"
     if isinstance(error, SyntaxError):

@@ -3,10 +3,10 @@
     Training(losses={"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0})
 
 A training computes the losses that it names, and no other. A new loss is one function and one entry
-of LOSSES, or one function with `@register_loss` in the file of an experiment:
+of LOSSES, or one function with `@register_loss` in an experiment file:
 
     @register_loss("smooth", modalities=("images",))
-    def compute_smooth_loss(inputs):  # see training/losses.py
+    def compute_smooth_loss(inputs):  # see training/pair_losses.py
         return jnp.mean(jnp.square(jnp.diff(inputs.canonical, axis=1)), (1, 2, 3))
 """
 
@@ -17,18 +17,18 @@ from typing import Any, Literal, NoReturn
 
 from jaxunshear.errors import UserError
 
-Role = Literal["unshears", "reads poses", "renders"]  # of the networks that a loss is for
+Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss does
 Modality = Literal["images", "pins"]
 Requirement = Literal["codes", "shared slides", "two slides", "simulated", "still pins"]
 
 PAIR_LOSSES = "jaxunshear.training.pair_losses"
 POSE_LOSSES = "jaxunshear.training.pose_losses"
 SUPERVISION = ("pose_label", "pose_tap")  # losses that a teacher computes
-EXCHANGE = ("counterfactual", "code_agreement")  # losses of a slide's partners
+EXCHANGE = ("counterfactual", "code_agreement")  # losses that compare or swap codes of two slides
 
 
 class LossWeights(dict[str, float]):
-    """Weights of losses by name, which never change. A loss of weight 0 is not there."""
+    """Immutable weights of losses by name, without those that are 0."""
 
     def __init__(self, weights: Mapping[str, float] | Iterable[tuple[str, float]] = ()) -> None:
         super().__init__(sorted((name, weight) for name, weight in dict(weights).items() if weight))
@@ -51,25 +51,26 @@ class LossSpec:
     """What a loss is for, and what it needs."""
 
     name: str
-    compute: Callable[..., Any] | str  # or where it is, as `module:function`
+    compute: Callable[..., Any] | str  # a function, or where it is, as `module:function`
     role: Role = "unshears"
     modalities: tuple[Modality, ...] = ("images", "pins")
-    parts: tuple[str, ...] = ()  # of `Reconstruction`, without which a network leaves the loss out
-    # of a batch, beside both sides of the pairs: "labels" of poses, "slide_labels", "other" and
-    # "swapped" partners where poses share slides, or a field of the data set by its own name
+    # of `Reconstruction`; a network that does not compute them leaves the loss out
+    parts: tuple[str, ...] = ()
+    # of a batch, in addition to both sides of the pairs: "labels" of poses, "slide_labels", "other"
+    # and "swapped" partners if poses share slides, or any field of the data set by its name
     fields: tuple[str, ...] = ()
     requires: tuple[Requirement, ...] = ()
     is_validated: bool = True  # also computed on validation examples
 
     def load(self) -> Callable[..., Any]:
         """Return the function that computes the loss."""
-        found: Callable[..., Any] = (
-            pkgutil.resolve_name(self.compute) if isinstance(self.compute, str) else self.compute
-        )
-        return found
+        if isinstance(self.compute, str):
+            function: Callable[..., Any] = pkgutil.resolve_name(self.compute)
+            return function
+        return self.compute
 
 
-# In the order in which the terms are added: their sum has the same bits.
+# The order is that in which the terms are added: another one would change the bits of their sum.
 LOSSES: dict[str, LossSpec] = {
     spec.name: spec
     for spec in (
@@ -143,16 +144,16 @@ def register_loss(
     requires: tuple[Requirement, ...] = (),
     is_validated: bool = True,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a function the name by which a training's `losses` ask for it.
+    """Register a function as a loss that a training can name.
 
-    The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
-    and returns a loss per example (B,). See `LossSpec` for what else can be said. Raises UserError
-    for a name that another function has.
+    The function takes the inputs of its role, `PairInputs` of training/pair_losses.py or
+    `PoseInputs` of training/pose_losses.py, and returns a loss per example (B,). `LossSpec`
+    explains the other arguments. Raises UserError if another loss has this name.
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:
-        held = LOSSES.get(name)
-        if held is not None and not _is_same(held.compute, compute):
+        registered = LOSSES.get(name)
+        if registered is not None and not _is_reloaded(registered.compute, compute):
             raise UserError(f"loss '{name}' is there already: choose another name")
         LOSSES[name] = LossSpec(
             name, compute, role, modalities, parts, fields, requires, is_validated
@@ -162,19 +163,22 @@ def register_loss(
     return register
 
 
-def _is_same(held: Callable[..., Any] | str, compute: Callable[..., Any]) -> bool:
-    """Return whether both are one function of an experiment file, which may be read twice."""
-    return not isinstance(held, str) and held.__code__.co_filename == compute.__code__.co_filename
+def _is_reloaded(registered: Callable[..., Any] | str, compute: Callable[..., Any]) -> bool:
+    """Return whether both functions are of one experiment file, which may be read twice."""
+    return (
+        not isinstance(registered, str)
+        and registered.__code__.co_filename == compute.__code__.co_filename
+    )
 
 
 def list_registering_files() -> list[str]:
-    """Return the experiment files that have registered losses, for the processes of a sweep."""
+    """List the experiment files that have registered losses; processes of a sweep run them."""
     functions = (spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str))
     return sorted({function.__code__.co_filename for function in functions})
 
 
 def get_loss(name: str) -> LossSpec:
-    """Return what is known of a loss. Raises UserError for an unknown one."""
+    """Return the entry of a loss. Raises UserError for an unknown one."""
     if name not in LOSSES:
         raise UserError(
             f"loss '{name}' is unknown: use one of {', '.join(LOSSES)}, "

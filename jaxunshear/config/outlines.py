@@ -1,6 +1,6 @@
-"""Outlines from files, and from signed distances that are functions of one's own.
+"""Read outlines from files, and trace them from functions that give signed distances.
 
->>> read_outline(Path("shapes/gear.svg"))                  # also .csv and .json; named by the file
+>>> read_outline(Path("shapes/gear.svg"))  # also .csv and .json; the file gives the name
 >>> trace_outline("ring", lambda xy: np.hypot(*xy.T) - 12, within_mm=20)
 """
 
@@ -25,32 +25,35 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 
 FILES = (".svg", ".csv", ".json")
-MM = {"mm": 1.0, "cm": 10.0, "in": 25.4}
-SAMPLES = 64  # of a curved segment, before those that a straight line replaces are left out
-CLOSE_MM = 0.01  # of that line to the curve: what the contact's grid resolves
-GRID_MM = 0.25  # between the points at which a function is asked
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "in": 25.4}
+SAMPLES = 64  # of a curved segment, before `simplify_curve` drops most of them
+TOLERANCE_MM = 0.01  # of a simplified curve: what the contact's grid resolves
+GRID_MM = 0.25  # spacing of the points at which a function is evaluated
 
 
 def parse_stimulus(text: str) -> StimulusSetting:
-    """What a text means where a stimulus is named: the outline in a file, or else a name, right or wrong. Raises UserError."""
-    return (
-        read_outline(Path(text)) if Path(text).suffix.lower() in FILES else cast(StimulusName, text)
-    )
+    """Read the outline if a text names a file of one; else return the text, which must be a name.
+
+    Raises UserError.
+    """
+    if Path(text).suffix.lower() in FILES:
+        return read_outline(Path(text))
+    return cast(StimulusName, text)
 
 
 def read_outline(file: Path) -> Outline:
-    """A drawing with one closed path, a table of x, y, or a JSON list of [x, y] or what an Outline takes, called as the file is.
+    """Read a drawing with one closed path, a table of x, y, or a JSON file. Raises UserError.
 
-    A drawing's unit is a mm, unless its width (mm, cm, in) and viewBox say otherwise; its y, which goes down, is turned up.
-    Raises UserError.
+    The file gives the name. JSON is a list of [x, y], or an object with the fields of an Outline.
+    A drawing's unit is a mm, unless its width (mm, cm, in) and viewBox say otherwise; its y, which
+    goes down, is flipped.
     """
     if not file.is_file():
         raise UserError(
             f"outline {file} is no file: name a drawing (.svg) or points in mm (.csv, .json)"
         )
-    fields = {".svg": _read_svg, ".csv": _read_table, ".json": _read_json}[file.suffix.lower()](
-        file
-    )
+    readers = {".svg": _read_svg, ".csv": _read_table, ".json": _read_json}
+    fields = readers[file.suffix.lower()](file)
     try:
         return Outline(**{"name": file.stem, **fields})
     except UserError as error:
@@ -64,10 +67,13 @@ def trace_outline(
     target: Target | None = None,
     friction: float = ABS_FRICTION,
 ) -> Outline:
-    """The outline of a shape whose signed distance, negative inside, is a function of points (N, 2) mm -> (N,) mm.
+    """Trace the outline of a shape from its signed distance. Raises UserError.
 
-    The shape must be one piece without holes, less than `within_mm` from the origin in x and y. Only where the function is zero matters:
-    the settings hold those points, and no function. Raises UserError.
+    The settings hold the points where `distance` is zero, and no function.
+
+    Args:
+        distance: a function of points (N, 2) mm -> (N,) mm, negative inside.
+        within_mm: the shape, one piece without holes, is less than this from the origin in x and y.
     """
     from skimage.measure import find_contours
 
@@ -84,45 +90,50 @@ def trace_outline(
         raise UserError(f"outline '{name}' goes beyond within_mm = {within_mm:g}: raise it")
     curves = find_contours(values, 0.0)
     if len(curves) != 1:
-        what = f"has {len(curves)} outlines" if curves else "is nowhere negative"
+        problem = f"has {len(curves)} outlines" if curves else "is nowhere negative"
         raise UserError(
-            f"outline '{name}': its function {what} within {within_mm:g} mm: one piece without holes will do"
+            f"outline '{name}': its function {problem} within {within_mm:g} mm: "
+            "one piece without holes will do"
         )
     points = curves[0] * (2 * within_mm / steps) - within_mm
-    return Outline(name, _plain(simplify_curve(points, CLOSE_MM)), target, friction)
+    return Outline(name, _to_points(simplify_curve(points, TOLERANCE_MM)), target, friction)
 
 
-def simplify_curve(closed: np.ndarray, close_mm: float) -> np.ndarray:
-    """A closed curve (N, 2) without the points that lie this close to a straight line between others, and without its end."""
+def simplify_curve(closed: np.ndarray, tolerance_mm: float) -> np.ndarray:
+    """Drop points of a closed curve (N, 2) that are this close to a line between the others.
+
+    The end, which repeats the start, is dropped, too.
+    """
     from skimage.measure import approximate_polygon
 
-    return approximate_polygon(np.vstack([closed, closed[:1]]), close_mm)[:-1]
+    return approximate_polygon(np.vstack([closed, closed[:1]]), tolerance_mm)[:-1]
 
 
-def _plain(points: np.ndarray) -> Points:
-    """To a hundredth of a micrometre: far below what a contact sees, and shorter to store."""
-    return tuple((x, y) for x, y in np.round(points, 5).tolist())
+def _to_points(curve: np.ndarray) -> Points:
+    """Round to 1e-5 mm, which is far below what a contact shows, and shorter to store."""
+    return tuple((x, y) for x, y in np.round(curve, 5).tolist())
 
 
 def _read_table(file: Path) -> dict[str, Any]:
     try:
         lines = [line.strip() for line in file.read_text().splitlines()]
         rows = [re.split(r"[,;\s]+", line) for line in lines if line and not line.startswith("#")]
-        rows = rows[1:] if rows and re.match(r"[A-Za-z]", rows[0][0]) else rows  # a head
-        return {"points": tuple(tuple(float(value) for value in row) for row in rows)}
+        has_header = bool(rows) and re.match(r"[A-Za-z]", rows[0][0]) is not None
+        points = [tuple(map(float, row)) for row in rows[has_header:]]
     except (OSError, ValueError) as error:
         raise UserError(
             f"outline {file} cannot be read ({error}): write x and y in mm, a point a line"
         ) from None
+    return {"points": tuple(points)}
 
 
 def _read_json(file: Path) -> dict[str, Any]:
-    found = read_json(file)
-    fields = found if isinstance(found, dict) else {"points": found}
-    odd = sorted(fields.keys() - {"name", "points", "target", "friction"})
-    if odd or "points" not in fields:
+    stored = read_json(file)
+    fields = stored if isinstance(stored, dict) else {"points": stored}
+    if "points" not in fields or not fields.keys() <= {"name", "points", "target", "friction"}:
         raise UserError(
-            f"outline {file} must be a list of [x, y], or have points, and may have name, target, friction"
+            f"outline {file} must be a list of [x, y], or have points, "
+            "and may have name, target, friction"
         )
     return fields
 
@@ -134,9 +145,9 @@ def _read_svg(file: Path) -> dict[str, Any]:
     pen = RecordingPen()
     try:
         drawing = SVGPath(str(file))
-        scale = _mm_a_unit(drawing.root)
+        scale = _compute_scale(drawing.root)
         drawing.draw(pen)
-        curves = [curve for curve in _curves(pen.value) if len(curve) > 1]
+        curves = [curve for curve in _sample_paths(pen.value) if len(curve) > 1]
     except Exception as error:  # of the XML parser, or of any path in it
         raise UserError(
             f"outline {file} is no drawing that can be read ({' '.join(str(error).split())})"
@@ -149,32 +160,38 @@ def _read_svg(file: Path) -> dict[str, Any]:
         raise UserError(
             f"outline {file} has {len(curves)} paths: leave the one that goes around the shape"
         )
-    return {"points": _plain(simplify_curve(curves[0] * [scale, -scale], CLOSE_MM))}
+    return {"points": _to_points(simplify_curve(curves[0] * [scale, -scale], TOLERANCE_MM))}
 
 
-def _mm_a_unit(root: Element) -> float:
-    """Raises ValueError."""
+def _compute_scale(root: Element) -> float:
+    """Compute the mm of a drawing's unit. Raises ValueError."""
     width = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|cm|in)\s*", root.attrib.get("width", ""))
     if not width or "viewBox" not in root.attrib:
         return 1.0
-    return (
-        float(width[1])
-        * MM[width[2]]
-        / float(re.split(r"[,\s]+", root.attrib["viewBox"].strip())[2])
-    )
+    units = float(re.split(r"[,\s]+", root.attrib["viewBox"].strip())[2])
+    return float(width[1]) * MM_PER_UNIT[width[2]] / units
 
 
-def _curves(drawn: list[tuple[str, tuple]]) -> Iterator[np.ndarray]:
-    """Points of each path (N, 2), in the drawing's units; `drawn` is what fontTools records."""
-    share = np.linspace(0, 1, SAMPLES + 1)[1:, None]
+def _sample_paths(commands: list[tuple[str, tuple]]) -> Iterator[np.ndarray]:
+    """Yield points (N, 2) of each path that fontTools has recorded, in the drawing's units."""
     points: list[np.ndarray] = []
-    for word, given in drawn:
-        if word == "moveTo":
-            points = [np.array(given, float)]
-        elif word in ("endPath", "closePath"):
+    for command, arguments in commands:
+        if command in ("endPath", "closePath"):
             yield np.vstack(points)
-        else:  # a line, or a curve of Bezier, by de Casteljau
-            ends = [np.tile(end, (SAMPLES, 1)) for end in (points[-1][-1], *np.array(given, float))]
-            while len(ends) > 1:
-                ends = [(1 - share) * a + share * b for a, b in pairwise(ends)]
-            points.append(ends[0] if len(given) > 1 else np.array(given, float))
+            continue
+        corners = np.array(arguments, float)
+        if command == "moveTo":
+            points = [corners]
+        elif len(corners) == 1:  # a line
+            points.append(corners)
+        else:
+            points.append(_sample_bezier(points[-1][-1], corners))
+
+
+def _sample_bezier(start: np.ndarray, controls: np.ndarray) -> np.ndarray:
+    """Sample a Bezier curve (SAMPLES, 2) by de Casteljau's algorithm, without its start."""
+    share = np.linspace(0, 1, SAMPLES + 1)[1:, None]
+    ends = [np.tile(end, (SAMPLES, 1)) for end in (start, *controls)]
+    while len(ends) > 1:
+        ends = [(1 - share) * a + share * b for a, b in pairwise(ends)]
+    return ends[0]

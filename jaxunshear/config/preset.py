@@ -1,6 +1,7 @@
-"""A sensor as `jaxunshear calibrate` fitted it -> a simulated experiment with that sensor.
+"""Give a simulated experiment the sensor that `jaxunshear calibrate` has fitted.
 
->>> experiment = apply_preset(load_experiment("experiments/calibrated.py"), Path("calibration/calibration.json"))
+>>> experiment = load_experiment("experiments/calibrated.py")
+>>> experiment = apply_preset(experiment, Path("calibration/calibration.json"))
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from jaxunshear.files import read_json
 
 @dataclass(frozen=True)
 class Preset:
-    """What a calibration gives."""
+    """What a calibration fits."""
 
     sensor: Sensor
     camera: Camera
@@ -24,21 +25,21 @@ class Preset:
 
 
 def read_preset(file: Path) -> Preset:
-    """The field `preset` of a calibration.json. Raises UserError."""
+    """Read the field `preset` of a calibration.json. Raises UserError."""
+    remedy = "name a calibration.json of `jaxunshear calibrate`"
     if not file.is_file():
-        raise UserError(
-            f"--sensor-from {file} is no file: name a calibration.json of `jaxunshear calibrate`"
-        )
+        raise UserError(f"--sensor-from {file} is no file: {remedy}")
     stored = read_json(file)
     if not isinstance(stored, dict) or "preset" not in stored:
-        raise UserError(
-            f"--sensor-from {file} holds no preset: name a calibration.json of `jaxunshear calibrate`"
-        )
+        raise UserError(f"--sensor-from {file} holds no preset: {remedy}")
     return build_value(stored["preset"], Preset, f"--sensor-from {file}", "preset")
 
 
 def apply_preset(experiment: Experiment, file: Path) -> Experiment:
-    """`experiment` with the sensor, camera and friction in `file`; frames keep their number of pixels. Raises UserError."""
+    """Set the sensor, camera and friction that are in `file`; frames keep their number of pixels.
+
+    Raises UserError.
+    """
     paired, pose = require_simulated(experiment, "--sensor-from")
     preset = read_preset(file)
     camera = replace(preset.camera, frame_px=paired.camera.frame_px)

@@ -1,6 +1,7 @@
-"""The networks that an experiment can train: one table, which all that treats them apart asks.
+"""The networks that an experiment can train, in one table that all other modules read.
 
-A network of another name needs an entry here, the settings that build it in `training/task_factory.py`, and a colour in `style.py`.
+A new network needs an entry here, the settings that build it in `training/task_factory.py`, and a
+colour in `style.py`.
 """
 
 from dataclasses import dataclass
@@ -15,18 +16,17 @@ POSENET: Final = "posenet"
 ENTANGLED_LARGE: Final = "entangled_large"  # with as many parameters as the disentangled one
 UNET: Final = "unet"
 POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
-# the PoseNet of the losses pose_label and pose_tap: trained first, from another seed, and never evaluated
+# PoseNet of the losses pose_label and pose_tap: trained first, from another seed, never evaluated
 TEACHER: Final = "posenet_teacher"
-RENDERER: Final = (
-    "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
-)
+# pose to tap, trained on recorded taps: draws the partners of recorded slides
+RENDERER: Final = "renderer"
 
 PIN_CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
 
 @dataclass(frozen=True)
 class NetworkSpec:
-    """What a network does, and what that takes."""
+    """What a network does, what it learns from, and which settings it has."""
 
     name: str
     role: Literal["unshears", "reads poses", "renders"]
@@ -34,16 +34,16 @@ class NetworkSpec:
     # groups of an experiment that its training over images does not read
     unused_groups: tuple[str, ...]
     title: str = ""  # of its images in tables and figures
-    has_codes: bool = False  # it depends on how many numbers the codes have
-    supports_pins: bool = True  # whether it may read pins in the place of images
-    # the parts that go with released weights, () for all of it; None: it stays
+    has_codes: bool = False  # whether it depends on the sizes of the codes
+    supports_pins: bool = True  # whether it may read pins instead of images
+    # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
 
 
 _UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
 REGISTRY = {
-    kind.name: kind
-    for kind in (
+    spec.name: spec
+    for spec in (
         NetworkSpec(RENDERER, "renders", "taps", _UNSHEARS),
         NetworkSpec(
             TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")
@@ -93,18 +93,10 @@ REGISTRY = {
 }
 TRAINABLE = tuple(REGISTRY)
 NETWORKS: tuple[Network, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
-ALL_NETWORKS: tuple[Network, ...] = (
-    *NETWORKS,
-    ENTANGLED_LARGE,
-    UNET,
-    POSENET_SHEARED,
-)  # and rivals
-UNSHEARING = (
-    ENTANGLED,
-    ENTANGLED_LARGE,
-    UNET,
-    DISENTANGLED,
-)  # the last that a run has is the one it is about
-POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.role == "reads poses")
-TAP_NETWORKS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
+# with rivals
+ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)
+# the main network of a run is the last of these that it has
+UNSHEARING = (ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED)
+POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
+TAP_NETWORKS = tuple(name for name, spec in REGISTRY.items() if spec.learns_from == "taps")
 PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].supports_pins)

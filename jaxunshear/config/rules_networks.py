@@ -1,4 +1,4 @@
-"""Rules between the settings of networks and of their trainings, whatever they learn from."""
+"""Rules between the settings of networks and of their trainings, for simulations and recordings."""
 
 from collections.abc import Callable, Iterator, Mapping
 
@@ -17,124 +17,140 @@ from jaxunshear.config.training import Training, uses_code_exchange
 from jaxunshear.config.types import Rule
 from jaxunshear.errors import UserError
 
-ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
+# targets that stay true when a simulated contact is turned about the sensor's axis
+ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 
 
 def list_network_rules(
     experiment: Experiment, paired: Preprocess, pose: Preprocess
 ) -> Iterator[Rule]:
-    """`paired` and `pose`: how the images of the two sets are prepared."""
-    unshear, posenet, pins = experiment.unshear, experiment.posenet, experiment.pins
-    yield (
+    """Yield the rules of networks over images that `paired` and `pose` prepare, and over pins."""
+    unshear, posenet = experiment.unshear, experiment.posenet
+    yield Rule(
         unshear.size == paired.size,
         "unshear.size",
-        f"differs from the data set's images: make it and paired.preprocess.size ({paired.size}) equal",
+        "differs from the data set's images: "
+        f"make it and paired.preprocess.size ({paired.size}) equal",
     )
-    yield (
+    yield Rule(
         posenet.size == pose.size,
         "posenet.size",
         f"differs from the data set's images: make it and pose.preprocess.size ({pose.size}) equal",
     )
-    yield (
+    yield Rule(
         posenet.size == unshear.size,
         "posenet.size",
         f"differs from unshear.size ({unshear.size}): PoseNet also reads the unsheared images",
     )
-    yield (
+    yield Rule(
         unshear.disentangled,
         "unshear.disentangled",
-        "both networks are trained from these settings: to train one of them use `--networks entangled`",
+        "both networks are trained from these settings: "
+        "to train one of them use `--networks entangled`",
     )
-    yield (
-        not pins.turned or uses_pins(experiment),
-        "pins.turned",
-        "is for networks over pins: leave it at 0",
+    yield from _list_rotation_rules(experiment)
+    yield from _list_pin_rules(experiment)
+
+
+def _list_rotation_rules(experiment: Experiment) -> Iterator[Rule]:
+    """Yield the rules of rotation augmentation, `pins.turned`."""
+    if not experiment.pins.turned:
+        return
+    field = "pins.turned"
+    yield Rule(uses_pins(experiment), field, "is for networks over pins: leave it at 0")
+    if get_recorded(experiment):
+        yield Rule(
+            POSENET_SHEARED in list_trained_networks(experiment),
+            field,
+            "is for posenet_sheared, which this experiment does not train: "
+            "add it to networks, or leave it at 0",
+        )
+        yield Rule(
+            not experiment.pins.direct_convolved,
+            "pins.direct_convolved",
+            "takes recorded pins as they are: leave pins.turned at 0",
+        )
+        return
+    targets = {text.partition(":")[0] for text in experiment.targets}
+    yield Rule(
+        bool(targets) and targets <= ROTATED_TARGETS,
+        field,
+        "turns touches about the sensor's axis, which leaves them these targets alone: "
+        f"{', '.join(sorted(ROTATED_TARGETS))}",
     )
-    yield (
-        not pins.turned
-        or get_recorded(experiment) is None
-        or POSENET_SHEARED in list_trained_networks(experiment),
-        "pins.turned",
-        "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
-    )
-    yield (
-        not pins.direct_convolved
-        or (uses_pins(experiment) and POSENET_SHEARED in list_trained_networks(experiment)),
+
+
+def _list_pin_rules(experiment: Experiment) -> Iterator[Rule]:
+    pins = uses_pins(experiment)
+    yield Rule(
+        not experiment.pins.direct_convolved
+        or (pins and POSENET_SHEARED in list_trained_networks(experiment)),
         "pins.direct_convolved",
         "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
     )
-    yield (
-        not (pins.direct_convolved and pins.turned) or get_recorded(experiment) is None,
-        "pins.direct_convolved",
-        "takes recorded pins as they are: leave pins.turned at 0",
-    )
-    named = {text.partition(":")[0] for text in experiment.targets}
-    yield (
-        not pins.turned
-        or get_recorded(experiment) is not None
-        or (bool(named) and named <= ROTATED_TARGETS),
-        "pins.turned",
-        f"turns touches about the sensor's axis, which leaves them these targets alone: {', '.join(sorted(ROTATED_TARGETS))}",
-    )
-    over = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
-    yield (
-        not uses_pins(experiment) or not over,
+    image_networks = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
+    yield Rule(
+        not pins or not image_networks,
         "networks",
-        f"{over} reads images alone: with unshear.input pins use {', '.join(PIN_NETWORKS)}",
+        f"{image_networks} reads images alone: "
+        f"with unshear.input pins use {', '.join(PIN_NETWORKS)}",
     )
 
 
 def list_training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
     """Yield the rules of trainings on `pairs` and `taps` examples."""
-    yield _batch(experiment.train, "train", pairs)
-    yield (
+    pins, trained = uses_pins(experiment), list_trained_networks(experiment)
+    yield _make_batch_rule(experiment.train, "train", pairs)
+    yield Rule(
         experiment.train.crop_px <= experiment.unshear.size,
         "train.crop_px",
         f"must be 1 to the image's {experiment.unshear.size} px",
     )
-    yield (
+    yield Rule(
         not experiment.train_teacher.start,
         "train_teacher.start",
-        "leave it empty: what marks a network must not teach it",
+        "leave it empty: the PoseNet that scores a network must not supervise it",
     )
     yield from _list_loss_rules(experiment, "train", "unshears", "images")
     yield from _list_separate_code_rules(experiment)
     yield from _list_few_pair_rules(experiment)
-    taught = TEACHER in list_trained_networks(experiment) and not uses_pins(experiment)
-    for name in ("train_posenet", "train_teacher") if taught else ("train_posenet",):
-        yield _batch(getattr(experiment, name), name, taps)
-        yield from _list_loss_rules(experiment, name, "reads poses", "images")
-        yield from _list_pair_setting_rules(getattr(experiment, name), name)
-    if uses_pins(experiment) or RENDERER in list_trained_networks(experiment):
-        yield _batch(experiment.train_pins, "train_pins", min(pairs, taps))
+    posenets = [("train_posenet", experiment.train_posenet)]
+    if TEACHER in trained and not pins:
+        posenets.append(("train_teacher", experiment.train_teacher))
+    for group, training in posenets:
+        yield _make_batch_rule(training, group, taps)
+        yield from _list_loss_rules(experiment, group, "reads poses", "images")
+        yield from _list_pair_setting_rules(training, group)
+    if pins or RENDERER in trained:
+        yield _make_batch_rule(experiment.train_pins, "train_pins", min(pairs, taps))
         yield from _list_loss_rules(experiment, "train_pins", "unshears", "pins")
 
 
-def _batch(training: Training, group: str, examples: int) -> Rule:
+def _make_batch_rule(training: Training, group: str, examples: int) -> Rule:
     remedy = f"is larger than the training set of {examples}: use a smaller batch or more poses"
-    return training.batch <= examples, f"{group}.batch", remedy
+    return Rule(training.batch <= examples, f"{group}.batch", remedy)
 
 
 def _list_loss_rules(
     experiment: Experiment, group: str, role: Role, modality: Modality
 ) -> Iterator[Rule]:
-    """Yield whether the losses of a group are known, of its networks, and have what they need."""
+    """Yield the rules that the losses of a group exist, suit its networks, and have their needs."""
     for name in getattr(experiment, group).losses:
         field = f"{group}.losses.{name}"
         try:
             spec = get_loss(name)
         except UserError as error:
-            yield False, field, str(error)
+            yield Rule(False, field, str(error))
             continue
-        yield spec.role == role, field, f"is for a network that {spec.role}: leave it out"
-        yield (
+        yield Rule(spec.role == role, field, f"is for a network that {spec.role}: leave it out")
+        yield Rule(
             modality in spec.modalities,
             field,
             f"is for networks over {' and '.join(spec.modalities)}: leave it out",
         )
         for requirement in spec.requires:
             check, remedy = REQUIREMENTS[requirement]
-            yield check(experiment, modality), field, remedy
+            yield Rule(check(experiment, modality), field, remedy)
 
 
 def _has_codes(experiment: Experiment, modality: Modality) -> bool:
@@ -160,14 +176,17 @@ def _has_still_pins(experiment: Experiment, modality: Modality) -> bool:
     return not experiment.pins.turned
 
 
+# what a loss can require: whether an experiment has it, and what to do if not
 REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, Modality], bool], str]] = {
     "codes": (
         _has_codes,
-        "takes codes that are apart: set unshear.apart; over pins raise pins.shear_code, and leave pins.turned at 0",
+        "takes codes that are apart: set unshear.apart; "
+        "over pins raise pins.shear_code, and leave pins.turned at 0",
     ),
     "shared slides": (
         _shares_slides,
-        "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+        "takes simulated slides that poses share, two at least: "
+        "raise paired.poses_a_slide and paired.slides",
     ),
     "two slides": (_has_two_slides, "takes two slides to a pose: raise paired.slides"),
     "simulated": (_is_simulated, "takes simulated contacts: leave it out"),
@@ -176,60 +195,63 @@ REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, Modality], bool], st
 
 
 def _list_separate_code_rules(experiment: Experiment) -> Iterator[Rule]:
-    """Yield what codes that are apart take: z_s then learns from the slide alone."""
-    yield (
+    """Yield the rules of separate encoders, `apart`: z_s then learns from the slide alone."""
+    yield Rule(
         not experiment.pins.apart or "slide" in experiment.train_pins.losses,
         "pins.apart",
         "leaves z_s to learn from the slide alone: raise train_pins.losses.slide",
     )
-    yield (
+    yield Rule(
         not experiment.unshear.apart or not uses_pins(experiment),
         "unshear.apart",
-        "is of networks over images: use pins.apart",
+        "is for networks over images: use pins.apart",
     )
-    yield (
+    yield Rule(
         not experiment.unshear.apart
         or ("slide" in experiment.train.losses and experiment.unshear.shear_channels > 0),
         "unshear.apart",
-        "leaves z_s to learn from the slide alone: raise train.losses.slide and unshear.shear_channels",
+        "leaves z_s to learn from the slide alone: "
+        "raise train.losses.slide and unshear.shear_channels",
     )
 
 
 def _list_few_pair_rules(experiment: Experiment) -> Iterator[Rule]:
-    """Yield what learning from a share of the pairs takes."""
+    """Yield the rules of learning from a share of the pairs."""
     training = experiment.train_pins
-    yield (
+    yield Rule(
         experiment.train.paired_share == 1,
         "train.paired_share",
         "is for networks over pins: leave it at 1",
     )
-    yield (
+    yield Rule(
         training.paired_share == 1 or get_recorded(experiment) is None,
         "train_pins.paired_share",
-        "is of simulated pairs: use paired.labelled",
+        "is for simulated pairs: use paired.labelled",
     )
-    yield (
+    yield Rule(
         training.paired_share == 1 or not uses_code_exchange(training),
         "train_pins.paired_share",
         f"leaves slides without their partners: leave it at 1, or {' and '.join(EXCHANGE)} out",
     )
 
 
-def _list_pair_setting_rules(training: Training, name: str) -> Iterator[Rule]:
+def _list_pair_setting_rules(training: Training, group: str) -> Iterator[Rule]:
+    """Yield the rules that a PoseNet's training leaves the settings of pairs at their defaults."""
     for field in ("crops", "crop_px", "paired_share"):
-        value, unused = getattr(training, field), getattr(Training, field)
-        yield (
-            value == unused,
-            f"{name}.{field}",
-            f"is for networks that unshear: leave it at {unused:g}",
+        default = getattr(Training, field)
+        yield Rule(
+            getattr(training, field) == default,
+            f"{group}.{field}",
+            f"is for networks that unshear: leave it at {default:g}",
         )
 
 
-def list_target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
+def list_target_rules(texts: tuple[str, ...], fields: Mapping[str, object]) -> Iterator[Rule]:
+    """Yield the rules that each text is a target with a name among `fields`, named once."""
     names = []
-    for text in targets:
+    for text in texts:
         try:
-            names.append(parse_target(text, known)[0])
+            names.append(parse_target(text, fields).name)
         except UserError as error:
-            yield False, "targets", str(error)
-    yield len(set(names)) == len(names), "targets", "name each once"
+            yield Rule(False, "targets", str(error))
+    yield Rule(len(set(names)) == len(names), "targets", "name each once")

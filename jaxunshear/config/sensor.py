@@ -1,6 +1,7 @@
-"""The soft optical tactile sensor: a gel dome under a skin, with pins watched by a camera.
+"""The soft optical tactile sensor: a gel dome under a skin, and a camera that sees its pins.
 
-Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y lateral; mm.
+Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y
+lateral; mm.
 """
 
 import math
@@ -16,12 +17,13 @@ from jaxunshear.errors import UserError
 class Sensor:
     """A TacTip (Ward-Cherrier et al. 2018, Soft Robotics 5(2)).
 
-    The paper's "40 mm radius" is the diameter given elsewhere for the same dome, hence `dome_radius_mm = 20`. The moduli
-    are those of Tango Black+ (Shore A 27, about 1 MPa) and a soft silicone gel; only their ratio moves a pin.
+    The paper's "40 mm radius" is the diameter that other papers state for the same dome, hence
+    `dome_radius_mm = 20`. The moduli are those of Tango Black+ (Shore A 27, about 1 MPa) and a soft
+    silicone gel; the motions of pins depend on their ratio alone.
     """
 
-    name: str = "tactip331"  # as which it is listed
-    # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
+    name: str = "tactip331"
+    # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon
     layout: Literal["rings", "hexagonal"] = "rings"
     rings: int = 10  # of pins, around the one at the apex
     pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
@@ -39,7 +41,7 @@ class Sensor:
         return 1 + 3 * self.rings * (self.rings + 1)
 
     def rules(self) -> Iterator[Rule]:
-        yield 1 <= self.rings <= 50, "rings", "use 1 to 50"
+        yield Rule(1 <= self.rings <= 50, "rings", "use 1 to 50")
         for field in (
             "pin_spacing_mm",
             "pin_radius_mm",
@@ -48,33 +50,34 @@ class Sensor:
             "skin_modulus_mpa",
             "gel_modulus_mpa",
         ):
-            yield 0 < getattr(self, field) < math.inf, field, "must be above zero, and finite"
-        yield (
+            yield Rule(0 < getattr(self, field) < math.inf, field, "must be above zero, and finite")
+        yield Rule(
             0 <= self.pin_length_mm < math.inf,
             "pin_length_mm",
             "must not be below zero, and finite",
         )
         for field in ("skin_poisson", "gel_poisson"):
-            yield (
+            yield Rule(
                 0 <= getattr(self, field) < 0.5,
                 field,
                 "use 0 up to, but not, 0.5 (exactly incompressible)",
             )
-        yield (
+        yield Rule(
             2 * self.pin_radius_mm < self.pin_spacing_mm,
             "pin_radius_mm",
             f"pins {self.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
         )
-        yield (
+        yield Rule(
             self.skin_mm + self.pin_length_mm < self.dome_radius_mm,
             "dome_radius_mm",
             "must exceed skin_mm + pin_length_mm",
         )
         rim = self.dome_radius_mm * math.pi / 2
-        yield (
+        yield Rule(
             self.rings * self.pin_spacing_mm < rim,
             "rings",
-            f"{self.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: use fewer or closer rings",
+            f"{self.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: "
+            "use fewer or closer rings",
         )
 
 
@@ -82,9 +85,10 @@ TACTIP_331 = Sensor()
 TACTIP_127 = Sensor(
     name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6
 )
-# Pins that end where they stand: they show where the skin moves, but not how it turns.
+# Pins without length: they show how the skin moves, but not how it turns.
 TACTIP_331_FLUSH = replace(TACTIP_331, name="tactip331-flush", pin_length_mm=0.0)
-# Fitted by `jaxunshear calibrate` to 200 contacts of a real TacTip with an edge (docs/results/calibrate_edge_2d.json).
+# fitted by `jaxunshear calibrate` to 200 contacts of a real TacTip with an edge
+# (docs/results/calibrate_edge_2d.json)
 TACTIP_331_FITTED = replace(
     TACTIP_331,
     name="tactip331-fitted",
@@ -92,18 +96,19 @@ TACTIP_331_FITTED = replace(
     pin_radius_mm=0.511,
     gel_modulus_mpa=0.00702,
 )
-FITTED_FRICTION = 0.386  # of that skin on that edge
+FITTED_FRICTION = 0.386  # between that skin and that edge
 SENSORS = {
     sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED)
 }
 
 
 def get_sensor(name: str) -> Sensor:
+    """Return the sensor of this name. Raises UserError for an unknown one."""
     if name not in SENSORS:
         raise UserError(f"sensor '{name}' is unknown: use one of {', '.join(SENSORS)}")
     return SENSORS[name]
 
 
 def check_sensor(sensor: Sensor) -> None:
-    """Raises `UserError` that names the first field that cannot be."""
+    """Raise UserError, naming the field, for the first value that no sensor can have."""
     check_rules(sensor, f"sensor '{sensor.name}'")

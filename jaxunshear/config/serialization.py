@@ -18,11 +18,12 @@ from jaxunshear.files import Json
 from jaxunshear.version import __version__
 
 VERSION = "version"  # of the package that wrote the settings beside it
-OTHERS = "files of version 0.2.0 and earlier are not read"  # these do not name their version
+# older files do not name their version
+OLD_FILES = "files of version 0.2.0 and earlier are not read"
 
 
 def to_json(experiment: Experiment) -> Json:
-    """`experiment` as nested dictionaries and lists."""
+    """Convert an experiment to nested dictionaries and lists."""
     return dataclasses.asdict(experiment)
 
 
@@ -31,77 +32,76 @@ def from_json(data: object, source: str = "experiment.json") -> Experiment:
 
     Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
     """
-    return build_value(
-        without_version(data, source) if isinstance(data, dict) else data, Experiment, source, ""
-    )
+    settings = remove_version(data, source) if isinstance(data, dict) else data
+    return build_value(settings, Experiment, source, "")
 
 
-def with_version(settings: Json) -> Json:
+def add_version(settings: Json) -> Json:
     """Add the version of the package, which reads only its own files, to `settings`."""
     return {VERSION: __version__} | settings
 
 
-def without_version(stored: Json, source: object) -> Json:
-    """Return `stored` without its version. Raises UserError if that is not ours."""
-    wrote = stored.get(VERSION, __version__)
-    if _minor(wrote) != _minor(__version__):
+def remove_version(stored: Json, source: object) -> Json:
+    """Return `stored` without its version. Raises UserError if this version does not read it."""
+    version = stored.get(VERSION, __version__)
+    if _get_minor(version) != _get_minor(__version__):
         raise UserError(
-            f"{source} was written by jaxunshear {wrote}, and this is {__version__}: "
+            f"{source} was written by jaxunshear {version}, and this is {__version__}: "
             "use that version, or make it again in another folder"
         )
     return {name: value for name, value in stored.items() if name != VERSION}
 
 
-def _minor(version: object) -> list[str]:
-    """Return major and minor version: those of a patch read each other's files."""
+def _get_minor(version: object) -> list[str]:
+    """Return major and minor version; versions that share them read each other's files."""
     return str(version).split(".")[:2]
 
 
 def build_value(data: object, kind: Hint, source: str, name: str) -> Any:
-    """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
-    items = next(iter(typing.get_args(kind)), None) if get_origin(kind) is tuple else None
-    if list_groups(items) and isinstance(data, list):
+    """Make a value of type `kind` from JSON. Raises UserError.
+
+    Args:
+        source: the file, for messages.
+        name: where in `source` the value stands.
+    """
+    item_kind = typing.get_args(kind)[0] if get_origin(kind) is tuple else None
+    if list_groups(item_kind) and isinstance(data, list):
         return tuple(
-            item if isinstance(item, str) else build_value(item, items, source, name)
+            item if isinstance(item, str) else build_value(item, item_kind, source, name)
             for item in data
         )
     if kinds := list_groups(kind):
-        return _group(data, kinds, source, name)
+        return _build_group(data, kinds, source, name)
     value = _convert_to_tuples(data)
     if not is_of_type(value, kind):
         raise UserError(f"{source}: {name} takes {describe_hint(kind)}, not {data!r}")
     return value
 
 
-def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
-    """Settings of whichever of `kinds` has the fields in `data`."""
+def _build_group(data: object, kinds: list[type], source: str, name: str) -> Any:
+    """Make settings of that one of `kinds` which the fields in `data` fit best."""
+    problem = f"{source} does not fit version {__version__}: "
     if not isinstance(data, dict):
-        raise UserError(
-            f"{source} does not fit version {__version__}: {name or 'its top level'} is no group; run it again"
-        )
-    own = min(kinds, key=lambda each: len(_misfits(data, list_hints(each), name)))
-    fields = list_hints(own)
-    if misfits := _misfits(data, fields, name):
-        raise UserError(
-            f"{source} does not fit version {__version__}: {', '.join(misfits)}; {OTHERS}: run it again"
-        )
+        raise UserError(f"{problem}{name or 'its top level'} is no group; run it again")
+    prefix = f"{name}." if name else ""
+    kind = min(kinds, key=lambda each: len(_list_misfits(data, list_hints(each), prefix)))
+    fields = list_hints(kind)
+    if misfits := _list_misfits(data, fields, prefix):
+        raise UserError(f"{problem}{', '.join(misfits)}; {OLD_FILES}: run it again")
     parts = {
-        field: build_value(data[field], hint, source, f"{name}.{field}".lstrip("."))
+        field: build_value(data[field], hint, source, f"{prefix}{field}")
         for field, hint in fields.items()
     }
-    return own(**parts)
+    return kind(**parts)
 
 
-def _misfits(given: Json, fields: dict[str, Hint], group: str) -> list[str]:
-    """Say which settings of a group this version does not have, and which a file lacks."""
-    gone = {field: value for field, value in given.items() if field not in fields}
-    lacking = fields.keys() - given.keys()
+def _list_misfits(data: Json, fields: dict[str, Hint], prefix: str) -> list[str]:
+    """List what is in the data but no field, and the fields that the data lack."""
+    unknown = sorted(data.keys() - fields.keys())
+    missing = sorted(fields.keys() - data.keys())
     return [
-        *(
-            f"{group}.{field} = {value!r} is no setting".lstrip(".")
-            for field, value in sorted(gone.items())
-        ),
-        *(f"{group}.{field} is missing".lstrip(".") for field in sorted(lacking)),
+        *(f"{prefix}{field} = {data[field]!r} is no setting" for field in unknown),
+        *(f"{prefix}{field} is missing" for field in missing),
     ]
 
 

@@ -1,16 +1,17 @@
 """What is predicted of a contact: one definition for PoseNet, tables, CSV and recoveries.
 
->>> targets = make_range_targets((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
->>> targets = make_label_targets(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each
->>> read_true_values(targets, batch)["y_mm"]                    # (B,)
+>>> targets = make_range_targets((), Ranges())  # of a simulated set
+>>> targets = make_label_targets(("y_mm", "Rz_deg:circle"), poses)  # of recorded taps, (N, 6)
+>>> read_true_values(targets, batch)["y_mm"]  # (B,)
 
-A target is written `name`, `name:range`, `name:circle` or with a loss weight behind, `name:range:4`. A range is scaled to [0, 1]
-about its middle; an angle over the full circle is two outputs, its cosine and sine, and its errors go the short way round.
+A target is written `name`, `name:range` or `name:circle`, or with a weight in the loss,
+`name:range:4`. A range is scaled to [0, 1] about its middle. An angle over the full circle is two
+outputs, its cosine and sine, and its errors go the short way round.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,21 +34,22 @@ RECORDED_FIELDS = {
     name: ("pose", i)
     for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))
 }
-# of recorded slides, in the labels' own frame; of simulated ones, in the sensor's
+# of recorded slides, in the frame of the labels
 LABELLED_SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED_FIELDS.items()}
+# of simulated slides, in the frame of the sensor
 SENSOR_SLIDES = {
     name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))
 }
-# The paper's x and yaw, and two that an edge does not leave open; edge distance has the widest scale and would drown in the
-# ambiguous yaw.
+# The paper's x and yaw, and two that a contact with an edge determines. Edge distance weighs most:
+# its scale is the widest, so its errors would be small beside those of the ambiguous yaw.
 PAPER_TARGETS = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
 MIN_VARIATION = 1e-6  # mm or deg: labels that vary by less do not vary
-FULL_CIRCLE_DEG = 300.0  # labels that spread over more are taken for a full circle
+FULL_CIRCLE_DEG = 300.0  # angles that span more are taken for a full circle
 
 
 @dataclass(frozen=True)
 class Target:
-    """One quantity: where its label stands in a batch, and how it is scaled for the network."""
+    """One quantity: where its label is in a batch, and how it is scaled for the network."""
 
     name: str  # ends in its unit, _mm or _deg
     field: str
@@ -65,11 +67,19 @@ class Target:
 Targets = tuple[Target, ...]
 
 
-def parse_target(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
-    """Name, kind (None: to be chosen) and weight of `name[:kind[:weight]]`. Raises UserError."""
+class TargetText(NamedTuple):
+    """What `name[:kind[:weight]]` says."""
+
+    name: str
+    kind: str | None  # RANGE, CIRCLE, or None: as the data suggest
+    weight: float
+
+
+def parse_target(text: str, names: Iterable[str]) -> TargetText:
+    """Parse a target whose name must be among `names`. Raises UserError."""
     name, *more = text.split(":")
-    if name not in known:
-        raise UserError(f"target '{name}' is unknown: use {', '.join(known)}")
+    if name not in names:
+        raise UserError(f"target '{name}' is unknown: use {', '.join(names)}")
     kind = more[0] if more else None
     if kind not in (None, RANGE, CIRCLE) or len(more) > 2:
         raise UserError(
@@ -83,99 +93,108 @@ def parse_target(text: str, known: Iterable[str]) -> tuple[str, str | None, floa
         weight = 0.0
     if not 0 < weight < 1e6:
         raise UserError(f"target '{text}': the weight in the loss is a number above 0")
-    return name, kind, weight
+    return TargetText(name, kind, weight)
 
 
-def make_range_targets(names: Sequence[str], ranges: Ranges) -> Targets:
-    """Of a simulated set; without names those of PAPER that its ranges vary. Raises UserError for what does not vary."""
-    lateral, depth = ranges.lateral_mm, (ranges.depth_min_mm, ranges.depth_max_mm)
+def make_range_targets(texts: Sequence[str], ranges: Ranges) -> Targets:
+    """Make the targets of a simulated set; without texts, those of PAPER_TARGETS that vary.
+
+    Raises UserError for a text that is no target, or whose target does not vary.
+    """
+    lateral = ranges.lateral_mm
+    edge = 2**0.5 * lateral  # a bound: the point that poses are relative to lies on the edge
+    edge_deg = 180.0 if lateral or ranges.yaw_deg else 0.0
     spans = {
         "x_mm": (-lateral, lateral),
         "y_mm": (-lateral, lateral),
         "yaw_deg": (-ranges.yaw_deg, ranges.yaw_deg),
-        "depth_mm": depth,
-        "edge_mm": (
-            -(2**0.5) * lateral,
-            2**0.5 * lateral,
-        ),  # the target point lies on the edge: a bound
-        "edge_deg": (-180.0, 180.0) if lateral or ranges.yaw_deg else (0.0, 0.0),
+        "depth_mm": (ranges.depth_min_mm, ranges.depth_max_mm),
+        "edge_mm": (-edge, edge),
+        "edge_deg": (-edge_deg, edge_deg),
         "tilt_x_deg": (-ranges.tilt_deg, ranges.tilt_deg),
         "tilt_y_deg": (-ranges.tilt_deg, ranges.tilt_deg),
     }
-    return _targets(names, PAPER_TARGETS, SIMULATED_FIELDS, spans)
+    return _make_targets(texts, PAPER_TARGETS, SIMULATED_FIELDS, spans)
 
 
 def make_label_targets(
-    names: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None
+    texts: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None
 ) -> Targets:
-    """Of poses and moves (N, 6) mm and deg of recorded training contacts, NaN where unknown; without names all columns of the pose that
-    vary. Raises UserError."""
-    known = np.isfinite(poses).all(axis=1)
-    if not known.any():
+    """Make the targets of recorded contacts; without texts, all columns of the pose that vary.
+
+    Raises UserError for a text that is no target, or whose target does not vary.
+
+    Args:
+        poses: labels (N, 6) mm and deg of the training contacts, NaN where unknown.
+        moves: of their slides (N, 6) mm and deg.
+    """
+    is_labelled = np.isfinite(poses).all(axis=1)
+    if not is_labelled.any():
         return ()
-    labels = np.concatenate([poses, np.zeros_like(poses) if moves is None else moves], axis=1)[
-        known
-    ]
-    low, high = labels.min(axis=0), labels.max(axis=0)
-    spans = {
-        name: (float(low[i]), float(high[i]))
-        for i, name in enumerate(RECORDED_FIELDS | LABELLED_SLIDES)
-    }
-    return _targets(names, tuple(RECORDED_FIELDS), RECORDED_FIELDS | LABELLED_SLIDES, spans)
+    moves = np.zeros_like(poses) if moves is None else moves
+    labels = np.concatenate([poses, moves], axis=1)[is_labelled]
+    fields = RECORDED_FIELDS | LABELLED_SLIDES
+    return _make_targets(texts, tuple(RECORDED_FIELDS), fields, _compute_spans(fields, labels))
 
 
 def make_slide_targets(ranges: Ranges) -> Targets:
-    """What a simulated set varies of its slides."""
+    """Make targets of what varies between the slides of a simulated set."""
     move, twist = (-ranges.move_mm, ranges.move_mm), (-ranges.twist_deg, ranges.twist_deg)
-    return _targets(
-        (),
-        tuple(SENSOR_SLIDES),
-        SENSOR_SLIDES,
-        dict(zip(SENSOR_SLIDES, (move, move, twist), strict=True)),
-    )
+    spans = dict(zip(SENSOR_SLIDES, (move, move, twist), strict=True))
+    return _make_targets((), tuple(SENSOR_SLIDES), SENSOR_SLIDES, spans)
 
 
 def make_move_targets(moves: np.ndarray) -> Targets:
-    """What the labels (N, 6) mm and deg of recorded training slides vary, NaN where unknown."""
-    known = moves[np.isfinite(moves).all(axis=1)]
-    if not len(known):
+    """Make targets of what varies between recorded slides (N, 6) mm and deg, NaN where unknown."""
+    labels = moves[np.isfinite(moves).all(axis=1)]
+    if not len(labels):
         return ()
-    ends = zip(known.min(axis=0).tolist(), known.max(axis=0).tolist(), strict=True)
-    return _targets(
-        (), tuple(LABELLED_SLIDES), LABELLED_SLIDES, dict(zip(LABELLED_SLIDES, ends, strict=True))
-    )
+    spans = _compute_spans(LABELLED_SLIDES, labels)
+    return _make_targets((), tuple(LABELLED_SLIDES), LABELLED_SLIDES, spans)
 
 
-def list_slide_names(names: Sequence[str]) -> list[str]:
-    """The names among `names` that are of a slide."""
-    return [name for name in (text.partition(":")[0] for text in names) if name in LABELLED_SLIDES]
+def _compute_spans(names: Iterable[str], labels: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Compute the least and the largest value of each column of labels (N, len(names))."""
+    ends = zip(labels.min(axis=0).tolist(), labels.max(axis=0).tolist(), strict=True)
+    return dict(zip(names, ends, strict=True))
 
 
-def _targets(
-    wanted: Sequence[str],
-    usual: Sequence[str],
-    known: Mapping[str, tuple[str, int]],
+def list_slide_names(texts: Sequence[str]) -> list[str]:
+    """List the names in the texts of targets that are of a recorded slide."""
+    names = [text.partition(":")[0] for text in texts]
+    return [name for name in names if name in LABELLED_SLIDES]
+
+
+def _make_targets(
+    texts: Sequence[str],
+    defaults: Sequence[str],
+    fields: Mapping[str, tuple[str, int]],
     spans: Mapping[str, tuple[float, float]],
 ) -> Targets:
+    """Make the targets that `texts` name, or else those of `defaults` that vary.
+
+    Args:
+        fields: name: field of a batch, and column in it.
+        spans: name: least and largest label, mm or deg.
+    """
     targets = []
-    for text in wanted or usual:
-        name, kind, weight = parse_target(text, known)
+    for text in texts or defaults:
+        name, kind, weight = parse_target(text, fields)
         low, high = spans[name]
         if high - low <= MIN_VARIATION:
-            if wanted:
+            if texts:
                 raise UserError(f"target '{name}' does not vary in this data set: leave it out")
             continue
-        circle = kind == CIRCLE or (
+        is_circular = kind == CIRCLE or (
             kind is None and name.endswith("_deg") and high - low > FULL_CIRCLE_DEG
         )
-        field, column = known[name]
-        middle, reach = (0.0, 1.0) if circle else ((low + high) / 2, (high - low) / 2)
-        targets.append(Target(name, field, column, middle, reach, circle, weight))
+        middle, reach = (0.0, 1.0) if is_circular else ((low + high) / 2, (high - low) / 2)
+        targets.append(Target(name, *fields[name], middle, reach, is_circular, weight))
     return tuple(targets)
 
 
 def list_label_fields(targets: Targets) -> tuple[str, ...]:
-    """The fields of a batch that hold the labels."""
+    """List the fields of a batch that hold the labels."""
     return tuple(dict.fromkeys(target.field for target in targets))
 
 
@@ -184,7 +203,7 @@ def list_target_names(targets: Targets) -> tuple[str, ...]:
 
 
 def read_true_values(targets: Targets, batch: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The labels (B,) by name, of a batch with the fields of `list_label_fields`."""
+    """Read the labels (B,) by name, from a batch with the fields of `list_label_fields`."""
     return {target.name: batch[target.field][:, target.column] for target in targets}
 
 
@@ -193,7 +212,7 @@ def to_json(targets: Targets) -> list[Json]:
 
 
 def from_json(stored: Any, source: str) -> Targets:
-    """The inverse of `to_json`. Raises UserError."""
+    """Read the targets that `to_json` wrote. Raises UserError."""
     try:
         return tuple(Target(**each) for each in stored)
     except TypeError as error:

@@ -1,4 +1,4 @@
-"""How networks are trained."""
+"""Settings of a training: losses, optimiser and schedule."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from jaxunshear.config.types import Rule
 class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
-    epochs: float = 6.0  # times through the training examples
+    epochs: float = 6.0  # passes through the training examples
     batch: int = 16  # examples a step
     # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
     optimiser: Literal["adam", "muon"] = "adam"
@@ -23,12 +23,12 @@ class Training:
     # of Adam, which with "muon" trains the first and last layers, biases and normalisation
     beta1: float = 0.5
     beta2: float = 0.999  # of Adam
-    l1: float = 0.0  # weight of |w| of convolution and dense kernels, as `kernels` says, added up over all of them
+    l1: float = 0.0  # weight of |w|, added up over all convolution and dense kernels
     l2: float = 0.0  # weight of w^2, likewise
-    # "sum": over a kernel's weights, as Keras does; "mean": which no kernel's size changes
+    # "sum": over a kernel's weights, as Keras does; "mean": does not depend on a kernel's size
     kernels: Literal["sum", "mean"] = "sum"
-    # of all losses that are computed, by their names in config/losses.py: their weights; here those
-    # of the paper, whose lambda 0.1 gives "L2 and L1 patch loss in the ratio 10:1"
+    # weights of all losses that are computed, by their names in config/losses.py; the defaults are
+    # the paper's, whose lambda 0.1 gives "L2 and L1 patch loss in the ratio 10:1"
     losses: Mapping[str, float] = LossWeights(
         {"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0}
     )
@@ -39,57 +39,58 @@ class Training:
     paired_share: float = 1.0
     # decay of the exponential moving average of the weights; 0 switches it off
     averaging: float = 0.99
-    # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
+    # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
     shift: float = 0.015
-    # weights to go on from: released ones by name, or a run's folder; none: fresh ones
+    # weights to start from: the name of released ones, or a run's folder; empty: random ones
     start: str = ""
-    validate_every: int = 100  # steps; also when a checkpoint is written
-    validation_images: int = 256  # at most, the first of the validation split
+    validate_every: int = 100  # steps; a checkpoint is then written, too
+    validation_images: int = 256  # at most; the first of the validation split
 
     def __post_init__(self) -> None:
         if isinstance(self.losses, Mapping):  # else `check_types` reports it
             object.__setattr__(self, "losses", LossWeights(self.losses))
 
     def rules(self) -> Iterator[Rule]:
-        yield self.epochs > 0, "epochs", "must be above zero"
+        yield Rule(self.epochs > 0, "epochs", "must be above zero")
         for field in ("batch", "validate_every", "validation_images"):
-            yield getattr(self, field) >= 1, field, "must be at least 1"
-        yield 0 < self.learning_rate <= 1, "learning_rate", "use a number above 0, at most 1"
-        yield (
+            yield Rule(getattr(self, field) >= 1, field, "must be at least 1")
+        yield Rule(0 < self.learning_rate <= 1, "learning_rate", "use a number above 0, at most 1")
+        yield Rule(
             not self.drops or self.schedule == "steps",
             "drops",
             "have no effect with this schedule: use schedule 'steps'",
         )
-        yield (
+        yield Rule(
             all(epoch > 0 and 0 < factor <= 1 for epoch, factor in self.drops),
             "drops",
             "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
         )
         epochs = [epoch for epoch, _ in self.drops]
-        yield epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs"
+        yield Rule(epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs")
         for field in ("beta1", "beta2", "averaging"):
-            yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1"
+            yield Rule(0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1")
         for field in ("l1", "l2"):
-            yield getattr(self, field) >= 0, field, "must not be below zero"
-        yield len(self.losses) > 0, "losses", "name at least one, as supervised:1"
+            yield Rule(getattr(self, field) >= 0, field, "must not be below zero")
+        yield Rule(len(self.losses) > 0, "losses", "name at least one, as supervised:1")
         for name, weight in self.losses.items():
-            yield weight > 0, f"losses.{name}", "must not be below zero; 0 leaves the loss out"
-        yield 0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1"
-        yield 0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25"
-        yield (
+            yield Rule(
+                weight > 0, f"losses.{name}", "must not be below zero; 0 leaves the loss out"
+            )
+        yield Rule(0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1")
+        yield Rule(0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25")
+        yield Rule(
             self.crops >= 1,
             "crops",
             "must be at least 1; losses.patch 0 leaves the patch loss out",
         )
-        yield self.crop_px >= 1, "crop_px", "must be at least 1"
+        yield Rule(self.crop_px >= 1, "crop_px", "must be at least 1")
 
 
-# of PoseNets
 POSENET_TRAINING = Training(losses={"pose": 1.0})
 
 
 def drop_pair_losses(training: Training, **losses: float) -> Training:
-    """Return `training` with `losses` alone, and what only losses of pairs read at its default."""
+    """Replace the losses, and set what only losses of pairs read to its defaults."""
     return replace(
         training,
         losses=losses,
@@ -100,7 +101,7 @@ def drop_pair_losses(training: Training, **losses: float) -> Training:
 
 
 def uses_code_exchange(training: Training) -> bool:
-    """Return whether a network that unshears learns from partners of its slides."""
+    """Return whether a network that unshears learns by exchanging codes between slides."""
     return any(name in training.losses for name in EXCHANGE)
 
 

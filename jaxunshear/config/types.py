@@ -1,7 +1,6 @@
-"""What settings are made of: frozen dataclasses whose fields have types, names of a few, and rules of their own. Imports nothing of ours
-but errors.
+"""What settings are made of: frozen dataclasses with typed fields and rules of their own.
 
-A rule is (holds, field, what is wrong and what to do instead). Later rules may rely on earlier ones.
+Imports nothing of this package but errors.
 """
 
 import dataclasses
@@ -11,46 +10,56 @@ import sys
 import types
 import typing
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxunshear.errors import UserError
 
 Hint = Any  # a type as annotations write it
 Value = Any  # of a field, or of each of several
-Rule = tuple[bool, str, str]
+
+
+class Rule(NamedTuple):
+    """A condition on settings. A rule may rely on those before it."""
+
+    holds: bool
+    field: str  # which the message names
+    remedy: str  # what is wrong with its value, and what to do instead
 
 
 def check_types(settings: object) -> None:
-    """Refuses, by dotted name, values that an experiment file gave the wrong type; NaN and infinity count as wrong."""
+    """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
     _check(settings, type(settings), "")
 
 
-def list_own_rules(settings: object, group: str = "") -> Iterator[Rule]:
-    """The rules of `settings` and of the groups in it, each beside its definition; fields by dotted name."""
+def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
+    """Yield the rules that `settings` and the groups in it declare; fields by dotted name."""
     kind: type = type(settings)
-    for field, hint in list_hints(kind).items():
+    hints = list_hints(kind)
+    for field, hint in hints.items():
+        if choices := list_choices(hint):
+            yield _make_choice_rule(getattr(settings, field), choices, f"{group}{field}")
+    for rule in settings.rules() if hasattr(settings, "rules") else ():
+        yield rule._replace(field=f"{group}{rule.field}")
+    for field in hints:
         value = getattr(settings, field)
-        if known := list_choices(hint):
-            named = (
-                one
-                for one in (value if isinstance(value, tuple) else (value,))
-                if isinstance(one, str)
-            )
-            odd = ", ".join(one for one in named if one not in known)
-            which = f"{odd} is" if isinstance(value, tuple) else "is"
-            yield not odd, f"{group}{field}", f"{which} unknown: use one of {', '.join(known)}"
-    for holds, field, remedy in settings.rules() if hasattr(settings, "rules") else ():
-        yield holds, f"{group}{field}", remedy
-    for field in list_hints(kind):
-        if dataclasses.is_dataclass(value := getattr(settings, field)):
-            yield from list_own_rules(value, f"{group}{field}.")
+        if dataclasses.is_dataclass(value):
+            yield from list_declared_rules(value, f"{group}{field}.")
+
+
+def _make_choice_rule(value: Value, choices: tuple[str, ...], field: str) -> Rule:
+    """Make the rule that the names in `value` are among `choices`."""
+    items = value if isinstance(value, tuple) else (value,)
+    unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
+    subject = f"{unknown} is" if isinstance(value, tuple) else "is"
+    return Rule(not unknown, field, f"{subject} unknown: use one of {', '.join(choices)}")
 
 
 def check_rules(settings: object, what: str) -> None:
-    """Raises `UserError` that names `what` these settings are of, and the first field that cannot be."""
-    for holds, field, remedy in list_own_rules(settings):
-        if not holds:
-            raise UserError(f"{what}: {field} = {get_value(settings, field)}: {remedy}")
+    """Raise UserError for the first rule of `settings`, called `what`, that does not hold."""
+    for rule in list_declared_rules(settings):
+        if not rule.holds:
+            value = get_value(settings, rule.field)
+            raise UserError(f"{what}: {rule.field} = {value}: {rule.remedy}")
 
 
 def get_value(settings: object, name: str) -> Value:
@@ -69,101 +78,108 @@ def is_weights(kind: Hint) -> bool:
 
 @functools.cache
 def list_hints(kind: type) -> dict[str, Hint]:
-    """Fields of a group of settings and their types."""
+    """Return the fields of a group of settings and their types."""
     return typing.get_type_hints(kind)
 
 
 def get_origin(kind: Hint) -> object:
-    """`tuple` of `tuple[int, ...]`; None of a plain type."""
+    """Return `tuple` for `tuple[int, ...]`, None for a plain type; mypy mistypes typing's own."""
     return typing.get_origin(kind)
 
 
 def list_groups(kind: Hint) -> list[type]:
-    """The dataclasses that a field may hold: none, one, or those of a union."""
-    kinds = (
-        typing.get_args(kind) if get_origin(kind) in (types.UnionType, typing.Union) else (kind,)
-    )
+    """Return the dataclasses that a field may hold: none, one, or those of a union."""
+    kinds = typing.get_args(kind) if _is_union(kind) else (kind,)
     return [typing.cast(type, each) for each in kinds if dataclasses.is_dataclass(each)]
 
 
 def get_optional(kind: Hint) -> Hint:
-    """The X of `X | None`, else None."""
-    if get_origin(kind) in (types.UnionType, typing.Union) and not list_groups(kind):
+    """Return the X of `X | None`, else None."""
+    if _is_union(kind) and not list_groups(kind):
         (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
         return inner
     return None
 
 
 def list_choices(kind: Hint) -> tuple[str, ...]:
-    """The names that a field takes, or a tuple of them; none where it takes none."""
+    """Return the names that a field, or a tuple in it, may hold; none if it may hold any."""
     if get_origin(kind) is tuple:
         return list_choices(typing.get_args(kind)[0])
-    if get_origin(kind) in (types.UnionType, typing.Union):
+    if _is_union(kind):
         return tuple(name for part in typing.get_args(kind) for name in list_choices(part))
     return typing.get_args(kind) if get_origin(kind) is typing.Literal else ()
 
 
+def _is_union(kind: Hint) -> bool:
+    return get_origin(kind) in (types.UnionType, typing.Union)
+
+
 def describe_hint(kind: Hint) -> str:
-    """What a field takes, in words."""
+    """Describe in words what a field takes."""
     if get_optional(kind) is not None:
         return f"{describe_hint(get_optional(kind))}, or none"
     if get_origin(kind) is tuple:
-        inner, *more = typing.get_args(kind)
-        if more[-1:] != [...]:
-            return "numbers joined by ':'"
-        if list_groups(inner):
-            return "names, or files of outlines, separated by commas"
-        plural = (
-            "names"
-            if list_choices(inner)
-            else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
-        )
-        return f"{plural} separated by commas"
+        return _describe_tuple(kind)
     if is_weights(kind):
         return "pairs name:weight separated by commas"
-    if known := list_choices(kind):
-        return f"one of {', '.join(known)}"
+    if choices := list_choices(kind):
+        return f"one of {', '.join(choices)}"
     if dataclasses.is_dataclass(kind):
         return f"a {typing.cast(type, kind).__name__.lower()}'s name"
     return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[kind]
 
 
+def _describe_tuple(kind: Hint) -> str:
+    item, *more = typing.get_args(kind)
+    if more[-1:] != [...]:
+        return "numbers joined by ':'"
+    if list_groups(item):
+        return "names, or files of outlines, separated by commas"
+    if list_choices(item):
+        return "names separated by commas"
+    plurals = {int: "integers", float: "numbers", str: "names"}
+    return f"{plurals.get(item, 'pairs a:b')} separated by commas"
+
+
 def is_of_type(value: Any, kind: Hint) -> bool:
-    """Whether a value is of a field's type; whether a name is a known one is for `list_own_rules`."""
+    """Return whether a value is of a field's type; any text passes for one of its names."""
     if (inner := get_optional(kind)) is not None:
         return value is None or is_of_type(value, inner)
     if get_origin(kind) is tuple:
-        first, *more = typing.get_args(kind)
-        if not isinstance(value, tuple):
-            return False
-        kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
-        return len(value) == len(kinds) and all(
-            is_of_type(v, k) for v, k in zip(value, kinds, strict=True)
-        )
+        return isinstance(value, tuple) and _has_item_types(value, kind)
     if is_weights(kind):
         return isinstance(value, Mapping) and all(
             isinstance(name, str) and is_of_type(weight, float) for name, weight in value.items()
         )
     if list_choices(kind):
         return isinstance(value, (str, *list_groups(kind)))
+    if kind is bool:
+        return isinstance(value, bool)
+    if isinstance(value, bool):  # is an int to Python
+        return False
     if kind is float:
-        return (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and abs(value) <= sys.float_info.max
-        )
-    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+        return isinstance(value, int | float) and abs(value) <= sys.float_info.max
+    return isinstance(value, kind)
+
+
+def _has_item_types(values: tuple, kind: Hint) -> bool:
+    """Return whether the items of a tuple are of the types that `kind`, a tuple type, says."""
+    kinds = typing.get_args(kind)
+    if kinds[-1] is ...:
+        return all(is_of_type(value, kinds[0]) for value in values)
+    return len(values) == len(kinds) and all(map(is_of_type, values, kinds))
 
 
 def _check(value: object, kind: Hint, name: str) -> None:
+    """Refuse a value, or one within it, that is not of the type `kind`."""
     if kinds := list_groups(kind):
-        own = next((group for group in kinds if isinstance(value, group)), None)
-        if own is None:
-            wanted = " or ".join(group.__name__ for group in kinds)
+        group = next((each for each in kinds if isinstance(value, each)), None)
+        if group is None:
+            expected = " or ".join(each.__name__ for each in kinds)
             raise UserError(
-                f"{name or 'experiment'} is of type {type(value).__name__}, not {wanted}"
+                f"{name or 'experiment'} is of type {type(value).__name__}, not {expected}"
             )
-        for field, hint in list_hints(own).items():
+        for field, hint in list_hints(group).items():
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")

@@ -32,7 +32,7 @@ from jaxunshear.config.networks import (
     UNet,
     UnshearNet,
 )
-from jaxunshear.config.serialization import OTHERS, with_version, without_version
+from jaxunshear.config.serialization import OLD_FILES, add_version, remove_version
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
@@ -204,7 +204,7 @@ def write_settings(folder: Path, settings: Json) -> None:
     settings."""
     path = Path(folder) / MODEL
     if not path.exists():
-        return files.write_json(path, with_version(settings))
+        return files.write_json(path, add_version(settings))
     old, new = _flat(_read_model(path)), _flat(files.to_builtins(settings))
     for name in old | new:
         if old.get(name) != new.get(name):
@@ -233,13 +233,13 @@ def read_net(folder: Path) -> Net:
         )
     except (KeyError, TypeError) as error:
         raise UserError(
-            f"{path} lacks or misnames {error} ({OTHERS}): delete {folder} and train again"
+            f"{path} lacks or misnames {error} ({OLD_FILES}): delete {folder} and train again"
         ) from error
 
 
 def _read_model(path: Path) -> Json:
     """Read model.json without its version. Raises UserError if another version wrote it."""
-    return without_version(files.read_object(path), path)
+    return remove_version(files.read_object(path), path)
 
 
 def read_slides(folder: Path) -> Targets:

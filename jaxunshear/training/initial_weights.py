@@ -14,7 +14,7 @@ from jaxunshear.config.experiment import (
     list_required_networks,
     require_simulated,
 )
-from jaxunshear.config.serialization import OTHERS
+from jaxunshear.config.serialization import OLD_FILES
 from jaxunshear.data.digests import parse_folder_digests
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
@@ -68,7 +68,7 @@ def check_unseen(folder: Path, digests: Iterable[str]) -> None:
     learnt = read_object(folder / "model.json").get("data")
     seen = ", ".join(sorted(set(digests).intersection(learnt or ())))
     if seen or learnt is None:
-        of = f"data that are tested (digest {seen})" if seen else f"unknown data ({OTHERS})"
+        of = f"data that are tested (digest {seen})" if seen else f"unknown data ({OLD_FILES})"
         raise UserError(f"{folder} learnt from {of}: use other weights or data")
 
 

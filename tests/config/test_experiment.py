@@ -94,7 +94,8 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
         (["--train.epoch", "5"], "there is no field --train.epoch: did you mean --train.epochs?"),
         (
             ["--epochs", "5"],
-            "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs or --train_teacher.epochs?",
+            "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs "
+            "or --train_teacher.epochs?",
         ),
         (["--train", "5"], "--train: it is a group"),
         (["--train.epochs"], "--train.epochs needs a value: a number"),
@@ -183,7 +184,8 @@ def test_train_share_of_the_rules_is_that_of_the_split():
             "unexpected keyword argument 'nam'",
         ),
         (
-            "from jaxunshear.config.experiment import Experiment\nexperiment = Experiment(name='x')",
+            "from jaxunshear.config.experiment import Experiment\n"
+            "experiment = Experiment(name='x')",
             "missing 1 required",
         ),
         ("setup = 1", "defines no variable `experiment`"),

@@ -1,4 +1,4 @@
-"""Outlines of one's own: from files, from functions, stored and found again; what is none is refused in a line."""
+"""Outlines are read from files, traced from functions and stored; others are refused in a line."""
 
 import dataclasses
 import json
@@ -37,6 +37,15 @@ PLAIN = Experiment("own", "none", paired=PairedData(stimuli=("disk", Outline("sq
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {}>{}</svg>'
 
 
+def make_star(corners):
+    """Make a polygon whose radius changes from corner to corner."""
+    angle, radius = np.arange(corners) / 80, 20 + np.arange(corners) % 2
+    return tuple(zip(radius * np.cos(angle), radius * np.sin(angle), strict=True))
+
+
+STAR = make_star(500)
+
+
 def ring(xy):
     return np.hypot(*xy.T) - 12
 
@@ -54,9 +63,9 @@ def ring(xy):
         (((0, 0), (9, float("nan")), (9, 9)), "must be finite"),
         (((0, 0, 0), (9, 0, 0), (9, 9, 0)), "must be pairs"),
         ("square", "must be pairs"),
-        (tuple((r * np.cos(t), r * np.sin(t)) for t, r in zip(np.arange(500) / 80, 20 + np.arange(500) % 2, strict=True)), "corners"),
+        (STAR, "corners"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_outline_is_refused(points, reason):
     with pytest.raises(UserError, match=reason) as refusal:
         Outline("mine", points)
@@ -100,9 +109,9 @@ def test_the_target_is_where_a_line_from_the_middle_leaves(points, place):
 
 
 def test_drawings_are_read_in_mm_with_y_up(tmp_path):
-    (tmp_path / "lens.svg").write_text(
-        SVG.format('width="4cm" height="20mm" viewBox="0 0 80 40"', '<path d="M0,0 h40 q40 20 0 40 c-20 0 -40 0 -40-20z"/>')
-    )  # fmt: skip
+    size = 'width="4cm" height="20mm" viewBox="0 0 80 40"'
+    path = '<path d="M0,0 h40 q40 20 0 40 c-20 0 -40 0 -40-20z"/>'
+    (tmp_path / "lens.svg").write_text(SVG.format(size, path))
     lens = np.array(read_outline(tmp_path / "lens.svg").points)
     np.testing.assert_allclose([lens.min(0), lens.max(0)], [[0, -20], [30, 0]], atol=0.02)
     assert (
@@ -257,10 +266,13 @@ from jaxunshear.config.outlines import trace_outline
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.stimuli import Outline
 
-blob = trace_outline("blob", lambda xy: np.hypot(*xy.T) - 12 - 2 * np.cos(3 * np.arctan2(*xy.T)), within_mm=20)
+def blob_mm(xy):
+    return np.hypot(*xy.T) - 12 - 2 * np.cos(3 * np.arctan2(*xy.T))
+blob = trace_outline("blob", blob_mm, within_mm=20)
 kite = Outline("kite", ((0, -15), (12, 0), (0, 25), {corner}))
 small = replace(TACTIP_331, name="small", rings=6, dome_radius_mm=15.0)
-experiment = Experiment("mine", "none", sensor=small, paired=PairedData(stimuli=("disk", blob, kite)))
+paired = PairedData(stimuli=("disk", blob, kite))
+experiment = Experiment("mine", "none", sensor=small, paired=paired)
 """
     file.write_text(text.format(corner="(-12, 0)"))
     found = load_experiment(file)
@@ -268,6 +280,6 @@ experiment = Experiment("mine", "none", sensor=small, paired=PairedData(stimuli=
     assert from_json(json.loads(json.dumps(to_json(found)))) == found
     file.write_text(text.format(corner="(8, -20)"))
     with pytest.raises(
-        UserError, match=r"mine\.py fails in line 11: UserError: outline 'kite' crosses itself"
+        UserError, match=r"mine\.py fails in line 13: UserError: outline 'kite' crosses itself"
     ):
         load_experiment(file)

@@ -147,12 +147,14 @@ def test_posenet_knows_the_poses_of_pairs(field, value):
             "target 'yaw_deg' does not vary",
         ),
         (
-            "--paired.ranges.lateral_mm 0 --paired.ranges.yaw_deg 0 --networks disentangled,posenet_sheared",
+            "--paired.ranges.lateral_mm 0 --paired.ranges.yaw_deg 0 "
+            "--networks disentangled,posenet_sheared",
             "there is none: the ranges of the poses leave nothing to predict",
         ),
         (
             "--paired.ranges.yaw_deg 0",
-            "pairs vary x_mm, edge_mm, edge_deg and taps x_mm, yaw_deg, edge_mm, edge_deg: name those that both vary",
+            "pairs vary x_mm, edge_mm, edge_deg and taps x_mm, yaw_deg, edge_mm, edge_deg: "
+            "name those that both vary",
         ),
         ("--pose.ranges.yaw_deg 180 --train.losses.pose_tap 1", "write yaw_deg:circle"),
     ],
@@ -255,7 +257,8 @@ def test_what_codes_of_images_that_are_apart_take():
             "pins as they are",
         ),
         (
-            "--unshear.input pins --train_pins.losses.code_agreement 1 --train_pins.paired_share 0.1",
+            "--unshear.input pins --train_pins.losses.code_agreement 1 "
+            "--train_pins.paired_share 0.1",
             "partners",
         ),
     ],
@@ -268,7 +271,8 @@ def test_fewer_pairs_within_their_limits(words, line):
 
 
 def test_taps_of_a_tested_pose_teach_no_network():
-    words = "--networks disentangled --unshear.input pins --train_pins.losses.pose_label 0 --pose.seed 0"
+    pins = "--networks disentangled --unshear.input pins"
+    words = f"{pins} --train_pins.losses.pose_label 0 --pose.seed 0"
     validate(override_fields(PLAIN, words.split()))
     assert refusal(f"{words} --train_pins.losses.tap 1").startswith("--pose.seed 0")
 
@@ -309,7 +313,8 @@ def test_codes_and_slides_within_their_limits(words, line):
         ("--other_tilts_deg 5", "goes beyond pose.ranges.tilt_deg (0)"),
         ("--other_tilts_deg 25 --pose.ranges.tilt_deg 10", "cannot be reached"),
         (
-            "--targets depth_mm,tilt_x_deg --paired.ranges.tilt_deg 9 --pose.ranges.tilt_deg 9 --other_tilts_deg 0",
+            "--targets depth_mm,tilt_x_deg --paired.ranges.tilt_deg 9 --pose.ranges.tilt_deg 9 "
+            "--other_tilts_deg 0",
             "--other_tilts_deg 0.0: target 'tilt_x_deg' does not vary",
         ),
     ],

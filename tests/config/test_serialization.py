@@ -1,4 +1,4 @@
-"""Stored settings: of this version alone, of the kind that they fit best, refused for what differs."""
+"""Stored settings are read by their own version, and refused for what does not fit it."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from jaxunshear import __version__
 from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinUnshear
-from jaxunshear.config.serialization import from_json, to_json, with_version
+from jaxunshear.config.serialization import add_version, from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.run import run_stages
@@ -30,7 +30,7 @@ def test_settings_that_lack_one_are_refused_by_its_name(name):
 
 
 def test_settings_of_another_version_are_refused_with_its_name():
-    assert from_json(with_version(to_json(NOW))) == NOW
+    assert from_json(add_version(to_json(NOW))) == NOW
     patch = ".".join([*__version__.split(".")[:2], "99"])
     assert from_json(to_json(NOW) | {"version": patch}) == NOW
     with pytest.raises(UserError, match=OTHER):
@@ -67,7 +67,7 @@ def test_a_run_of_another_version_does_not_go_on(tmp_path):
         run_stages(NOW, (), tmp_path, tmp_path, "none")
     write_json(folder / "experiment.json", to_json(NOW))
     run_stages(NOW, (), tmp_path, tmp_path, "none")
-    assert read_json(folder / "experiment.json") == with_version(
+    assert read_json(folder / "experiment.json") == add_version(
         read_json(folder / "experiment.json")
     )
 

@@ -17,7 +17,7 @@ SIZES = (5, 6, 7, 8, 9, 10, 11, 13, 24, 36, 60, 150)
     [0, pytest.param(7, marks=pytest.mark.long), pytest.param(2**31 - 1, marks=pytest.mark.long)],
 )
 def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
-    """Of any two sizes, slides, stimuli and kinds of set: the very poses are compared, not their numbers."""
+    """Compare the poses themselves over sizes, slides, stimuli and kinds of set."""
     seen: dict[tuple, set[str]] = {}
     for size in DRAWN:
         for settings in (
@@ -52,7 +52,7 @@ def test_a_larger_set_begins_with_the_smaller_and_every_split_is_there(seed, sti
 
 
 def test_every_place_of_a_block_is_held_out_as_often():
-    """And another seed or stimulus draws anew: they share a fifth of their test poses, by chance."""
+    """Another seed or stimulus draws anew: they share a fifth of their test poses, by chance."""
     splits = assign_splits(0, "disk", 20_000)
     for split in (1, 2):
         shares = np.bincount(np.flatnonzero(splits == split) % BLOCK) / 4000

@@ -22,6 +22,10 @@ EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 PLAIN = Sweep(name="plain", claim="none", base=Experiment(name="plain", claim="none"))
 LAMBDA = replace(PLAIN, grid=(("train.losses.patch", (0.0, 1.0)),))
 
+IMPORTS = (
+    "from jaxunshear.config.experiment import Experiment\n"
+    "from jaxunshear.config.sweep import Sweep\n"
+)
 BAD = [
     ({"name": 5}, "bad.py: sweep.name"),
     ({"name": "a/b"}, "--name a/b"),
@@ -65,8 +69,8 @@ def test_a_bad_sweep_is_refused_in_one_line(changes, line):
 def test_the_form_of_a_sweep_is_checked_before_anything_reads_it(tmp_path):
     file = tmp_path / "bad.py"
     file.write_text(
-        "from jaxunshear.config.experiment import Experiment\nfrom jaxunshear.config.sweep import Sweep\n"
-        "sweep = Sweep(name='x', claim='y', base=Experiment(name='x', claim='y'), grid=('train.batch', (1, 2)))\n"
+        f"{IMPORTS}base = Experiment(name='x', claim='y')\n"
+        "sweep = Sweep(name='x', claim='y', base=base, grid=('train.batch', (1, 2)))\n"
     )
     with pytest.raises(UserError, match=r"bad\.py: sweep\.grid is no tuple of axes"):
         load_sweep(file)
@@ -130,9 +134,6 @@ def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():
         parse_seeds("0;1")
 
 
-IMPORTS = "from jaxunshear.config.experiment import Experiment\nfrom jaxunshear.config.sweep import Sweep\n"
-
-
 def test_a_file_without_sweep_or_experiment_is_refused(tmp_path):
     path = tmp_path / "bad.py"
     for text, line in (
@@ -140,7 +141,8 @@ def test_a_file_without_sweep_or_experiment_is_refused(tmp_path):
         ("sweep = {}", "bad.py: `sweep` is of type dict, not Sweep"),
         (f'{IMPORTS}experiment = Experiment(name="a", claim="b", train=None)', "train is of type"),
         (
-            f'{IMPORTS}sweep = Sweep(name="a", claim="b", base=Experiment(name="a", claim="b", train=3))',
+            f'{IMPORTS}base = Experiment(name="a", claim="b", train=3)\n'
+            'sweep = Sweep(name="a", claim="b", base=base)',
             "train is of type",
         ),
     ):

@@ -1,4 +1,4 @@
-"""Pose targets: what is written, what is known of the data, and the way from labels to outputs and back."""
+"""Pose targets: how they are written, and scaled to outputs of a network and back."""
 
 import json
 
@@ -35,7 +35,7 @@ SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_m
 
 
 def recorded(count=60):
-    """Poses (N, 6) whose z_mm and Ry_deg stay where they are, and whose Rz_deg goes all the way round."""
+    """Make poses (N, 6) with constant z_mm and Ry_deg, and Rz_deg over the full circle."""
     poses = np.random.default_rng(0).uniform(-1, 1, (count, 6)) * [3, 4, 0, 10, 0, 180] + [
         10,
         0,
@@ -266,7 +266,7 @@ def test_labels_come_back_from_their_outputs(count, jit):
 
 
 def test_simulated_outputs_are_the_very_numbers_they_were():
-    """Of the default targets: labels over the largest there can be, or cosine and sine, moved from [-1, 1] to [0, 1]."""
+    """Compare with labels over their limit, or cosine and sine, moved from [-1, 1] to [0, 1]."""
     batch, ranges = simulated(), Ranges()
     pose, edge, angle = batch["pose"], batch["edge"], jnp.deg2rad(batch["edge"][:, 1])
     lateral, yaw, distance = ranges.lateral_mm, ranges.yaw_deg, 2**0.5 * ranges.lateral_mm
