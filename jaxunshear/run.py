@@ -21,7 +21,7 @@ from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.training.data_origin import check_origin, describe_origin
-from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
+from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
 
 TEACHER_SEED = 1000  # beyond the run's own
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
@@ -161,7 +161,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         select_few_pairs,
     )
     from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
-    from jaxunshear.training.trainer import train
+    from jaxunshear.training.trainer import Provenance, TrainingData, train
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training, examples = (
@@ -181,18 +181,17 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if "consistency" in training.losses:
         batches = add_same_pose_slides(batches, full, beside, seed)
     begin = start_folder(experiment, network)
-    summary = train(
-        task,
-        training,
+    training_data = TrainingData(
         lambda start: map(rename_inputs, batches(start)),
         take_first(examples.reader.split, training.validation_images, fields),
-        seed,
-        folder / network,
-        epoch_images=examples.epoch,
-        origin=describe_origin(experiment, network),
-        data=data_of(experiment, network, begin),
-        start=InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
+        examples.epoch,
     )
+    provenance = Provenance(
+        describe_origin(experiment, network),
+        list_training_digests(experiment, network, begin),
+        InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
+    )
+    summary = train(task, training, training_data, seed, folder / network, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "

@@ -19,6 +19,7 @@ from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.config.registry import ENTANGLED
 from jaxunshear.config.training import Training
 from jaxunshear.training import checkpoint
+from jaxunshear.training.trainer import TrainingData
 from jaxunshear.training.trainer import train as train_network
 from verification.network_images import (
     KINDS,
@@ -250,9 +251,8 @@ def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
 
     checked = make_batch(net, VALIDATION, 4)
     task = make_task(net, training)
-    summary = train_network(
-        task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch
-    )
+    data = TrainingData(batches, lambda: iter([checked]), epoch_images=training.batch)
+    summary = train_network(task, training, data, 0, folder)
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
     variables = checkpoint.load_best(folder)

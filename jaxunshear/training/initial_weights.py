@@ -48,7 +48,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
     return folder
 
 
-def data_of(experiment: Experiment, network: str, start: Path | None) -> list[str]:
+def list_training_digests(experiment: Experiment, network: str, start: Path | None) -> list[str]:
     """Return the digests of the data that `network` learns from, also through others and the weights in `start`."""
     if isinstance(experiment.paired, Recorded):
         own = parse_folder_digests(experiment.paired.digest)
