@@ -38,7 +38,7 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms
-from jaxunshear.training.initial_weights import InitialWeights, begin_from
+from jaxunshear.training.initial_weights import InitialWeights, replace_weights
 from jaxunshear.training.losses import measure_kernel_sizes
 from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
@@ -181,7 +181,7 @@ def make_first_state(
     def make(key: Array, start_variables: Tree) -> State:
         variables = task.init(key)
         if start:
-            variables = begin_from(variables, start_variables)
+            variables = replace_weights(variables, start_variables)
         return init_state(variables, optimiser)
 
     compiled = jax.jit(make, compiler_options=get_compile_options())

@@ -20,7 +20,7 @@ from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
     InitialWeights,
-    begin_from,
+    replace_weights,
     check_unseen,
     list_training_digests,
     start_folder,
@@ -36,7 +36,7 @@ def tree(value, **shapes):
 
 
 def test_what_both_have_is_taken_and_nothing_else():
-    found = begin_from(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
+    found = replace_weights(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
     assert (
         float(found["params"]["E"]["kernel"].min()) == 1
@@ -58,7 +58,7 @@ def test_what_both_have_is_taken_and_nothing_else():
 )
 def test_weights_that_do_not_fit_are_refused(start, line):
     with pytest.raises(UserError, match=line):
-        begin_from(tree(0.0, E=(2, 3)), start)
+        replace_weights(tree(0.0, E=(2, 3)), start)
 
 
 NETWORK = "disentangled"
@@ -126,7 +126,9 @@ def test_weights_that_do_not_say_what_they_learnt_from_are_refused(tmp_path):
 def test_released_weights_say_what_they_learnt_from(name):
     experiment = load_settings(RELEASED / name)
     for model in (RELEASED / name).glob("*/model.json"):
-        assert json.loads(model.read_text())["data"] == list_training_digests(experiment, model.parent.name, None)
+        assert json.loads(model.read_text())["data"] == list_training_digests(
+            experiment, model.parent.name, None
+        )
 
 
 def trained(folder, start):
