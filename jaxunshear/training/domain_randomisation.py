@@ -3,7 +3,8 @@
 Networks that learn from such pins work on real skin.
 
 randomise = make_randomisation(rest, share)  # rest in px
-batch = randomise(batch, key)  # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
+# {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
+batch = randomise(batch, key)
 
 The dome is the same all round, so each batch is turned about its axis by one angle, and the edge's
 direction with it. For each contact we draw how far its slide drags the pins, which depends on the

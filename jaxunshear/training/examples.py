@@ -148,14 +148,17 @@ def measure_pin_spread(reader: Reader, field: str, rest: np.ndarray) -> float:
 
 
 def _measure_rest(reader: Reader, field: str) -> np.ndarray:
-    """Average the pins of training taps, (P, 2) px, as for recordings, which have no untouched pins."""
+    """Average the pins of training taps, (P, 2) px.
+
+    The rest positions of recordings are found in this way, too, for want of untouched pins.
+    """
     return read_all_training(reader, field)[field].mean(axis=0, dtype=np.float64)
 
 
 def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Path) -> Examples:
     settings = get_training_data(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
-    reader = open_simulated(settings, experiment.sensor, data_dir)
+    reader = open_simulated_set(settings, experiment.sensor, data_dir)
     size, camera = settings.preprocess.size, settings.camera
     rest = np.zeros((0, 2), np.float32)
     if uses_pins(experiment):
@@ -170,7 +173,9 @@ def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Pat
     )
 
 
-def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:
+def open_simulated_set(
+    settings: PairedData | PoseData, sensor: Sensor, data_dir: Path
+) -> SetReader:
     """Open a simulated set. Raises UserError if it is missing or was made with other settings."""
     shared = isinstance(settings, PairedData) and settings.poses_a_slide > 1
     return open_set(settings, data_dir, sensor, FactorialReader if shared else SetReader)

@@ -19,7 +19,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import hash_text
 from jaxunshear.data.pose_groups import group_by_pose
 from jaxunshear.data.reader import Batch, Reader, SetReader
-from jaxunshear.training.examples import Examples, open_simulated
+from jaxunshear.training.examples import Examples, open_simulated_set
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 Batches = Callable[[int], Iterator[Batch]]
@@ -92,4 +92,4 @@ def _get_set_reader(examples: Examples) -> SetReader:
 def open_taps(experiment: Experiment, data_dir: Path) -> Reader:
     """Open the simulated taps without slides. Raises UserError if the set is missing."""
     assert isinstance(experiment.pose, PoseData)
-    return open_simulated(experiment.pose, experiment.sensor, data_dir)
+    return open_simulated_set(experiment.pose, experiment.sensor, data_dir)

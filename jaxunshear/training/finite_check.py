@@ -21,7 +21,10 @@ MAX_NAMED = 8  # examples in the line
 
 
 def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
-    """Return the terms of a step (the first is 1) as floats. Raises UserError if one is not finite."""
+    """Return the terms of a step (the first is 1) as floats.
+
+    Raises UserError if one is not finite.
+    """
     values = {name: float(value) for name, value in jax.device_get(terms).items()}
     broken = [name for name, value in values.items() if not math.isfinite(value)]
     if broken:
@@ -38,7 +41,7 @@ def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
 
 
 def _make_error(what: str, step: int, batch: Batch, folder: Path) -> UserError:
-    """Make the error with the step, the term, the batch, the checkpoints that are kept, a remedy."""
+    """Make the error that names step, term, batch, the checkpoints that are kept and a remedy."""
     number = step - 1
     description, remedy = _inspect_batch(batch)
     return UserError(

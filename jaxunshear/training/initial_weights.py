@@ -1,4 +1,4 @@
-"""Fine-tuning, `train.start`: a training begins from weights that have not learnt its tests. Loads JAX late."""
+"""Initial weights, `train.start`: fine-tune weights that have not learnt the tests. Loads JAX late."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -16,7 +16,7 @@ from jaxunshear.models.weights import Variables, list_leaves
 def compute_supervised_loss(
     canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
 ) -> Float[Array, "B"]:
-    """Compute the mean squared difference of images in [0, 1]: L_sup, or L_rec of sheared images."""
+    """Compute the mean squared difference of images in [0, 1], for L_sup and L_rec."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
 
 
@@ -86,9 +86,9 @@ def compute_slide_loss(z_s: Float[Array, "B G"], target: Float[Array, "B K"]) ->
 def compute_regularisation(
     params: Variables, l1: float, l2: float, kernels: str = "sum"
 ) -> Float[Array, ""]:
-    """Compute l1 sum |w| + l2 sum w^2 of each kernel, or with the "mean" for the sum, and add them up.
+    """Compute l1 sum |w| + l2 sum w^2 of each kernel, and add these up.
 
-    Biases and normalisation are left out. A weight of zero computes nothing.
+    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A weight of zero computes nothing.
     """
     reduce = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
     total = jnp.zeros(())

@@ -21,7 +21,8 @@ from jaxunshear.models.weights import Variables
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 ITERATIONS = 5
 MOMENTUM = 0.95
-# of an update at learning rate 1, near Adam's, so that both take the same rates (Liu et al. 2025, section 2.2)
+# of an update at learning rate 1, near Adam's, so that both take the same rates
+# (Liu et al. 2025, section 2.2)
 RMS = 0.2
 MAX_READOUT_WIDTH = 8  # kernels with fewer outputs
 

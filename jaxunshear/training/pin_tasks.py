@@ -1,8 +1,8 @@
 """Tasks of networks over pins, see tasks.py.
 
-`rest` (P, 2) px are the untouched pins, `spread` px is how far pins move (root mean square), both of
-training examples alone. A field {"weight"} (B,) weighs the examples; an example whose pins are not
-sure should have none.
+`rest` (P, 2) px are the untouched pins, `spread` px is how far pins move (root mean square), both
+of training examples alone. A field {"weight"} (B,) weighs the examples; an example whose pins are
+not sure should have none.
 """
 
 from collections.abc import Callable
@@ -99,14 +99,14 @@ def make_pin_posenet_task(
             angle = rotations.radians[k]
         outputs = pin_networks.predict(net, variables, pins, angle)
         inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, key, render)
-        computed = run_losses(iter(specs), inputs, key)
+        computed = run_losses(specs, inputs, key)
         return _weight_recordings(computed, batch), variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> Terms:
         outputs = pin_networks.predict(net, variables, batch["pins"])
         poses = posenet.scale_poses(batch, targets)
         inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, None)
-        computed = run_losses(iter(specs), inputs, None)
+        computed = run_losses(specs, inputs, None)
         errors = compute_pose_error_terms(outputs, batch, targets)
         return weight_terms(computed | errors, batch)
 
@@ -133,7 +133,7 @@ def make_renderer_task(
         poses = posenet.scale_poses(batch, targets)
         pins = pin_networks.render_pins(net, variables, poses)
         inputs = PoseInputs(batch, pins, poses, net, variables, PINS, targets, key)
-        return weight_terms(run_losses(iter(specs), inputs, key), batch)
+        return weight_terms(run_losses(specs, inputs, key), batch)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
         return compute_terms(variables, batch, key), variables["batch_stats"]
