@@ -1,4 +1,7 @@
-"""Initial weights, `train.start`: fine-tune weights that have not learnt the tests. Loads JAX late."""
+"""Initial weights, `train.start`: fine-tune weights that have not learnt the tests.
+
+Loads JAX late.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -88,7 +88,8 @@ def compute_regularisation(
 ) -> Float[Array, ""]:
     """Compute l1 sum |w| + l2 sum w^2 of each kernel, and add these up.
 
-    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A weight of zero computes nothing.
+    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A
+    weight of zero computes nothing.
     """
     reduce = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
     total = jnp.zeros(())
