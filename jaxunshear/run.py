@@ -20,7 +20,7 @@ from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.training.data_origin import check_origin, describe_origin
-from jaxunshear.training.initial_weights import InitialWeights, data_of, start_folder
+from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
 
 TEACHER_SEED = 1000  # is added to the seed of the run
 LOCK = "run.lock"  # a row of a sweep has another lock
@@ -181,7 +181,7 @@ def _train(run: _Run, network: str) -> bool:
         select_few_pairs,
     )
     from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
-    from jaxunshear.training.trainer import train
+    from jaxunshear.training.trainer import Provenance, TrainingData, train
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training = get_training(experiment, network)
@@ -198,19 +198,18 @@ def _train(run: _Run, network: str) -> bool:
         batches = add_taps(batches, open_taps(experiment, run.data), extra, seed)
     if "consistency" in training.losses:
         batches = add_same_pose_slides(batches, all_examples, extra, seed)
-    start = start_folder(experiment, network)
-    summary = train(
-        task,
-        training,
+    begin = start_folder(experiment, network)
+    training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),
         take_first(examples.reader.split, training.validation_images, fields),
-        seed,
-        folder,
-        epoch_images=examples.epoch,
-        origin=describe_origin(experiment, network),
-        data=data_of(experiment, network, start),
-        start=InitialWeights(load_best(start), compute_weights_digest(start)) if start else None,
+        examples.epoch,
     )
+    provenance = Provenance(
+        describe_origin(experiment, network),
+        list_training_digests(experiment, network, begin),
+        InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
+    )
+    summary = train(task, training, training_data, seed, folder, provenance)
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s "

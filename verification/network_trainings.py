@@ -20,6 +20,7 @@ from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.config.registry import ENTANGLED
 from jaxunshear.config.training import Training
 from jaxunshear.training import checkpoint
+from jaxunshear.training.trainer import TrainingData
 from jaxunshear.training.trainer import train as train_network
 from verification.network_images import (
     KINDS,
@@ -244,19 +245,10 @@ def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
 
     validation = make_batch(net, VALIDATION, 4)
     task = make_task(net, training)
-    summary = train_network(
-        task,
-        training,
-        make_batches,
-        lambda: iter([validation]),
-        0,
-        folder,
-        epoch_images=training.batch,
-    )
-    terms = []
-    for text in (folder / "log.jsonl").read_text().splitlines():
-        line = json.loads(text)
-        terms.append({part: _fill_nulls(line[part]) for part in ("train", "validation")})
+    data = TrainingData(batches, lambda: iter([checked]), epoch_images=training.batch)
+    summary = train_network(task, training, data, 0, folder)
+    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    terms = [{part: _fill_nulls(line[part]) for part in ("train", "validation")} for line in log]
     variables = checkpoint.load_best(folder)
     images = convert_to_floats(get_images(validation))
     outputs = dict(build_programs(net, TRAINING).infer(variables, images))

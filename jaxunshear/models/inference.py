@@ -1,10 +1,11 @@
-"""Trained networks made ready for use, image after image.
+"""Compile trained networks for use, image after image.
 
->>> run = jit_for_inference(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
+>>> run = jit_for_inference(partial(unshearnet.unshear, net), variables)
 >>> run(images)
 
-The weights are constants of the compiled program: what depends on them alone (kernels rearranged for `fast/conv.py`, the norm's
-factors) is computed once, by the compiler, where it would cost a single image up to a third of its time.
+The weights are constants of the compiled program. What depends on them alone (kernels rearranged
+for `fast/conv.py`, the norm's factors) is computed once, by the compiler; it would cost a single
+image up to a third of its time.
 """
 
 from collections.abc import Callable
@@ -14,16 +15,19 @@ import jax
 
 from jaxunshear.models.weights import Variables
 
-Answer = TypeVar("Answer")
+Outputs = TypeVar("Outputs")
 
 
-def jit_for_inference(run: Callable[..., Answer], variables: Variables) -> Callable[..., Answer]:
-    """`run(variables, ...)` as a jitted function of the rest. Its products are in the precision of what it is given, also on a GPU, which
-    would round float32 to ten bits: a network answers there as on a CPU."""
+def jit_for_inference(run: Callable[..., Outputs], variables: Variables) -> Callable[..., Outputs]:
+    """Jit `run(variables, ...)` as a function of its other arguments.
+
+    Products have the precision of the inputs, also on a GPU, which would round float32 to ten bits:
+    outputs are the same there as on a CPU.
+    """
     constants = jax.device_get(variables)
 
-    def answer(*inputs: object) -> Answer:
+    def run_with_constants(*inputs: object) -> Outputs:
         with jax.default_matmul_precision("highest"):
             return run(constants, *inputs)
 
-    return jax.jit(answer)
+    return jax.jit(run_with_constants)

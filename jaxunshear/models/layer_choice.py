@@ -1,8 +1,10 @@
-"""Which layers networks are built of: those of `layers.py`, as a reader of the paper expects them, or those of `fast/`, which a CPU
-computes faster, and a GPU, too. Parameters are the same, values and gradients equal to rounding.
+"""Choose the layers of networks: plain ones of `layers.py`, or those of `fast/`.
 
-JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it starts; auto, the default, takes fast ones on CPUs and GPUs,
-where both have been timed.
+Plain layers are written as a reader of the paper expects them; a CPU, and a GPU, computes the fast
+ones in less time. Parameters are the same, values and gradients equal to rounding.
+
+JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it starts; auto, the
+default, takes fast layers on CPUs and GPUs, where both have been timed.
 """
 
 import contextlib
@@ -16,38 +18,35 @@ from jaxunshear.environment import AUTO, FAST, PLAIN, read_kernels_choice
 from jaxunshear.models.fast import compiled_kernels
 
 T = TypeVar("T")
-_asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", default=None)
+_chosen: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", default=None)
 
 
 def choose_layers() -> str:
-    """PLAIN or FAST. Raises UserError for another value of the variable."""
-    way = _asked.get() or read_kernels_choice()
-    if way != AUTO:
-        return way
+    """Choose PLAIN or FAST. Raises UserError for another value of the variable."""
+    choice = _chosen.get() or read_kernels_choice()
+    if choice != AUTO:
+        return choice
     return FAST if jax.default_backend() in ("cpu", "gpu") else PLAIN
 
 
 @contextlib.contextmanager
-def use_layers(way: str) -> Iterator[None]:
-    """What is traced herein is of these layers."""
-    token = _asked.set(way)
+def use_layers(choice: str) -> Iterator[None]:
+    """Use PLAIN or FAST layers in what is traced within this context."""
+    token = _chosen.set(choice)
     try:
         yield
     finally:
-        _asked.reset(token)
+        _chosen.reset(token)
 
 
 def describe_layers() -> str:
-    """For results: which layers, and whether those of a training were compiled for this processor."""
-    return (
-        f"{FAST}, compiled"
-        if choose_layers() == FAST
-        and compiled_kernels.get_form() == "compiled"
-        and compiled_kernels.is_available()
-        else choose_layers()
-    )
+    """Describe the layers for results, and whether kernels are compiled for this processor."""
+    choice = choose_layers()
+    if choice == FAST and compiled_kernels.is_available():
+        return f"{FAST}, compiled"
+    return choice
 
 
 def pick_layer(plain: T, fast: T) -> T:
-    """The one to build a network of."""
+    """Return the layer to build a network of."""
     return fast if choose_layers() == FAST else plain

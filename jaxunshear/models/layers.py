@@ -1,6 +1,6 @@
-"""The layers of all networks over images: convolution, batch normalisation, ReLU (paper, appendix A).
+"""The layers of all networks over images: convolution, batch normalisation, ReLU (appendix A).
 
-The precision is that of the images given.
+The precision is that of their inputs.
 """
 
 import flax.linen as nn
@@ -41,9 +41,12 @@ class Same(nn.Module):
 
 
 class ConvTranspose(nn.Conv):
-    """Flax's 4x4 `ConvTranspose` of stride 2, as what it is: the convolution of an image with zeros between its pixels, (B, H, W, C) ->
-    (B, 2H, 2W, features). Of Flax's own XLA makes the kernel's gradient a convolution with a kernel as large as the image, which took
-    four fifths of a step on a GPU (https://github.com/jax-ml/jax/issues/31662)."""
+    """Flax's 4x4 `ConvTranspose` of stride 2: (B, H, W, C) -> (B, 2H, 2W, features).
+
+    It is written as the convolution of an image with zeros between its pixels. For Flax's own layer
+    XLA computes the kernel's gradient by a convolution with a kernel as large as the image, which
+    took four fifths of a step on a GPU (https://github.com/jax-ml/jax/issues/31662).
+    """
 
     kernel_size: tuple[int, int] = (4, 4)
     padding: str = "VALID"
@@ -80,7 +83,7 @@ class Last(nn.Module):
 def norm_relu(
     layer: nn.Module, conv: nn.Conv, x: Float[Array, "B H W C"], train: bool
 ) -> Float[Array, "B _ _ N"]:
-    """A layer's convolution, whose kernel is the layer's own parameter, batch normalisation and ReLU."""
+    """Apply convolution, batch normalisation and ReLU; the kernel is a parameter of `layer`."""
     nn.share_scope(layer, conv)
     norm = nn.BatchNorm(
         not train,

@@ -1,12 +1,12 @@
 """PoseNet: a tap image -> pose (paper appendix A), behind pure functions.
 
 >>> variables = init(net, count_outputs(targets), jax.random.key(0))
->>> outputs = predict(net, variables, images)                     # (B, S, S, 1) in [0, 1] -> (B, K) in [0, 1]
->>> unscale_outputs(outputs, targets)["edge_mm"]                # (B,)
+>>> outputs = predict(net, variables, images)     # (B, S, S, 1) in [0, 1] -> (B, K) in [0, 1]
+>>> unscale_outputs(outputs, targets)["edge_mm"]  # (B,)
 
-What is predicted is a matter of `targets` (jaxunshear/config/targets.py), each scaled to [0, 1] for the sigmoid output.
-The paper predicts x and yaw; for simulated shapes distance to the edge and the edge's direction are added, as these stay
-unambiguous where the edge is smooth.
+The network predicts `targets` (config/targets.py), each scaled to [0, 1] for the sigmoid output.
+The paper predicts x and yaw. For simulated shapes the distance to the edge and the edge's direction
+are added, as these stay unambiguous where the edge is smooth.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,10 @@ from jaxunshear.models.weights import Variables
 
 
 class Network(nn.Module):
-    """Five convolutions, the first two of stride 2, max pooling after the 2nd and 4th, two dense layers."""
+    """Five convolutions and two dense layers.
+
+    The first two convolutions have stride 2; max pooling follows the second and the fourth.
+    """
 
     net: networks.PoseNet
     outputs: int
@@ -45,23 +48,23 @@ class Network(nn.Module):
         return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def _network(net: networks.PoseNet, outputs: int) -> nn.Module:
+def _make_network(net: networks.PoseNet, outputs: int) -> nn.Module:
     return layer_choice.pick_layer(Network, fast.PoseNet)(net, outputs)
 
 
 def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
-    """Fresh variables of a network with as many `outputs` as the targets have together.
+    """Make fresh variables of a network with as many `outputs` as the targets have together.
 
-    Raises UserError where `size` and `widths` do not fit the network."""
+    Raises UserError if `size` and `widths` do not fit the network.
+    """
     check_net(net)
-    with layer_choice.use_layers(
-        layer_choice.FAST
-    ):  # whatever layers are chosen, a seed gives the same weights
-        return dict(_network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
+    images = jnp.zeros((1, net.size, net.size, 1))
+    with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
+        return dict(_make_network(net, outputs).init(key, images, True))
 
 
 def check_net(net: networks.PoseNet) -> None:
-    """Raises UserError that names the field where a network of these settings cannot be built."""
+    """Raise UserError, which names the field, if no network of these settings can be built."""
     if len(net.widths) != 5:
         raise UserError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
     if net.size % 16:
@@ -71,37 +74,37 @@ def check_net(net: networks.PoseNet) -> None:
 def predict(
     net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B K"]:
-    """Images in [0, 1] -> outputs in [0, 1]; each image on its own."""
-    outputs: Array = _make_module(net, variables).apply(variables, images, False)  # type: ignore[assignment]
+    """Predict outputs in [0, 1] of images in [0, 1], each image independently."""
+    network = _make_network_for(net, variables)
+    outputs: Array = network.apply(variables, images, False)  # type: ignore[assignment]
     return outputs
 
 
 def predict_training(
     net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Float[Array, "B K"], Variables]:
-    """The same with the batch's statistics, and the updated running ones."""
-    outputs, updates = _make_module(net, variables).apply(
-        variables, images, True, mutable=["batch_stats"]
-    )
+    """Predict outputs with the statistics of the batch, and return the updated running ones."""
+    network = _make_network_for(net, variables)
+    outputs, updates = network.apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]
 
 
-def _make_module(net: networks.PoseNet, variables: Variables) -> nn.Module:
-    return _network(net, len(variables["params"]["Dense_1"]["bias"]))
+def _make_network_for(net: networks.PoseNet, variables: Variables) -> nn.Module:
+    return _make_network(net, len(variables["params"]["Dense_1"]["bias"]))
 
 
 def count_outputs(targets: Targets) -> int:
-    """K, of all targets together."""
+    """Count the outputs K of all targets."""
     return sum(target.outputs for target in targets)
 
 
 def list_output_weights(targets: Targets) -> tuple[float, ...]:
-    """Weight of each of the K outputs in the loss."""
+    """List the weight of each of the K outputs in the loss."""
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
 def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array, "B K"]:
-    """Labels (B, _) of a batch, mm and deg by field -> what the outputs should be, in [0, 1]."""
+    """Scale the labels (B, _) of a batch, mm and deg by field, to outputs in [0, 1]."""
     signed: list[Array] = []
     for target in targets:
         value = jnp.asarray(batch[target.field])[:, target.column]
@@ -114,18 +117,19 @@ def scale_poses(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array
 
 
 def sample_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{count} K"]:
-    """Outputs in [0, 1] of poses that are uniform over the targets' ranges and circles."""
+    """Sample outputs in [0, 1] of poses that are uniform over the targets' ranges and circles."""
     signed: list[Array] = []
-    for target, one in zip(targets, jax.random.split(key, len(targets)), strict=True):
-        drawn = jax.random.uniform(one, (count,), minval=-1.0)
-        signed += (
-            [jnp.cos(jnp.pi * drawn), jnp.sin(jnp.pi * drawn)] if target.is_circular else [drawn]
-        )
+    for target, target_key in zip(targets, jax.random.split(key, len(targets)), strict=True):
+        value = jax.random.uniform(target_key, (count,), minval=-1.0)
+        if target.is_circular:
+            signed += [jnp.cos(jnp.pi * value), jnp.sin(jnp.pi * value)]
+        else:
+            signed.append(value)
     return (jnp.stack(signed, -1) + 1) / 2
 
 
 def unscale_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str, Float[Array, "B"]]:
-    """Outputs -> mm and deg by target; angles of a full circle in (-180, 180]."""
+    """Turn outputs into mm and deg by target; angles of a full circle are in (-180, 180]."""
     signed = 2 * outputs - 1
     pose, column = {}, 0
     for target in targets:

@@ -1,4 +1,4 @@
-"""What both decoders make of slides in training, over images or over pins."""
+"""The outputs of both decoders in training, over images or over pins, and code agreement."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from jax import Array
 from jaxtyping import Float
 
 RIDGE = 1e-4  # of the mean variance of a code: a direction much narrower than this is rounding
-LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet need not agree at any cost
+LEAST_VARIANCE = 1e-3  # of a code: one without information yet need not agree at any cost
 
 
 class Reconstruction(NamedTuple):
@@ -25,18 +25,19 @@ class Reconstruction(NamedTuple):
 def measure_disagreement(
     one: Float[Array, "B *F"], other: Float[Array, "B *F"]
 ) -> Float[Array, "B"]:
-    """Return the squared difference of codes that should be equal, in every direction over its variance.
+    """Measure the squared difference of codes that should be equal, over the variance.
 
-    This is the Mahalanobis distance by the covariance of the batch, over the number of directions. A
-    difference over the mean variance costs next to nothing in narrow directions, and a shear that hides
-    there stays in the pose code.
+    This is the squared Mahalanobis distance by the covariance of the batch, over the number of
+    directions. If the mean variance were used, differences in narrow directions would cost next to
+    nothing, and shear that hides there would stay in the pose code.
     """
-    one, other = (code.reshape(code.shape[0], -1) for code in (one, other))
+    one = one.reshape(one.shape[0], -1)
+    other = other.reshape(other.shape[0], -1)
     both = jnp.concatenate([one, other])
     centred = both - jnp.mean(both, axis=0, keepdims=True)
     covariance = centred.T @ centred / len(both)
     size = covariance.shape[0]
     floor = RIDGE * jnp.trace(covariance) / size + RIDGE * LEAST_VARIANCE
     covariance += floor * jnp.eye(size, dtype=covariance.dtype)
-    apart = one - other
-    return jnp.mean(apart * jnp.linalg.solve(covariance, apart.T).T, axis=1)
+    difference = one - other
+    return jnp.mean(difference * jnp.linalg.solve(covariance, difference.T).T, axis=1)

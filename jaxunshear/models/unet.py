@@ -1,10 +1,11 @@
-"""A U-Net in the place of UnshearNet: sheared image -> canonical one, behind the same kind of pure functions.
+"""U-Net, a rival of UnshearNet, behind the same kind of pure functions.
 
 >>> variables = init(net, jax.random.key(0))
->>> canonical = unshear(net, variables, sheared)                  # (B, S, S, 1) in [0, 1] -> the same
+>>> canonical = unshear(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> the same shape
 
-It is the rival that image-to-image work would try first (Ronneberger et al. 2015): every decoder layer also sees the encoder's
-array of its own size, so there is no code that could hold a pose, nor one that could be swapped.
+It is the network that image-to-image work would try first (Ronneberger et al. 2015). Every decoder
+layer also takes the encoder's array of its own size, so there is no code that could hold a pose or
+be swapped.
 """
 
 import flax.linen as nn
@@ -38,29 +39,27 @@ class Network(nn.Module):
         return Last()(x, train)
 
 
-def _network(net: networks.UNet) -> nn.Module:
+def _make_network(net: networks.UNet) -> nn.Module:
     return layer_choice.pick_layer(Network, fast.UNet)(net)
 
 
 def init(net: networks.UNet, key: Array) -> Variables:
-    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
+    """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
     check_net(net)
     side = 2 ** len(net.widths)
-    with layer_choice.use_layers(
-        layer_choice.FAST
-    ):  # whatever layers are chosen, a seed gives the same weights
-        return dict(_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+    with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
+        return dict(_make_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
 def check_net(net: networks.UNet) -> None:
-    """Raises UserError that names the field where a network of these settings cannot be built."""
+    """Raise UserError, which names the field, if no network of these settings can be built."""
     unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
 
 
 def unshear(
     net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B S S 1"]:
-    """Sheared images in [0, 1] -> canonical ones."""
+    """Unshear images in [0, 1]."""
     return jax.nn.sigmoid(compute_logits(net, variables, images))
 
 
@@ -68,13 +67,13 @@ def compute_logits(
     net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B S S 1"]:
     """Compute the logits of the canonical images of sheared ones in [0, 1]."""
-    logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
+    logits: Array = _make_network(net).apply(variables, images, False)  # type: ignore[assignment]
     return logits
 
 
 def reconstruct(
     net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Reconstruction, Variables]:
-    """The training pass: logits of the canonical image, and new running statistics."""
-    canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
+    """Compute the logits of canonical images in training, and the updated running statistics."""
+    canonical, updates = _make_network(net).apply(variables, images, True, mutable=["batch_stats"])
     return Reconstruction(canonical), updates["batch_stats"]

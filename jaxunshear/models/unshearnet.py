@@ -1,15 +1,16 @@
 """Entangled and Disentangled UnshearNet (paper section 3.3, appendix A) behind pure functions.
 
 >>> variables = init(net, jax.random.key(0))
->>> z_p, z_s = encode(net, variables, sheared)                    # (B, S, S, 1) in [0, 1] -> (B, s, s, channels) each
+>>> z_p, z_s = encode(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> (B, s, s, channels) each
 >>> canonical = jax.nn.sigmoid(decode_canonical(net, variables, z_p))
->>> canonical = unshear(net, variables, sheared)                  # the same, in one go
+>>> canonical = unshear(net, variables, sheared)  # both steps in one
 
-E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
-network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
+E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS decodes both codes to the
+sheared one. The entangled network has one code and DC alone; its z_s is None. Inputs are binary
+images scaled to [0, 1], decoders return logits.
 
-Ours, not the paper's, are codes that are `apart`: both are a few numbers without place, (B, 1, 1, channels), and z_s has an encoder of its
-own, ES.
+Codes that are `apart` are ours, not the paper's: both are a few numbers without place,
+(B, 1, 1, channels), and z_s has an encoder of its own, ES.
 """
 
 import dataclasses
@@ -95,9 +96,8 @@ class Network(nn.Module):
             return z, None
         if not self.net.shear_channels:
             return self.pose(z, train), None
-        return self.pose(z, train), self.encode_slide(
-            images, train
-        ) if self.net.apart else self.shear(z, train)
+        z_p = self.pose(z, train)
+        return z_p, self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
 
     def encode_slide(self, images: Array, train: bool) -> Array:
         return self.shear(self.ES(images, train), train)
@@ -114,38 +114,38 @@ class Network(nn.Module):
     def __call__(
         self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None
     ) -> Reconstruction:
-        """In training."""
+        """Run both decoders in training."""
         if not self.net.apart:
             z_p, z_s = self.encode(images, True)
             sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
             return Reconstruction(self.DC(z_p, True), z_p, sheared, z_s=z_s)
-        z_p, again = _run_both(images, same_pose, lambda seen: self.encode_pose(seen, True))
-        z_s, other = _run_both(images, same_slide, lambda seen: self.encode_slide(seen, True))
-        held = jax.lax.stop_gradient(z_p)
-        drawn = _run_both(
-            z_s,
-            other,
-            lambda z: self.decode_sheared(_repeat_like(held, z), jax.lax.stop_gradient(z), True),
+        z_p, partner_z_p = _run_both(images, same_pose, lambda x: self.encode_pose(x, True))
+        z_s, partner_z_s = _run_both(images, same_slide, lambda x: self.encode_slide(x, True))
+        fixed_z_p = jax.lax.stop_gradient(z_p)  # DS does not teach the codes
+
+        def decode_slides(z: Array) -> Array:
+            repeated = jnp.concatenate([fixed_z_p] * (z.shape[0] // fixed_z_p.shape[0]))
+            return self.decode_sheared(repeated, jax.lax.stop_gradient(z), True)
+
+        sheared, counterfactual = _run_both(z_s, partner_z_s, decode_slides)
+        canonical, same_pose_canonical = _run_both(z_p, partner_z_p, lambda z: self.DC(z, True))
+        disagreement = None if partner_z_p is None else measure_disagreement(z_p, partner_z_p)
+        return Reconstruction(
+            canonical, z_p, sheared, counterfactual, disagreement, z_s, same_pose_canonical
         )
-        canonical, partner = _run_both(z_p, again, lambda z: self.DC(z, True))
-        apart = None if again is None else measure_disagreement(z_p, again)
-        return Reconstruction(canonical, z_p, *drawn, apart, z_s, partner)
 
 
 def init(net: UnshearNet, key: Array) -> Variables:
-    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
+    """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
     check_net(net)
-    side = (
-        net.size if net.apart else 2 ** len(net.widths)
-    )  # shapes of other networks do not depend on the image's
-    with layer_choice.use_layers(
-        layer_choice.FAST
-    ):  # whatever layers are chosen, a seed gives the same weights
+    # the shapes of networks whose codes are not apart do not depend on the image's
+    side = net.size if net.apart else 2 ** len(net.widths)
+    with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
 
 def check_net(net: UnshearNet) -> None:
-    """Raises UserError that names the field where a network of these settings cannot be built."""
+    """Raise UserError, which names the field, if no network of these settings can be built."""
     if len(net.widths) < 2:
         raise UserError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
@@ -163,40 +163,43 @@ def check_net(net: UnshearNet) -> None:
 
 
 def count_parameters(net: UnshearNet) -> int:
-    """How many numbers are trained."""
+    """Count the numbers that are trained."""
     shapes = jax.eval_shape(lambda key: init(net, key)["params"], jax.random.key(0))
     return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
 
 
 def match_entangled_size(net: UnshearNet) -> UnshearNet:
-    """The entangled network whose widths are those of `net`, all in one ratio, so that it has as many parameters as `net`,
-    or as near as multiples of 4 allow (other widths are slow). The fair rival of a disentangled one, which has a
-    second decoder and two codes more."""
-    wanted = count_parameters(net)
+    """Scale all widths of `net` to an entangled network with as many parameters.
+
+    The number is as near as multiples of 4 allow (other widths are slow). This is the fair rival of
+    a disentangled network, which also has a second decoder and two codes.
+    """
+    target = count_parameters(net)
 
     def scale_widths(ratio: float) -> UnshearNet:
         widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
         return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
 
     low, high = 0.25, 4.0
-    while count_parameters(scale_widths(high)) < wanted:
+    while count_parameters(scale_widths(high)) < target:
         low, high = high, 2 * high
     for _ in range(12):  # parameters grow with the ratio
         middle = (low + high) / 2
-        low, high = (
-            (middle, high) if count_parameters(scale_widths(middle)) < wanted else (low, middle)
-        )
-    return min(
-        scale_widths(low),
-        scale_widths(high),
-        key=lambda other: abs(count_parameters(other) - wanted),
-    )
+        if count_parameters(scale_widths(middle)) < target:
+            low = middle
+        else:
+            high = middle
+    rivals = (scale_widths(low), scale_widths(high))
+    return min(rivals, key=lambda rival: abs(count_parameters(rival) - target))
 
 
 def encode(
     net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
-    """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights."""
+    """Encode images in [0, 1] as (z_p, z_s), by channels.
+
+    z_s is None without a shear code, as in released weights.
+    """
     if net.disentangled and net.shear_channels and not has_part(variables, "shear"):
         return _apply(net, variables, "encode_pose", images), None
     return _apply(net, variables, "encode", images)
@@ -205,7 +208,7 @@ def encode(
 def decode_canonical(
     net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]
 ) -> Float[Array, "B S S 1"]:
-    """DC: pose code -> logits of the canonical image."""
+    """Decode the pose code by DC to logits of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p)
 
 
@@ -215,7 +218,10 @@ def decode_sheared(
     z_p: Float[Array, "B s s _"],
     z_s: Float[Array, "B _ _ _"],
 ) -> Float[Array, "B S S 1"]:
-    """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
+    """Decode both codes by DS to logits of the sheared image.
+
+    Raises UserError for released weights, which leave DS out.
+    """
     check_has_sheared_decoder(variables)
     return _apply(net, variables, "decode_sheared", z_p, z_s)
 
@@ -223,7 +229,7 @@ def decode_sheared(
 def unshear(
     net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> Float[Array, "B S S 1"]:
-    """Sheared images in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
+    """Unshear images in [0, 1], with neither the shear code nor DS."""
     return _apply(net, variables, "unshear", images)
 
 
@@ -234,29 +240,30 @@ def reconstruct(
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
 ) -> tuple[Reconstruction, Variables]:
-    """The training pass over sheared images: what both decoders make of them, and the updated running statistics.
+    """Run both decoders over sheared images in training; return the updated running statistics.
 
-    Of codes that are `apart`, which DS does not teach, partners: `same_pose`, the contacts after another slide, or taps there, whose pose
-    codes should agree; `same_slide`, those of another pose after that other slide, whose shear code DS is given, too."""
-    found, updates = Network(net).apply(
+    Codes that are `apart`, which DS does not teach, take partners.
+
+    Args:
+        same_pose: taps at the same poses, or contacts there after other slides: their pose codes
+            should agree.
+        same_slide: contacts at other poses after these other slides: DS also decodes their shear
+            code.
+    """
+    reconstruction, updates = Network(net).apply(
         variables, images, same_pose, same_slide, mutable=["batch_stats"]
     )
-    return found, updates["batch_stats"]
+    return reconstruction, updates["batch_stats"]
 
 
 def _run_both(
     images: Array, others: Array | None, run: Callable[[Array], Array]
 ) -> tuple[Array, Array | None]:
-    """`run` of both in one batch, whose statistics are of both."""
+    """Apply `run` to both in one batch, whose statistics are of both."""
     if others is None:
         return run(images), None
     first, second = jnp.split(run(jnp.concatenate([images, others])), 2)
     return first, second
-
-
-def _repeat_like(one: Array, like: Array) -> Array:
-    """As often as `like` has it."""
-    return jnp.concatenate([one] * (like.shape[0] // one.shape[0]))
 
 
 def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array) -> Any:

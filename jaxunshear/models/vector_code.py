@@ -1,4 +1,4 @@
-"""Codes of images that are a few numbers without place, as those of networks over pins are: how they are read, and drawn from."""
+"""Codes of images that are a few numbers without place, as those of networks over pins are."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,10 @@ from jaxunshear.models.layers import EPSILON, INIT, MOMENTUM
 
 
 class VectorCode(nn.Module):
-    """An encoder's array (B, s, s, C) -> (B, 1, 1, width), where `normalised` of mean 0 and variance 1 together."""
+    """An encoder's array (B, s, s, C) -> (B, 1, 1, width).
+
+    With `normalise`, the numbers of a code have mean 0 and variance 1.
+    """
 
     width: int
     normalise: bool = True
@@ -20,12 +23,13 @@ class VectorCode(nn.Module):
         z = nn.Dense(self.width, dtype=x.dtype, kernel_init=INIT)(x.reshape(x.shape[0], -1))
         if not self.normalise:
             return z[:, None, None]
-        # no loss holds their size: without it they grow until DS, which does not teach them, sees nothing of the shear code beside them
+        # No loss limits the size of a pose code. Without normalisation it grows until DS, which does
+        # not teach it, cannot make out the shear code beside it.
         return nn.LayerNorm(dtype=z.dtype, use_scale=False, use_bias=False)(z)[:, None, None]
 
 
 class VectorDecoder(nn.Module):
-    """Numbers (B, 1, 1, n) -> what a decoder draws of an array (B, *shape) that is grown from them."""
+    """Numbers (B, 1, 1, n) -> an array (B, *shape) -> what a decoder makes of it."""
 
     shape: tuple[int, int, int]
     decoder: Callable[[], nn.Module]
@@ -37,5 +41,5 @@ class VectorDecoder(nn.Module):
         norm = nn.BatchNorm(
             not train, momentum=MOMENTUM, epsilon=EPSILON, dtype=x.dtype, use_fast_variance=False
         )
-        drawn: Array = self.decoder()(nn.relu(norm(x)), train)
-        return drawn
+        decoded: Array = self.decoder()(nn.relu(norm(x)), train)
+        return decoded

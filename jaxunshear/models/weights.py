@@ -1,4 +1,4 @@
-"""Weights by their parts. Released ones leave out the shear code and DS, which unshearing does not need."""
+"""Weights by their parts: released ones leave out the shear code and DS."""
 
 import warnings
 from functools import partial
@@ -15,23 +15,27 @@ Tree = Any  # weights, a state or a part of them
 
 
 def list_leaves(tree: Tree) -> dict[str, Any]:
-    """Leaves by dotted path ("params.E.First_0.kernel"), in the tree's order."""
+    """List the leaves by dotted path ("params.E.First_0.kernel"), in the tree's order."""
     name = partial(jax.tree_util.keystr, simple=True, separator=".")
     return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
 def has_part(variables: Variables, part: str) -> bool:
-    """Whether these weights hold `part` of a network; a note where they do not hold the shear code."""
-    there = part in variables["params"]
-    if not there and part == "shear":
-        reported = "these weights hold no shear code, as released ones do: z_p alone is given; a run's own hold both"
-        warnings.warn(reported, Note, stacklevel=3)
-    return there
+    """Return whether these weights hold `part` of a network; note a missing shear code."""
+    has = part in variables["params"]
+    if not has and part == "shear":
+        message = (
+            "these weights hold no shear code, as released ones do: z_p alone is given; "
+            "a run's own hold both"
+        )
+        warnings.warn(message, Note, stacklevel=3)
+    return has
 
 
 def check_has_sheared_decoder(variables: Variables) -> None:
-    """Raises UserError for weights without DS."""
+    """Raise UserError for weights without DS."""
     if not has_part(variables, "DS"):
         raise UserError(
-            "these weights hold no DS to draw sheared contacts, as released ones do: load those of the run itself"
+            "these weights hold no DS to draw sheared contacts, as released ones do: "
+            "load those of the run itself"
         )

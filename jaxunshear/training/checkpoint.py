@@ -1,15 +1,15 @@
 """Checkpoints of a training: the only file that knows Orbax.
 
-FOLDER/model.json                  what is trained, with which settings
-FOLDER/checkpoints/<step>/state    arrays by name (Orbax)
-FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, digests of the arrays and of their files
+FOLDER/model.json                        what is trained, with which settings
+FOLDER/checkpoints/<step>/state          arrays by name (Orbax)
+FOLDER/checkpoints/<step>/record.json    history up to here, the best step, digests of the arrays
+                                         and of their files
+FOLDER/summary.json                      once the training is finished
+FOLDER/weights.npz                       of a released model, in the place of checkpoints: the
+                                         arrays that using it takes, and their digest
 
-FOLDER/summary.json                once the training has come to its end
-
-FOLDER/weights.npz                 of a released model, in the place of checkpoints: the arrays that using it takes, and their digest
-
-A checkpoint is written under another name and then renamed, so a killed run leaves complete ones only. The latest and the
-best are kept.
+A checkpoint is written under another name and then renamed, so a killed run leaves complete ones
+only. The latest and the best are kept.
 """
 
 import dataclasses
@@ -52,12 +52,12 @@ NETS = {
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:
-    """Write the tree `state` and the JSON `record` (with "best_step") as checkpoint `step`; then drop all but it and
-    the best.
+    """Write the tree `state` and the JSON `record` (with "best_step") as checkpoint `step`.
 
-    Raises UserError where that fails; earlier checkpoints stay.
+    Then delete all checkpoints but this one and the best. Raises UserError if that fails; earlier
+    checkpoints stay.
     """
-    target = _path(folder, step)
+    target = _get_path(folder, step)
     part = target.with_suffix(".part")
     arrays = list_leaves(jax.device_get(state))
     try:
@@ -65,147 +65,160 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
         part.mkdir(parents=True)
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as writer:
             writer.save((part / "state").absolute(), arrays)
-        digests = {DIGEST: _digest(arrays), FILES: _digest_of_files(part / "state")}
+        digests = {DIGEST: _compute_digest(arrays), FILES: _compute_files_digest(part / "state")}
         files.write_json(part / "record.json", record | {"step": step} | digests)
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
     except UserError:
         raise
-    except Exception as error:  # a full disk reaches us as many types
+    except Exception as error:  # a full disk raises many types
         raise UserError(
             f"cannot write checkpoint {target} ({get_first_line(error)}): is the disk full?"
         ) from error
     for path in target.parent.iterdir():
-        if path not in (target, _path(folder, record["best_step"])):
+        if path not in (target, _get_path(folder, record["best_step"])):
             shutil.rmtree(path, ignore_errors=True)
 
 
 def find_latest_step(folder: Path) -> int | None:
-    """Step of the latest checkpoint in `folder`; None without one."""
-    return max(_steps(folder), default=None)
+    """Find the step of the latest checkpoint in `folder`; None without one."""
+    return max(_list_steps(folder), default=None)
 
 
 def list_kept_steps(folder: Path) -> list[int]:
-    """Steps of the latest checkpoint in `folder` and, where it is another, of the best. Raises UserError."""
+    """List the steps of the latest checkpoint in `folder` and of the best. Raises UserError."""
     step = find_latest_step(folder)
-    return [] if step is None else list(dict.fromkeys((step, _record(folder, step)["best_step"])))
+    if step is None:
+        return []
+    best_step = _read_record(folder, step)["best_step"]
+    return [step] if best_step == step else [step, best_step]
 
 
 def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
-    """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
-    damaged."""
+    """Restore the state of checkpoint `step`, in the form of the tree `like`, and its record.
+
+    Raises UserError if the checkpoint is damaged.
+    """
     arrays, record = _read(folder, step)
-    names = list_leaves(like)
-    shapes, wanted = (
-        {name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names)
-    )
-    wrong = next((name for name in shapes | wanted if shapes.get(name) != wanted.get(name)), None)
-    if wrong:
-        path = _path(folder, step)
-        raise UserError(
-            f"checkpoint {path} does not fit this network ({wrong}): delete {folder} to train again"
-        )
-    leaves = [jax.numpy.asarray(arrays[name]) for name in names]
+    expected = list_leaves(like)
+    for name in arrays | expected:
+        if (
+            name not in arrays
+            or name not in expected
+            or np.shape(arrays[name]) != np.shape(expected[name])
+        ):
+            raise UserError(
+                f"checkpoint {_get_path(folder, step)} does not fit this network ({name}): "
+                f"delete {folder} to train again"
+            )
+    leaves = [jax.numpy.asarray(arrays[name]) for name in expected]
     return jax.tree.unflatten(jax.tree.structure(like), leaves), record
 
 
 def has_model(folder: Path) -> bool:
-    """Whether `folder` holds a network that `load_best` can read."""
+    """Return whether `folder` holds a network that `load_best` can read."""
     return (Path(folder) / WEIGHTS).exists() or find_latest_step(folder) is not None
 
 
 def check_finished(folder: Path) -> None:
-    """Raises UserError where the training in `folder` was started and has not come to its end, or says so in a damaged file;
-    released weights have come to it."""
+    """Raise UserError if the training in `folder` was started and not finished.
+
+    Also raises UserError if its summary is damaged. Released weights count as finished.
+    """
     folder = Path(folder)
-    if (folder / MODEL).exists() and not any(
-        (folder / name).exists() for name in (SUMMARY, WEIGHTS)
-    ):
+    if (folder / SUMMARY).exists():
+        files.read_object(folder / SUMMARY)
+    elif (folder / MODEL).exists() and not (folder / WEIGHTS).exists():
         finish = (
             f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
         )
         raise UserError(
             f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`"
         )
-    if (folder / SUMMARY).exists():
-        files.read_object(folder / SUMMARY)
 
 
 def load_best(folder: Path) -> Json:
-    """Variables (averaged weights and statistics) of the best checkpoint by validation loss, or those released. Raises UserError."""
+    """Load the variables of the best checkpoint by validation loss, or those released.
+
+    These are averaged weights and statistics. Raises UserError.
+    """
     if (Path(folder) / WEIGHTS).exists():
-        return _tree(_read_weights(Path(folder) / WEIGHTS))
+        return _nest(_read_weights(Path(folder) / WEIGHTS))
     step = find_latest_step(folder)
     if step is None:
         raise UserError(
             f"{folder} holds no trained model (no checkpoints): train first, or name another folder"
         )
-    arrays, _ = _read(folder, _record(folder, step)["best_step"])
-    kept = {
-        name.partition(".")[2]: array
+    arrays, _ = _read(folder, _read_record(folder, step)["best_step"])
+    prefix = "average."
+    averages = {
+        name.removeprefix(prefix): array
         for name, array in arrays.items()
-        if name.startswith("average.")
+        if name.startswith(prefix)
     }
-    return _tree(kept)
+    return _nest(averages)
 
 
 def compute_weights_digest(folder: Path) -> str:
-    """Of the variables that `load_best` gives: equal ones have equal digests. Raises UserError."""
-    return _digest(list_leaves(load_best(folder)))
+    """Compute the digest of the variables that `load_best` returns. Raises UserError."""
+    return _compute_digest(list_leaves(load_best(folder)))
 
 
 def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:
-    """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network.
+    """Write the arrays of `variables` to weights.npz in `folder`; with `modules`, only theirs.
 
     Kernels are kept as float16, which halves the file; biases and statistics as they are.
     """
-    arrays = {
-        name: np.asarray(
-            leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None
-        )
-        for name, leaf in list_leaves(jax.device_get(variables)).items()
-        if not modules or name.split(".")[1] in modules
-    }
-    files.write_npz(
-        Path(folder) / WEIGHTS, {DIGEST: np.array(_digest(arrays))} | arrays, compressed=True
-    )
+    arrays = {}
+    for name, leaf in list_leaves(jax.device_get(variables)).items():
+        if modules and name.split(".")[1] not in modules:
+            continue
+        is_kernel = name.startswith("params.") and np.ndim(leaf) > 1
+        arrays[name] = np.asarray(leaf, np.float16 if is_kernel else None)
+    digest = {DIGEST: np.array(_compute_digest(arrays))}
+    files.write_npz(Path(folder) / WEIGHTS, digest | arrays, compressed=True)
 
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
     try:
         arrays = files.read_npz(path)
-        intact = str(arrays.pop(DIGEST)) == _digest(arrays)
+        is_intact = str(arrays.pop(DIGEST)) == _compute_digest(arrays)
     except files.BROKEN_NPZ as error:
         files.raise_machine_error(path, error)
         raise UserError(
             f"{path} is damaged ({get_first_line(error)}): install or copy these weights again"
         ) from error
-    if not intact:
+    if not is_intact:
         raise UserError(
             f"{path} is damaged (its digest differs): install or copy these weights again"
         )
     return arrays
 
 
-def _tree(arrays: Mapping[str, np.ndarray]) -> Json:
-    """{"params.E.First_0.kernel": ...} as nested dictionaries of arrays on the device, of 32 bits at least."""
+def _nest(arrays: Mapping[str, np.ndarray]) -> Json:
+    """Turn {"params.E.First_0.kernel": ...} into nested dictionaries of arrays on the device.
+
+    Arrays have at least 32 bits.
+    """
     variables: Variables = {}
     for name, array in arrays.items():
         *modules, last = name.split(".")
-        place = variables
+        branch = variables
         for module in modules:
-            place = place.setdefault(module, {})
-        place[last] = jax.numpy.asarray(array, np.promote_types(array.dtype, np.float32))
+            branch = branch.setdefault(module, {})
+        branch[last] = jax.numpy.asarray(array, np.promote_types(array.dtype, np.float32))
     return variables
 
 
 def write_settings(folder: Path, settings: Json) -> None:
-    """Keep what a training was asked for in model.json. Raises UserError if the folder holds a training of other
-    settings."""
+    """Keep the settings of a training in model.json.
+
+    Raises UserError if the folder holds a training with other settings.
+    """
     path = Path(folder) / MODEL
     if not path.exists():
         return files.write_json(path, add_version(settings))
-    old, new = _flat(_read_model(path)), _flat(files.to_builtins(settings))
+    old, new = _flatten(_read_model(path)), _flatten(files.to_builtins(settings))
     for name in old | new:
         if old.get(name) != new.get(name):
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
@@ -215,7 +228,7 @@ def write_settings(folder: Path, settings: Json) -> None:
 
 
 def read_net(folder: Path) -> Net:
-    """The network's settings from model.json. Raises UserError."""
+    """Read the network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():
         raise UserError(
@@ -223,14 +236,12 @@ def read_net(folder: Path) -> Net:
         )
     try:
         stored = _read_model(path)
-        kind = NETS[stored["kind"]]
-        fields = {field.name: stored["net"][field.name] for field in dataclasses.fields(kind)}
-        return kind(
-            **{
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in fields.items()
-            }
-        )
+        net_class = NETS[stored["kind"]]
+        settings = {}
+        for field in dataclasses.fields(net_class):
+            value = stored["net"][field.name]
+            settings[field.name] = tuple(value) if isinstance(value, list) else value
+        return net_class(**settings)
     except (KeyError, TypeError) as error:
         raise UserError(
             f"{path} lacks or misnames {error} ({OLD_FILES}): delete {folder} and train again"
@@ -243,46 +254,50 @@ def _read_model(path: Path) -> Json:
 
 
 def read_slides(folder: Path) -> Targets:
-    """What the shear code of the network in `folder` says of the slide; nothing where it was not taught. Raises UserError."""
+    """Read which slide targets the shear code of the network in `folder` has learnt, if any.
+
+    Raises UserError.
+    """
     path = Path(folder) / MODEL
     return from_json(files.read_object(path).get("slides", []), str(path))
 
 
 def read_targets(folder: Path) -> Targets:
-    """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
+    """Read the pose targets that the network in `folder` has learnt, if any, from model.json.
+
+    Raises UserError.
+    """
     path = Path(folder) / MODEL
     stored = files.read_object(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
         return ()
-    return from_json(
-        stored.get("targets"), str(path)
-    )  # a PoseNet that gives none was trained by an earlier version
+    # None of a PoseNet that an earlier version trained, which `from_json` refuses
+    return from_json(stored.get("targets"), str(path))
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
-    path, record = _path(folder, step), _record(folder, step)
+    path, record = _get_path(folder, step), _read_record(folder, step)
     try:
-        if FILES in record and record[FILES] != _digest_of_files(path / "state"):
-            raise ValueError(
-                "its files are not those that were written"
-            )  # Orbax' threads would say so at length
+        # Orbax' threads would report that at length
+        if FILES in record and record[FILES] != _compute_files_digest(path / "state"):
+            raise ValueError("its files are not those that were written")
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
             arrays = reader.restore((path / "state").absolute())
-        intact = _digest(arrays) == record[DIGEST]
-    except Exception as error:  # whatever a damaged file makes of itself
+        is_intact = _compute_digest(arrays) == record[DIGEST]
+    except Exception as error:  # a damaged file raises many types
         files.raise_machine_error(path, error)
         raise UserError(
-            f"checkpoint {path} is damaged ({get_first_line(error)}): {_remedy(folder, path)}"
+            f"checkpoint {path} is damaged ({get_first_line(error)}): {_get_remedy(folder, path)}"
         ) from error
-    if not intact:
+    if not is_intact:
         raise UserError(
-            f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}"
+            f"checkpoint {path} is damaged (its digest differs): {_get_remedy(folder, path)}"
         )
     return arrays, record
 
 
-def _record(folder: Path, step: int) -> Json:
-    path = _path(folder, step)
+def _read_record(folder: Path, step: int) -> Json:
+    path = _get_path(folder, step)
     try:
         record = files.read_object(path / "record.json")
         if not {"best_step", DIGEST, "history"} <= record.keys():
@@ -291,31 +306,30 @@ def _record(folder: Path, step: int) -> Json:
     except (UserError, AttributeError) as error:
         files.raise_machine_error(path, error)
         raise UserError(
-            f"checkpoint {path} is damaged ({get_first_line(error)}): {_remedy(folder, path)}"
+            f"checkpoint {path} is damaged ({get_first_line(error)}): {_get_remedy(folder, path)}"
         ) from error
 
 
-def _remedy(folder: Path, path: Path) -> str:
-    steps = _steps(folder)
-    last = len(steps) > 1 and path == _path(
-        folder, max(steps)
-    )  # the record of a later one may name an earlier one
-    back = f"delete {path} to go on from the one before, or " if last else ""
+def _get_remedy(folder: Path, path: Path) -> str:
+    steps = _list_steps(folder)
+    # an earlier checkpoint may be the best one, which the record of a later one names
+    is_latest = len(steps) > 1 and path == _get_path(folder, max(steps))
+    back = f"delete {path} to go on from the one before, or " if is_latest else ""
     return f"{back}delete {folder} to train from the start"
 
 
-def _steps(folder: Path) -> list[int]:
+def _list_steps(folder: Path) -> list[int]:
     root = Path(folder) / "checkpoints"
-    return (
-        [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
-    )
+    if not root.is_dir():
+        return []
+    return [int(path.name) for path in root.iterdir() if path.name.isdigit()]
 
 
-def _path(folder: Path, step: int) -> Path:
+def _get_path(folder: Path, step: int) -> Path:
     return Path(folder) / "checkpoints" / f"{step:08d}"
 
 
-def _digest(arrays: Json) -> str:
+def _compute_digest(arrays: Json) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
@@ -323,7 +337,7 @@ def _digest(arrays: Json) -> str:
     return digest.hexdigest()
 
 
-def _digest_of_files(folder: Path) -> str:
+def _compute_files_digest(folder: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         content = path.read_bytes()
@@ -331,11 +345,11 @@ def _digest_of_files(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def _flat(tree: object, prefix: str = "") -> Json:
-    """Nested JSON as {"train.epochs": 5}."""
+def _flatten(tree: object, prefix: str = "") -> Json:
+    """Turn nested JSON into {"train.epochs": 5}."""
     if not isinstance(tree, dict):
         return {prefix: tree}
     flat: Json = {}
     for name, value in tree.items():
-        flat |= _flat(value, f"{prefix}.{name}" if prefix else name)
+        flat |= _flatten(value, f"{prefix}.{name}" if prefix else name)
     return flat

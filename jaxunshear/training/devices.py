@@ -1,6 +1,7 @@
-"""Where a training's arrays lie: on one device, or the batch split over several, with the weights on each.
+"""Devices of a training: one, or several with a part of the batch and all weights on each.
 
-The step is the same: XLA makes its sums over the batch, of losses, gradients and normalisation, sums over all devices.
+The step is the same: XLA turns its sums over the batch, of losses, gradients and normalisation,
+into sums over all devices.
 """
 
 from typing import NamedTuple, TypeVar
@@ -28,28 +29,34 @@ class Devices(NamedTuple):
         return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec())
 
     def with_state(self, state: State) -> State:
-        """A tree of arrays, complete on each device."""
+        """Put a tree of arrays on the devices, complete on each."""
         return state if self.mesh is None else jax.device_put(state, self.on_each)
 
     def with_batch(self, batch: Fields) -> Fields:
-        """Fields (B, ...), each device its part; those that cannot be split evenly are complete on each."""
+        """Split fields (B, ...) over the devices.
+
+        A field that cannot be split evenly is complete on each.
+        """
         if self.mesh is None:
             return jax.device_put(batch)
         split = NamedSharding(self.mesh, PartitionSpec(AXIS))
-        even = {name: len(values) % self.number == 0 for name, values in batch.items()}
         return {
-            name: jax.device_put(values, split if even[name] else self.on_each)
+            name: jax.device_put(values, self.on_each if len(values) % self.number else split)
             for name, values in batch.items()
         }
 
 
 def get_devices(batch: int) -> Devices:
-    """Those that the environment asks for. Raises UserError where there are fewer, or where `batch` cannot be split over them."""
-    there = jax.devices()
-    count = read_device_count() or len(there)
-    if count > len(there):
+    """Get the devices that the environment asks for.
+
+    Raises UserError if there are fewer, or if `batch` cannot be split over them.
+    """
+    devices = jax.devices()
+    count = read_device_count() or len(devices)
+    if count > len(devices):
         raise UserError(
-            f"{DEVICE_COUNT}={count}: JAX sees {len(there)} here ({there[0].platform}): use at most so many"
+            f"{DEVICE_COUNT}={count}: JAX sees {len(devices)} here ({devices[0].platform}): "
+            "use at most so many"
         )
     if batch % count:
         raise UserError(
@@ -57,4 +64,4 @@ def get_devices(batch: int) -> Devices:
         )
     if count == 1:
         return Devices(1, None)
-    return Devices(count, Mesh(np.array(there[:count]), (AXIS,)))
+    return Devices(count, Mesh(np.array(devices[:count]), (AXIS,)))

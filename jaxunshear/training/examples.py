@@ -1,4 +1,4 @@
-"""What a network of an experiment learns from and is tested on: simulated or recorded, images or pins, by one interface.
+"""Examples that a network learns from and is tested on: simulated or recorded, images or pins.
 
 >>> examples = open_examples(experiment, "disentangled", data_dir, run_dir)
 >>> examples.reader.train_batches(batch=8, seed=0, shift=0.0, fields=("canonical", "sheared"))
@@ -39,12 +39,12 @@ from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 POSES_AT_ONCE = 1024
-READ_AT_ONCE = 128
-FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preprocessing.Frame`
+IMAGES_AT_ONCE = 128
+FRAME = "frame.json"  # in a run's folder: what all frames of its sensor have in common
 
 
 class PinLayout(NamedTuple):
-    """What networks over pins must know of a sensor's images."""
+    """The pins of a sensor in its images, for networks over pins."""
 
     rest: np.ndarray  # (P, 2) px: the mean place over training taps
     radius_px: float
@@ -55,13 +55,22 @@ class Examples(NamedTuple):
     reader: Reader
     targets: Targets
     pins: PinLayout
-    epoch: int  # examples that count as one epoch: where few slides are labelled, as many as if all were
-    taps: Reader | None = None  # recorded ones with labels, where there are any
-    slides: Targets = ()  # what the data vary of slides
+    epoch: int  # examples that count as one epoch: unlabelled slides count, too
+    taps: Reader | None = None  # recorded ones with labels, if there are any
+    slides: Targets = ()  # what varies between the slides of the data
+
+
+class TrainedNetwork(NamedTuple):
+    net: Net
+    variables: Variables
+    targets: Targets
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
-    """Raises UserError where the data set, or the renderer that its pairs take, is missing or damaged."""
+    """Open the examples of `network`.
+
+    Raises UserError if the data set, or the renderer that its pairs take, is missing or damaged.
+    """
     if get_recorded(experiment) is None:
         return _open_simulated_examples(experiment, network, data_dir)
     stored = open_recorded_set(experiment, data_dir)
@@ -86,7 +95,7 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
 
 
 def open_recorded_set(experiment: Experiment, data_dir: Path) -> RecordedSet:
-    """The recorded set of an experiment. Raises UserError."""
+    """Open the recorded set of an experiment. Raises UserError."""
     recorded = get_recorded(experiment)
     if recorded is None:
         raise UserError(f"'{experiment.name}' is about simulated touches, not recordings")
@@ -96,17 +105,19 @@ def open_recorded_set(experiment: Experiment, data_dir: Path) -> RecordedSet:
 def open_pairs(
     experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path
 ) -> Reader:
-    """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
-    its posenet_sheared where the settings ask for that."""
-    settings = stored.settings
-    render = _render(run_dir / RENDERER) if settings.pairing in RENDERED_PAIRINGS else None
-    drag = _make_slide_simulator(experiment, stored, data_dir)
-    read = (
-        _read(run_dir / POSENET_SHEARED, uses_pins(experiment))
-        if settings.unlabelled == "read"
-        else None
-    )
-    return stored.read_pairs(targets, render, not uses_pins(experiment), read, drag)
+    """Open slides with the taps that they are paired with.
+
+    If the pairing takes a renderer, it is that of the run. If the settings give unlabelled slides
+    poses, the run's posenet_sheared estimates these.
+    """
+    settings, pins = stored.settings, uses_pins(experiment)
+    render = estimate = None
+    if settings.pairing in RENDERED_PAIRINGS:
+        render = _load_tap_renderer(run_dir / RENDERER)
+    simulate = _make_slide_simulator(experiment, stored, data_dir)
+    if settings.unlabelled == "read":
+        estimate = _load_pose_estimator(run_dir / POSENET_SHEARED, pins)
+    return stored.read_pairs(targets, render, not pins, estimate, simulate)
 
 
 def _make_slide_simulator(
@@ -126,29 +137,34 @@ def read_pin_layout(frame: Json) -> PinLayout:
 
 
 def read_all_training(reader: Reader, *fields: str) -> Batch:
-    """All training examples, in their order."""
+    """Read all training examples, in their order."""
     return reader.take("train", np.arange(reader.length("train")), fields)
 
 
 def measure_pin_spread(reader: Reader, field: str, rest: np.ndarray) -> float:
-    """Root mean square px by which the pins of training examples have moved."""
+    """Measure how far the pins of training examples have moved, root mean square in px."""
     pins = read_all_training(reader, field)[field]
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
 
 
-def _mean_place(reader: Reader, field: str) -> np.ndarray:
-    """(P, 2) px: where pins stand in the mean of training taps, as of recordings, whose untouched pins nobody recorded."""
+def _measure_rest(reader: Reader, field: str) -> np.ndarray:
+    """Average the pins of training taps, (P, 2) px.
+
+    The rest positions of recordings are found in this way, too, for want of untouched pins.
+    """
     return read_all_training(reader, field)[field].mean(axis=0, dtype=np.float64)
 
 
 def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Path) -> Examples:
     settings = get_training_data(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
-    reader = open_simulated(settings, experiment.sensor, data_dir)
+    reader = open_simulated_set(settings, experiment.sensor, data_dir)
     size, camera = settings.preprocess.size, settings.camera
     rest = np.zeros((0, 2), np.float32)
     if uses_pins(experiment):
-        rest = _mean_place(reader, "canonical_pins" if isinstance(settings, PairedData) else "pins")
+        rest = _measure_rest(
+            reader, "canonical_pins" if isinstance(settings, PairedData) else "pins"
+        )
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
     targets = make_range_targets(experiment.targets, settings.ranges)
     slides = make_slide_targets(settings.ranges) if isinstance(settings, PairedData) else ()
@@ -157,60 +173,65 @@ def _open_simulated_examples(experiment: Experiment, network: str, data_dir: Pat
     )
 
 
-def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:
-    """Raises UserError where the set is missing or was made with other settings."""
+def open_simulated_set(
+    settings: PairedData | PoseData, sensor: Sensor, data_dir: Path
+) -> SetReader:
+    """Open a simulated set. Raises UserError if it is missing or was made with other settings."""
     shared = isinstance(settings, PairedData) and settings.poses_a_slide > 1
     return open_set(settings, data_dir, sensor, FactorialReader if shared else SetReader)
 
 
-def _render(folder: Path) -> TapRenderer:
-    """The trained renderer in `folder` as a function of poses (N, 6). Raises UserError."""
-    net, variables, targets = _load_trained(folder, "pairs that are rendered")
+def _load_tap_renderer(folder: Path) -> TapRenderer:
+    """Load the renderer in `folder` as a function of poses (N, 6). Raises UserError."""
+    net, variables, targets = _load_network(folder, "pairs that are rendered")
     run = jax.jit(partial(pin_networks.render_pins, net, variables))
 
+    def render_part(poses: np.ndarray) -> ArrayLike:
+        return run(posenet.scale_poses({"pose": poses}, targets))
+
     def render(poses: np.ndarray) -> np.ndarray:
-        return _in_parts(
-            lambda part: run(posenet.scale_poses({"pose": part}, targets)), poses, POSES_AT_ONCE
-        )
+        return _run_in_parts(render_part, poses, POSES_AT_ONCE)
 
     return render
 
 
-def _read(folder: Path, pins: bool) -> PoseEstimator:
-    """The trained PoseNet in `folder`, over pins or images, as a function of both: poses (N, 6), 0 in columns that it does not know.
-    Raises UserError."""
-    net, variables, targets = _load_trained(folder, "slides without labels that are read")
-    predict = partial((pin_networks if pins else posenet).predict, net, variables)
-    run = jax.jit(lambda seen: posenet.unscale_outputs(predict(seen), targets))
+def _load_pose_estimator(folder: Path, uses_pins: bool) -> PoseEstimator:
+    """Load the PoseNet in `folder`, over pins or images, as a function of images and pins.
 
-    def read(images: np.ndarray | None, places: np.ndarray) -> np.ndarray:
-        def poses(part: np.ndarray) -> np.ndarray:
-            found = run(part if pins else part[..., None].astype(np.float32) / 255)
-            zero = np.zeros(len(part), np.float32)
-            return np.stack(
-                [np.asarray(found.get(name, zero)) for name in RECORDED_FIELDS], axis=-1
-            )
+    It returns poses (N, 6), 0 in columns that are not among its targets. Raises UserError.
+    """
+    net, variables, targets = _load_network(folder, "slides without labels that are read")
+    predict = partial((pin_networks if uses_pins else posenet).predict, net, variables)
+    run = jax.jit(lambda inputs: posenet.unscale_outputs(predict(inputs), targets))
 
-        return _in_parts(poses, places if images is None else images, READ_AT_ONCE)
+    def estimate_part(inputs: np.ndarray) -> np.ndarray:
+        if not uses_pins:
+            inputs = inputs[..., None].astype(np.float32) / 255
+        poses = run(inputs)
+        zero = np.zeros(len(inputs), np.float32)
+        return np.stack([np.asarray(poses.get(name, zero)) for name in RECORDED_FIELDS], axis=-1)
 
-    return read
+    def estimate(images: np.ndarray | None, pins: np.ndarray) -> np.ndarray:
+        return _run_in_parts(estimate_part, pins if images is None else images, IMAGES_AT_ONCE)
+
+    return estimate
 
 
-def _load_trained(folder: Path, what: str) -> tuple[Net, Variables, Targets]:
-    """Settings, variables and targets of a trained network. Raises UserError: `what` needs it."""
+def _load_network(folder: Path, what: str) -> TrainedNetwork:
+    """Load a trained network that `what` needs. Raises UserError."""
     if not (folder / SUMMARY).exists():
         raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")
-    return read_net(folder), load_best(folder), read_targets(folder)
+    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
 
 
-def _in_parts(
-    function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, at_once: int
+def _run_in_parts(
+    function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, count: int
 ) -> np.ndarray:
-    """`function` of `values` (N, ...), so many at a time: one shape to compile."""
-    parts = []
-    for start in range(0, max(1, len(values)), at_once):
-        here = values[start : start + at_once]
-        filled = np.zeros((at_once, *values.shape[1:]), values.dtype)
-        filled[: len(here)] = here
-        parts.append(np.asarray(function(filled))[: len(here)])
-    return np.concatenate(parts)
+    """Run `function` on `values` (N, ...), `count` at a time: one shape to compile."""
+    results = []
+    for start in range(0, max(1, len(values)), count):
+        part = values[start : start + count]
+        filled = np.zeros((count, *values.shape[1:]), values.dtype)
+        filled[: len(part)] = part
+        results.append(np.asarray(function(filled))[: len(part)])
+    return np.concatenate(results)

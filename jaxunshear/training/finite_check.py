@@ -1,7 +1,7 @@
-"""A training stops where its numbers are no longer finite: nothing learnt after that is worth keeping.
+"""Stop a training whose numbers are no longer finite.
 
-Terms are inspected after every step, the state before it is kept: a step's terms come from before its update, so weights that
-have just been thrown away do not show in them.
+Terms are inspected after every step, and the state before each checkpoint: the terms of a step come
+from before its update, so they do not show weights that this update has broken.
 """
 
 import math
@@ -21,34 +21,38 @@ MAX_NAMED = 8  # examples in the line
 
 
 def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
-    """Terms of a step (the first is 1) as floats. Raises UserError where one is not finite."""
+    """Return the terms of a step (the first is 1) as floats.
+
+    Raises UserError if one is not finite.
+    """
     values = {name: float(value) for name, value in jax.device_get(terms).items()}
     broken = [name for name, value in values.items() if not math.isfinite(value)]
     if broken:
         causes = [name for name in broken if name != "gradient"]  # it follows from the others
-        raise _stop(", ".join(causes or broken), step, batch, folder)
+        raise _make_error(", ".join(causes or broken), step, batch, folder)
     return values
 
 
 def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
-    """Raises UserError where an array of the state after `step` is not finite."""
+    """Raise UserError if an array of the state after `step` is not finite."""
     for name, leaf in list_leaves(jax.device_get(state)).items():
         if not np.isfinite(leaf).all():
-            raise _stop(name, step, batch, folder)
+            raise _make_error(name, step, batch, folder)
 
 
-def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
-    """The line that names the step, the term, the batch and how to get it again, what is kept, and what to do."""
+def _make_error(what: str, step: int, batch: Batch, folder: Path) -> UserError:
+    """Make the error that names step, term, batch, the checkpoints that are kept and a remedy."""
     number = step - 1
-    reported, hint = _inspect_batch(batch)
+    description, remedy = _inspect_batch(batch)
     return UserError(
-        f"training {folder} stopped: {what} not finite at step {step}, of batch {number} (batches({number}) begins with it "
-        f"again) {reported}; {_describe_kept(folder)}; {hint}"
+        f"training {folder} stopped: {what} not finite at step {step}, of batch {number} "
+        f"(batches({number}) begins with it again) {description}; "
+        f"{_describe_checkpoints(folder)}; {remedy}"
     )
 
 
 def _inspect_batch(batch: Batch) -> tuple[str, str]:
-    """What is to be said of the batch, and the remedy."""
+    """Return a description of the batch, and the remedy."""
     arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
     wrong = []
     for name, array in arrays.items():
@@ -61,15 +65,13 @@ def _inspect_batch(batch: Batch) -> tuple[str, str]:
             f"with NaN or infinity in {'; '.join(wrong)}",
             "fix the data, then run the same command",
         )
-    least, most = (
-        min(array.min() for array in arrays.values()),
-        max(array.max() for array in arrays.values()),
-    )
-    hint = "if these are as they should be, lower learning_rate (in another folder)"
-    return f"whose numbers are {least:g} to {most:g}", hint
+    least = min(array.min() for array in arrays.values())
+    most = max(array.max() for array in arrays.values())
+    remedy = "if these are as they should be, lower learning_rate (in another folder)"
+    return f"whose numbers are {least:g} to {most:g}", remedy
 
 
-def _describe_kept(folder: Path) -> str:
+def _describe_checkpoints(folder: Path) -> str:
     steps = checkpoint.list_kept_steps(folder)
     if not steps:
         return "no checkpoint was written yet"

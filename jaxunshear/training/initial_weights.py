@@ -1,4 +1,7 @@
-"""Fine-tuning, `train.start`: a training begins from weights that have not learnt its tests. Loads JAX late."""
+"""Initial weights, `train.start`: fine-tune weights that have not learnt the tests.
+
+Loads JAX late.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -27,31 +30,35 @@ class InitialWeights(NamedTuple):
 
 
 def start_folder(experiment: Experiment, network: str) -> Path | None:
-    """Find the weights of `network` to begin from, if any. Raises UserError if they are missing or learnt the tests."""
-    if not (model := get_training(experiment, network).start):
+    """Find the weights of `network` to begin from, if any.
+
+    Raises UserError if they are missing or learnt the tests.
+    """
+    model = get_training(experiment, network).start
+    if not model:
         return None
     folder = find_model_folder(Path(model)) / network
     if not (folder / "model.json").is_file():
         raise UserError(
-            f"start: {folder.parent} holds no {network}: name a run or released weights that have it"
+            f"start: {folder.parent} holds no {network}: "
+            "name a run or released weights that have it"
         )
-    tests = {
-        compute_fingerprint(test, experiment.sensor)
-        for test in list_further_tests(experiment).values()
-    }
-    check_unseen(
-        folder,
-        parse_folder_digests(paired.digest)
-        if isinstance(paired := experiment.paired, Recorded)
-        else tests,
-    )
+    if isinstance(experiment.paired, Recorded):
+        digests = parse_folder_digests(experiment.paired.digest)
+    else:
+        tests = list_further_tests(experiment).values()
+        digests = {compute_fingerprint(test, experiment.sensor) for test in tests}
+    check_unseen(folder, digests)
     return folder
 
 
-def data_of(experiment: Experiment, network: str, start: Path | None) -> list[str]:
-    """Return the digests of the data that `network` learns from, also through others and the weights in `start`."""
+def list_training_digests(experiment: Experiment, network: str, start: Path | None) -> list[str]:
+    """List the digests of the data that `network` learns from.
+
+    These include the data of the networks that it needs, and of the weights in `start`.
+    """
     if isinstance(experiment.paired, Recorded):
-        own = parse_folder_digests(experiment.paired.digest)
+        digests = parse_folder_digests(experiment.paired.digest)
     else:
         sets = [
             get_training_data(experiment, each)
@@ -59,36 +66,44 @@ def data_of(experiment: Experiment, network: str, start: Path | None) -> list[st
         ]
         if "tap" in get_training(experiment, network).losses:
             sets.append(require_simulated(experiment, "the loss tap")[1])
-        own = {compute_fingerprint(each, experiment.sensor) for each in sets}
-    return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
+        digests = {compute_fingerprint(each, experiment.sensor) for each in sets}
+    return sorted(digests.union(read_object(start / "model.json")["data"] if start else ()))
 
 
 def check_unseen(folder: Path, digests: Iterable[str]) -> None:
-    """Raise UserError if the network in `folder` learnt from data of one of `digests`, or may have."""
+    """Raise UserError if the network in `folder` learnt, or may have learnt, one of `digests`."""
     learnt = read_object(folder / "model.json").get("data")
-    seen = ", ".join(sorted(set(digests).intersection(learnt or ())))
-    if seen or learnt is None:
-        of = f"data that are tested (digest {seen})" if seen else f"unknown data ({OLD_FILES})"
-        raise UserError(f"{folder} learnt from {of}: use other weights or data")
+    if learnt is None:
+        raise UserError(f"{folder} learnt from unknown data ({OLD_FILES}): use other weights or data")
+    common = ", ".join(sorted(set(digests).intersection(learnt)))
+    if common:
+        raise UserError(
+            f"{folder} learnt from data that are tested (digest {common}): "
+            "use other weights or data"
+        )
 
 
-def begin_from(fresh: Json, start: Json) -> Json:
-    """Return `fresh` variables with those of `start` in their places. Raises UserError if a shape or layer differs."""
+def replace_weights(fresh: Json, start: Json) -> Json:
+    """Replace `fresh` variables by those of `start`, where these have the same parts.
+
+    Raises UserError if a shape or layer differs.
+    """
     from jax import tree
 
     from jaxunshear.models.weights import list_leaves
 
-    own = list_leaves(fresh)
-    modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel
-    kept = {
+    fresh_leaves = list_leaves(fresh)
+    modules = {name.split(".")[1] for name in fresh_leaves}  # E of params.E.First_0.kernel
+    start_leaves = {
         name: leaf for name, leaf in list_leaves(start).items() if name.split(".")[1] in modules
     }
-    wrong = next(
-        (name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape),
-        None,
-    )
-    if wrong or not kept:
+    wrong = None if start_leaves else "no part"
+    for name, leaf in start_leaves.items():
+        if name not in fresh_leaves or fresh_leaves[name].shape != leaf.shape:
+            wrong = name
+            break
+    if wrong:
         raise UserError(
-            f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings"
+            f"start: {wrong} of these weights fits the network: use that network's settings"
         )
-    return tree.unflatten(tree.structure(fresh), (own | kept).values())
+    return tree.unflatten(tree.structure(fresh), (fresh_leaves | start_leaves).values())

@@ -1,4 +1,4 @@
-"""What losses compute of images, poses and weights; `pair_losses.py` makes terms of a batch of them.
+"""Losses of images, poses and weights, which pair_losses.py and pose_losses.py apply to a batch.
 
 One sum of the paper's terms (section 3.3) gives every module the gradient that the paper lists for
 it: E sees all terms, DC L_sup and L_patch, DS L_rec, since no other path leads from a term to a
@@ -16,7 +16,7 @@ from jaxunshear.models.weights import Variables, list_leaves
 def compute_supervised_loss(
     canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
 ) -> Float[Array, "B"]:
-    """Compute L_sup, and L_rec of sheared images: the mean squared difference of images in [0, 1]."""
+    """Compute the mean squared difference of images in [0, 1], for L_sup and L_rec."""
     return jnp.mean((canonical - target) ** 2, (1, 2, 3))
 
 
@@ -25,7 +25,10 @@ def compute_patch_loss(
     target: Float[Array, "B S S 1"],
     counts: Float[Array, "B S S"],
 ) -> Float[Array, "B"]:
-    """L_patch: mean absolute difference over all pixels of all crops. `counts`: crops that cover a pixel."""
+    """Compute L_patch, the mean absolute difference over all pixels of all crops.
+
+    `counts` are the numbers of crops that cover each pixel.
+    """
     difference = jnp.abs(canonical - target)[..., 0]
     return jnp.sum(counts * difference, (1, 2)) / jnp.sum(counts, (1, 2))
 
@@ -33,10 +36,10 @@ def compute_patch_loss(
 def count_crop_coverage(
     corners: Int[Array, "B crops 2"], size: int, side: int
 ) -> Float[Array, "B {size} {size}"]:
-    """How many crops of `side` pixels cover each pixel, by the crops' corners (row, column).
+    """Count the crops of `side` pixels that cover each pixel, from their corners (row, column).
 
-    A crop is the outer product of an indicator of its rows and one of its columns, so the counts are one matrix
-    product and the crops themselves are never cut out.
+    A crop is the outer product of an indicator of its rows and one of its columns, so the counts
+    are one matrix product and the crops themselves are never cut out.
     """
     start = corners[..., None]
     pixel = jnp.arange(size)[None, None, None]
@@ -49,54 +52,62 @@ def count_crop_coverage(
 def sample_corners(
     key: Array, images: int, crops: int, size: int, side: int
 ) -> Int[Array, "{images} {crops} 2"]:
-    """Uniform upper left corners of crops that lie in the image."""
+    """Sample the upper left corners of crops that lie in the image, uniformly."""
     return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
 
 
 def compute_pose_loss(
     outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
 ) -> Float[Array, "B"]:
-    """PoseNet's L2 loss: weighted mean squared difference of outputs and targets."""
+    """Compute PoseNet's L2 loss, the weighted mean squared difference of outputs and targets."""
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
 def compute_absolute_pose_loss(
     outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
 ) -> Float[Array, "B"]:
-    """The same with absolute differences, which a few contacts that are hard to read bend less: of networks over pins."""
+    """Compute the weighted mean absolute difference, the loss of a PoseNet over pins.
+
+    A few outliers have less influence on it than on the squared one.
+    """
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
 def compute_slide_loss(z_s: Float[Array, "B G"], target: Float[Array, "B K"]) -> Float[Array, "B"]:
-    """Mean squared difference of the first numbers of z_s and the slide, from -1 to 1 over its range; 0 where it is NaN: not known."""
-    known = jnp.isfinite(target)
-    off = jnp.where(known, z_s[:, : target.shape[1]] - jnp.where(known, target, 0), 0)
-    return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
+    """Compute the mean squared difference of the first numbers of z_s and the slide.
+
+    The slide is scaled to [-1, 1] over its range. Where it is unknown, NaN, it does not count.
+    """
+    is_known = jnp.isfinite(target)
+    error = jnp.where(is_known, z_s[:, : target.shape[1]] - jnp.where(is_known, target, 0), 0)
+    return jnp.square(error).sum(1) / jnp.maximum(is_known.sum(1, dtype=error.dtype), 1)
 
 
 def compute_regularisation(
     params: Variables, l1: float, l2: float, kernels: str = "sum"
 ) -> Float[Array, ""]:
-    """l1 sum |w| + l2 sum w^2 over each kernel (no biases, no normalisation), or their "mean"; added up over all of
-    them. A weight of zero computes nothing."""
-    over = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
+    """Compute l1 sum |w| + l2 sum w^2 of each kernel, and add these up.
+
+    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A
+    weight of zero computes nothing.
+    """
+    reduce = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
     total = jnp.zeros(())
     for kernel in list_kernels(params).values():
-        total += l1 * over(jnp.abs(kernel)) if l1 else 0.0
-        total += l2 * over(kernel**2) if l2 else 0.0
+        total += l1 * reduce(jnp.abs(kernel)) if l1 else 0.0
+        total += l2 * reduce(kernel**2) if l2 else 0.0
     return total
 
 
 def measure_kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
-    """The root of the mean square of each kernel's weights, by its dotted name: 0.02 in fresh networks."""
+    """Measure the root mean square of each kernel, by dotted name: 0.02 in fresh networks."""
     return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in list_kernels(params).items()}
 
 
 def list_kernels(params: Variables) -> dict[str, Array]:
-    """The kernels of convolution and dense layers, by dotted name."""
-    leaves = list_leaves(params)
+    """List the kernels of convolution and dense layers, by dotted name."""
     return {
         name.removesuffix(".kernel"): leaf
-        for name, leaf in leaves.items()
+        for name, leaf in list_leaves(params).items()
         if name.endswith(".kernel")
     }

@@ -1,11 +1,13 @@
-"""Muon (Jordan et al. 2024): momentum whose singular values are all brought near one, as an optax transformation.
+"""Muon (Jordan et al. 2024) as an optax transformation.
 
-Adam scales every weight alone; Muon turns the entire update of a kernel towards an orthogonal matrix, so that what has a
-weak gradient is learnt as fast as what has a strong one.
+Muon brings all singular values of the momentum near one. Adam scales every weight alone; Muon turns
+the entire update of a kernel towards an orthogonal matrix, so that what has a weak gradient is
+learnt as fast as what has a strong one.
 
-The momentum is Jordan's; `optax.contrib.muon` corrects it for its start, which turns the second update by 8 %, the thirtieth by less
-than half a per cent, and gives the same to rounding else. Its iteration multiplies the tall matrix of a convolution ten times a
-step, which takes longer than the step itself; here all but two products are between square matrices of the shorter side.
+The momentum is Jordan's. `optax.contrib.muon` corrects it for its start, which turns the second
+update by 8 % and the thirtieth by less than half a per cent; all else is equal to rounding. Its
+iteration multiplies the tall matrix of a convolution ten times per step, which takes longer than
+the step itself. Here all but two products are between square matrices of the shorter side.
 """
 
 import jax
@@ -19,7 +21,8 @@ from jaxunshear.models.weights import Variables
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 ITERATIONS = 5
 MOMENTUM = 0.95
-# of an update at learning rate 1, near Adam's, so that both take the same rates (Liu et al. 2025, section 2.2)
+# of an update at learning rate 1, near Adam's, so that both take the same rates
+# (Liu et al. 2025, section 2.2)
 RMS = 0.2
 MAX_READOUT_WIDTH = 8  # kernels with fewer outputs
 
@@ -27,21 +30,25 @@ MAX_READOUT_WIDTH = 8  # kernels with fewer outputs
 def muon(
     learning_rate: optax.ScalarOrSchedule, beta1: float, beta2: float
 ) -> optax.GradientTransformation:
-    """Muon for the inner kernels; Adam for the first and the last layer's, biases and normalisation, as is usual."""
+    """Make Muon for the inner kernels, and Adam for all other weights, as is usual.
+
+    These are the kernels of the first and the last layer, biases and normalisation.
+    """
     inner = optax.chain(
         optax.trace(MOMENTUM, nesterov=True),
-        optax.stateless(lambda updates, _: jax.tree.map(_kernel_update, updates)),
+        optax.stateless(lambda updates, _: jax.tree.map(_orthogonalise_kernel, updates)),
         optax.scale_by_learning_rate(learning_rate),
     )
     return optax.partition(
-        {"muon": inner, "adam": optax.adam(learning_rate, beta1, beta2)}, _labels
+        {"muon": inner, "adam": optax.adam(learning_rate, beta1, beta2)}, _label_weights
     )
 
 
 def orthogonalise(x: Array) -> Array:
-    """Newton-Schulz: U f(S) V' of x = U S V' (m, n), where f brings all but tiny singular values near one.
+    """Compute U f(S) V' of x = U S V' (m, n), with f near one for all but tiny singular values.
 
-    An iteration maps x to x P with a polynomial P of x'x, so the iterations run on (n, n) alone and x is multiplied once.
+    This is a Newton-Schulz iteration. It maps x to x P with a polynomial P of x'x, so the
+    iterations run on (n, n) alone and x is multiplied once.
     """
     if x.shape[0] < x.shape[1]:
         return orthogonalise(x.T).T
@@ -57,18 +64,21 @@ def orthogonalise(x: Array) -> Array:
     return _product(x, factors)
 
 
-def _kernel_update(kernel: Array) -> Array:
-    """Of a convolution (k, k, C, N) or a dense layer (C, N): the rows are all that an output reads."""
+def _orthogonalise_kernel(kernel: Array) -> Array:
+    """Orthogonalise the update of a convolution (k, k, C, N) or a dense layer (C, N).
+
+    The rows of its matrix are all inputs of an output.
+    """
     matrix = kernel.reshape(-1, kernel.shape[-1])
     return RMS * max(matrix.shape) ** 0.5 * orthogonalise(matrix).reshape(kernel.shape)
 
 
-def _labels(params: Variables) -> Variables:
+def _label_weights(params: Variables) -> Variables:
     def label(path: tuple, leaf: Array) -> str:
-        inner = (
-            path[-1].key == "kernel" and leaf.shape[-2] > 1 and leaf.shape[-1] >= MAX_READOUT_WIDTH
-        )
-        return "muon" if inner else "adam"
+        if path[-1].key != "kernel":
+            return "adam"
+        is_inner = leaf.shape[-2] > 1 and leaf.shape[-1] >= MAX_READOUT_WIDTH
+        return "muon" if is_inner else "adam"
 
     return jax.tree_util.tree_map_with_path(label, params)
 

@@ -1,6 +1,6 @@
-"""The losses of networks that unshear, each a function of `PairInputs` to a loss per example (B,).
+"""The losses of networks that unshear, each a function of `PairInputs` to losses (B,).
 
-`config/losses.py` says by which name a training asks for each, and what it needs.
+`config/losses.py` lists them by the names that trainings use, with what each needs.
 """
 
 from collections.abc import Callable
@@ -49,10 +49,10 @@ class PairInputs(NamedTuple):
 def compute_supervised_term(inputs: PairInputs) -> Array:
     """Compute L_sup, averaged with that of a partner at the same pose where codes should agree."""
     outputs, tap = inputs.outputs, inputs.modality.canonical
-    own = inputs.measure_distance(outputs.canonical, tap)
+    distance = inputs.measure_distance(outputs.canonical, tap)
     if outputs.same_pose is None:
-        return own
-    return 0.5 * (own + inputs.measure_distance(outputs.same_pose, tap))
+        return distance
+    return 0.5 * (distance + inputs.measure_distance(outputs.same_pose, tap))
 
 
 def compute_patch_term(inputs: PairInputs) -> Array:
@@ -66,17 +66,17 @@ def compute_patch_term(inputs: PairInputs) -> Array:
 
 
 def compute_reconstruction_term(inputs: PairInputs) -> Array:
-    """Compute L_rec: DS draws the slide."""
+    """Compute L_rec, between what DS decodes and the slide."""
     return inputs.measure_distance(_get(inputs.outputs.sheared), inputs.modality.sheared)
 
 
 def compute_pose_label_term(inputs: PairInputs) -> Array:
-    """Compare the pose that the teacher reads off the unsheared contact with the true one."""
+    """Compare the pose that the teacher estimates of the unsheared contact with the true one."""
     return _compare_pose(inputs, posenet.scale_poses(inputs.batch, inputs.targets))
 
 
 def compute_pose_tap_term(inputs: PairInputs) -> Array:
-    """Compare the pose that the teacher reads off the unsheared contact with the tap's."""
+    """Compare the poses that the teacher estimates of the unsheared contact and of the tap."""
     return _compare_pose(inputs, _get(inputs.teacher)(inputs.tap))
 
 
@@ -87,17 +87,17 @@ def _compare_pose(inputs: PairInputs, target: Array) -> Array:
 
 
 def compute_counterfactual_term(inputs: PairInputs) -> Array:
-    """Compare what DS draws of exchanged codes with the contact of just that pose and slide."""
+    """Compare what DS decodes from exchanged codes with the contact of that pose and slide."""
     return inputs.measure_distance(_get(inputs.outputs.counterfactual), inputs.modality.swapped)
 
 
 def compute_code_agreement_term(inputs: PairInputs) -> Array:
-    """Return how much the pose codes of two contacts at one pose differ, in every direction."""
+    """Return the difference of the pose codes of two contacts at one pose."""
     return _get(inputs.outputs.disagreement)
 
 
 def compute_slide_term(inputs: PairInputs) -> Array:
-    """Compare the numbers of z_s with the slide, shifts before turns, over half of its range."""
+    """Compare z_s with the slide, shifts before rotations, scaled to [-1, 1] over its range."""
     target = 2 * posenet.scale_poses(inputs.batch, inputs.slide_targets) - 1
     z_s = _get(inputs.outputs.z_s)
     return losses.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)

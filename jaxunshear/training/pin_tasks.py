@@ -1,7 +1,8 @@
-"""What a training over pins does with a batch, as in tasks.py.
+"""Tasks of networks over pins, see tasks.py.
 
-`rest` (P, 2) px are the untouched pins, `spread` px how far pins move (root mean square), both of training examples alone. A field
-{"weight"} (B,) weighs the examples; one whose pins are not sure should have none.
+`rest` (P, 2) px are the untouched pins, `spread` px is how far pins move (root mean square), both
+of training examples alone. A field {"weight"} (B,) weighs the examples; an example whose pins are
+not sure should have none.
 """
 
 from collections.abc import Callable
@@ -92,21 +93,20 @@ def make_pin_posenet_task(
         pins = pin_networks.add_noise(net, batch["pins"], key)
         poses, angle = posenet.scale_poses(batch, targets), jnp.zeros(())
         if rotations is not None:
-            k = _sample_turn(net.turned, jax.random.fold_in(key, 1))
+            k = _sample_rotation(net.turned, jax.random.fold_in(key, 1))
             pins = rotate_pins(rotations, k, pins)
             poses = rotate_outputs(rotations, k, poses, targets)
             angle = rotations.radians[k]
         outputs = pin_networks.predict(net, variables, pins, angle)
         inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, key, render)
-        return _weight_recorded(run_losses(iter(specs), inputs, key), batch), variables[
-            "batch_stats"
-        ]
+        computed = run_losses(specs, inputs, key)
+        return _weight_recordings(computed, batch), variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> Terms:
         outputs = pin_networks.predict(net, variables, batch["pins"])
         poses = posenet.scale_poses(batch, targets)
         inputs = PoseInputs(batch, outputs, poses, net, variables, PINS, targets, None)
-        computed = run_losses(iter(specs), inputs, None)
+        computed = run_losses(specs, inputs, None)
         errors = compute_pose_error_terms(outputs, batch, targets)
         return weight_terms(computed | errors, batch)
 
@@ -115,7 +115,7 @@ def make_pin_posenet_task(
     return Task("pin_posenet", net, targets, init, terms, dict(training.losses), validate, rank)
 
 
-def _weight_recorded(terms: Terms, batch: Batch) -> Terms:
+def _weight_recordings(terms: Terms, batch: Batch) -> Terms:
     """Weigh terms by their examples, other than those of rendered taps, which are all sure."""
     return {
         name: term if name == "rendered_pose" else weight_terms({name: term}, batch)[name]
@@ -133,7 +133,7 @@ def make_renderer_task(
         poses = posenet.scale_poses(batch, targets)
         pins = pin_networks.render_pins(net, variables, poses)
         inputs = PoseInputs(batch, pins, poses, net, variables, PINS, targets, key)
-        return weight_terms(run_losses(iter(specs), inputs, key), batch)
+        return weight_terms(run_losses(specs, inputs, key), batch)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
         return compute_terms(variables, batch, key), variables["batch_stats"]
@@ -146,9 +146,8 @@ def make_renderer_task(
     return Task("renderer", net, targets, init, terms, dict(training.losses), validate, rank)
 
 
-def _sample_turn(share: float, key: Array) -> Array:
-    """Sample one angle for a batch: none, or with the chance `share` any of them."""
+def _sample_rotation(share: float, key: Array) -> Array:
+    """Sample one angle for a batch: any of them with probability `share`, else none."""
     chance_key, angle_key = jax.random.split(key)
-    return jnp.where(
-        jax.random.uniform(chance_key) < share, jax.random.randint(angle_key, (), 0, ANGLES), 0
-    )
+    is_rotated = jax.random.uniform(chance_key) < share
+    return jnp.where(is_rotated, jax.random.randint(angle_key, (), 0, ANGLES), 0)

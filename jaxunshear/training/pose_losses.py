@@ -1,6 +1,6 @@
-"""The losses of PoseNets and of the renderer, each a function of `PoseInputs` to a loss per example (B,).
+"""The losses of PoseNets and of the renderer, each a function of `PoseInputs` to losses (B,).
 
-`config/losses.py` says by which name a training asks for each.
+`config/losses.py` lists them by the names that trainings use.
 """
 
 from collections.abc import Callable
@@ -37,9 +37,10 @@ def compute_pose_term(inputs: PoseInputs) -> Array:
 
 
 def compute_rendered_pose_term(inputs: PoseInputs) -> Array:
-    """Let a PoseNet over pins read as many rendered taps, at poses drawn anew.
+    """Compute the pose loss of a PoseNet over pins on as many rendered taps, at random poses.
 
-    Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
+    Unsheared pins are as smooth as rendered ones: a PoseNet that learnt recorded taps alone
+    estimates their poses less well.
     """
     key, render, targets = inputs.key, inputs.render, inputs.targets
     assert key is not None and render is not None  # `make_pin_posenet_task` sees to it

@@ -1,11 +1,12 @@
-"""Recorded pins as they would have moved, had the sensor been turned about its axis: examples that nobody had to record.
+"""Rotation augmentation: recorded pins as they would have moved, had the sensor been turned.
 
-turns = make_rotations(rest, sense)                         # rest (P, 2) px
-pins = rotate_pins(turns, k, pins)                         # (B, P, 2) px, turned by the k-th angle
-outputs = rotate_outputs(turns, k, outputs, targets)  # the pose that goes with it
+rotations = make_rotations(rest, sense)                    # rest (P, 2) px
+pins = rotate_pins(rotations, k, pins)                     # (B, P, 2) px, turned by the k-th angle
+outputs = rotate_outputs(rotations, k, outputs, targets)   # the pose that goes with it
 
-A dome is nearly the same all round, its camera and its housing are not. So the network is given how far each example was turned, and
-what it reads off pins as they are is corrected by examples as they are.
+The sensor is turned about its axis. A dome is nearly the same all round, but its camera and its
+housing are not. So the network is also given the angle of each example, and examples that are not
+turned correct what it predicts of pins that are not turned.
 """
 
 from functools import partial
@@ -27,21 +28,23 @@ TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg
 SPLINE_NEIGHBOURS = 40  # pins that the motion between them is interpolated from
 TRIED_TAPS = 200  # taps that are turned to find the sense
-MAX_MOTION_DIFFERENCE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still resemble them
+# over their motion: turned taps that differ less from recorded ones resemble them
+MAX_MOTION_DIFFERENCE = 0.75
 
 
 class Rotations(NamedTuple):
-    """Angle k turns the pins' motions by k circles over ANGLES, and the label by as much times `sense`."""
+    """Rotations by k circles over ANGLES; the label turns by as much times `sense`."""
 
     rest: Array  # (P, 2) px
-    mixed: Array  # (ANGLES, P, P): the motion at the place that comes to lie at a pin, of those of all pins
+    # (ANGLES, P, P) weights of all pins in the motion at the place that is turned onto a pin
+    mixed: Array
     rotation: Array  # (ANGLES, 2, 2)
     radians: Array  # (ANGLES,)
     sense: int  # 1 or -1
 
 
 def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int) -> Rotations:
-    """Of pins that stand untouched at `rest` px: thin-plate splines between them."""
+    """Make the rotations of pins that rest at `rest` px, with thin-plate splines between pins."""
     rest = np.asarray(rest, np.float64)
     radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
     rotation = rotation_2d(radians)
@@ -55,7 +58,7 @@ def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int) -> Rotations:
 def rotate_pins(
     rotations: Rotations, k: ArrayLike, pins: Float[Array, "B P 2"]
 ) -> Float[Array, "B P 2"]:
-    """Pins px after a turn by angle `k`; pins that are not seen count as untouched."""
+    """Turn pins px by angle `k`; missing pins count as untouched."""
     motion = jnp.where(jnp.isfinite(pins), pins - rotations.rest[None], 0)
     return rotations.rest[None] + jnp.einsum(
         "pq,bqi,ji->bpj", rotations.mixed[k], motion, rotations.rotation[k]
@@ -65,20 +68,22 @@ def rotate_pins(
 def rotate_outputs(
     rotations: Rotations, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets
 ) -> Float[Array, "B K"]:
-    """PoseNet's outputs in [0, 1] of the pose after that turn: of all targets only the twist changes."""
-    angle, column, columns = rotations.sense * rotations.radians[k], 0, []
+    """Turn PoseNet's outputs in [0, 1] by angle `k`: only the twist changes."""
+    angle = rotations.sense * rotations.radians[k]
+    column = 0
+    parts = []
     for target in targets:
-        here = outputs[:, column : column + target.outputs]
+        part = outputs[:, column : column + target.outputs]
         if target.name == TWIST:
-            cosine, sine = 2 * here[:, 0] - 1, 2 * here[:, 1] - 1
-            after = (
+            cosine, sine = 2 * part[:, 0] - 1, 2 * part[:, 1] - 1
+            rotated = (
                 cosine * jnp.cos(angle) - sine * jnp.sin(angle),
                 sine * jnp.cos(angle) + cosine * jnp.sin(angle),
             )
-            here = (1 + jnp.stack(after, -1)) / 2
-        columns.append(here)
+            part = (1 + jnp.stack(rotated, -1)) / 2
+        parts.append(part)
         column += target.outputs
-    return jnp.concatenate(columns, -1)
+    return jnp.concatenate(parts, -1)
 
 
 def find_rotation_sense(
@@ -87,10 +92,12 @@ def find_rotation_sense(
     poses: Float[np.ndarray, "N 6"],
     targets: Targets,
 ) -> int:
-    """Whether the twist grows (1) or falls (-1) as the pins px turn with their labels, from x towards y of the image.
+    """Find whether the twist grows (1) or falls (-1) as pins px turn from x towards y of the image.
 
-    Taps are turned both ways and compared with those recorded nearest to where they should be. Raises UserError where the twist is no
-    target over the full circle, and where neither resembles what was recorded: then what is touched does not turn with its label.
+    Taps are turned both ways and compared with the recorded taps at the nearest poses.
+
+    Raises UserError if the twist is no target over the full circle, and if turned taps resemble the
+    recorded ones neither way: then the stimulus does not turn with its label.
     """
     if not any(target.name == TWIST and target.is_circular for target in targets):
         raise UserError(
@@ -98,25 +105,23 @@ def find_rotation_sense(
         )
     rows = np.random.default_rng(0).choice(len(pins), min(TRIED_TAPS, len(pins)), replace=False)
     motion = np.where(np.isfinite(pins), pins - rest, 0)
-    apart = {}
+    differences = {}
     for sense in (1, -1):
-        turns = make_rotations(rest, sense)
-        scores = []
+        rotations = make_rotations(rest, sense)
+        ratios = []
         for k in (ANGLES // 6, ANGLES // 4):
-            wanted = poses[rows].copy()
-            wanted[:, 5] += sense * 360 * k / ANGLES
-            near, _ = pairing.find_nearest(targets, wanted, poses)
-            difference = (
-                np.asarray(rotate_pins(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
-            )
-            scores.append(
-                np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2))
-            )
-        apart[sense] = float(np.median(scores))
-    sense = min(apart, key=apart.__getitem__)
-    if not apart[sense] < MAX_MOTION_DIFFERENCE:
+            rotated_poses = poses[rows].copy()
+            rotated_poses[:, 5] += sense * 360 * k / ANGLES
+            nearest, _ = pairing.find_nearest(targets, rotated_poses, poses)
+            rotated_pins = np.asarray(rotate_pins(rotations, k, jnp.asarray(pins[rows])))
+            difference = rotated_pins - rest - motion[nearest]
+            size = np.linalg.norm(motion[nearest], axis=(1, 2))
+            ratios.append(np.linalg.norm(difference, axis=(1, 2)) / size)
+        differences[sense] = float(np.median(ratios))
+    sense = min(differences, key=differences.__getitem__)
+    if not differences[sense] < MAX_MOTION_DIFFERENCE:
         raise UserError(
-            f"pins.turned: turned touches do not resemble recorded ones (they differ by {apart[sense]:.2f} of their motion): "
-            "leave it at 0"
+            "pins.turned: turned touches do not resemble recorded ones "
+            f"(they differ by {differences[sense]:.2f} of their motion): leave it at 0"
         )
     return sense

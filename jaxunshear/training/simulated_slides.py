@@ -1,10 +1,12 @@
-"""Training slides that nobody recorded: recorded taps, dragged as the simulator says. For `paired.pairing` "simulated".
+"""Simulated slides to recorded taps, for `paired.pairing` "simulated".
 
-drag = make_slide_simulator(stored, data_dir)
-drag("train")   # {"row", "sheared_pins", "move"}: DRAWN slides to each labelled tap of the split
+simulate_slides = make_slide_simulator(stored, sensor, data_dir)
+# {"row", "sheared_pins", "move"}: SLIDES_PER_MOTION slides to each labelled tap of the split
+simulate_slides("train")
 
-What the simulator cannot know is drawn widely about what was fitted: friction, how far the pins follow, and how the sensor is turned and
-shifted before its camera on another day than that of the taps.
+What the simulator cannot know is drawn from wide ranges about the fitted values: friction, how far
+the pins follow, and how the sensor is turned and shifted before its camera on another day than that
+of the taps.
 """
 
 import functools
@@ -12,13 +14,19 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.angles import rotation_2d
 from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION
 from jaxunshear.calibration.labels import find_depth_axis
-from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
+from jaxunshear.calibration.simulated_slides import (
+    LabelView,
+    RecordedTaps,
+    fit_label_view,
+    simulate_shear,
+)
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.chunks import load_chunk
@@ -32,15 +40,21 @@ from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
-MOTION_FACTOR = (
-    0.5,
-    2.5,
-)  # times the simulated motion; chosen with recorded slides in sight (docs/your-own-recordings.md, 9)
+# factor of the simulated motion, chosen in view of recorded slides (docs/your-own-recordings.md, 9)
+MOTION_FACTOR = (0.5, 2.5)
 SLIDES_PER_MOTION = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides
-# poses (N, 6), slides (N, 6), frictions (N,) -> how far pins are dragged (N, P, 2) px, and (N,) whether that is known
+# poses (N, 6), slides (N, 6), frictions (N,) -> motions of pins (N, P, 2) px, validity (N,)
 Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class SlideMotions(NamedTuple):
+    """Simulated motions of M taps of a split."""
+
+    row: np.ndarray  # (M,) of the taps
+    motion: np.ndarray  # (M, P, 2) px
+    move: np.ndarray  # (M, 6) the slides, mm and deg
 
 
 def make_slide_simulator(
@@ -50,52 +64,54 @@ def make_slide_simulator(
     simulate: Simulate | None = None,
     chunk: int = CHUNK,
 ) -> SlideSimulator:
-    """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
-    on where it stopped. Where `simulate` is not given it is `simulate_shear` of the training taps; files have `chunk` contacts. Raises UserError."""
-    place = (
-        Path(data_dir).absolute()
-        / "simulated_slides"
-        / f"{compute_config_name(stored.settings, sensor)}-{_digest()}"
-    )
-    view = functools.cache(
-        lambda: fit_label_view(
-            _taps(stored, "train"), stored.make_lattice(), stored.size, DEFAULT_CALIBRATION
-        )
-    )
+    """Simulate a slide to each labelled tap of training and validation, in files in `data_dir`.
+
+    Slides that are in these files already are read, so a killed run resumes. Without `simulate`, it
+    is `simulate_shear` of the training taps. Files have `chunk` contacts. Raises UserError.
+    """
+    name = f"{compute_config_name(stored.settings, sensor)}-{_compute_digest()}"
+    folder = Path(data_dir).absolute() / "simulated_slides" / name
     if simulate is None:
-        simulate = lambda *slides: simulate_shear(view(), *slides)  # noqa: E731
+        simulate = _make_shear_simulation(stored)
     motions = {
-        split: _motions(stored, split, place / split, simulate, chunk)
+        split: _simulate_motions(stored, split, folder / split, simulate, chunk)
         for split in ("train", "validation")
     }
 
-    def drag(split: str) -> Batch:
-        rest = np.array(stored.frame["place_px"])
-        return _vary_slides(
-            _taps(stored, split), *motions[split], rest, stored.frame["spacing_px"], split
-        )
+    def simulate_slides(split: str) -> Batch:
+        return _vary_slides(stored, _read_taps(stored, split), motions[split], split)
 
-    return drag
+    return simulate_slides
 
 
-def _digest() -> str:
-    """Of what decides the simulated motions."""
-    known = (DEFAULT_CALIBRATION.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
-    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:8]
+def _make_shear_simulation(stored: RecordedSet) -> Simulate:
+    """Make the simulation of the recorded sensor, which is fitted to the taps at the first call."""
+
+    @functools.cache
+    def fit_view() -> LabelView:
+        taps, lattice = _read_taps(stored, "train"), stored.make_lattice()
+        return fit_label_view(taps, lattice, stored.size, DEFAULT_CALIBRATION)
+
+    return lambda poses, slides, frictions: simulate_shear(fit_view(), poses, slides, frictions)
 
 
-def _taps(stored: RecordedSet, split: str) -> RecordedTaps:
+def _compute_digest() -> str:
+    """Compute the digest of the settings of the simulation."""
+    settings = (DEFAULT_CALIBRATION.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def _read_taps(stored: RecordedSet, split: str) -> RecordedTaps:
     rows = stored.read_labelled_taps(split)
-    return RecordedTaps(
-        np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"]
-    )
+    is_sure = rows["sure"][:, None, None] == 1
+    return RecordedTaps(np.where(is_sure, rows["pins"], np.nan), rows["pose"])
 
 
-def _motions(
+def _simulate_motions(
     stored: RecordedSet, split: str, folder: Path, simulate: Simulate, chunk: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of the split's taps (M,), how far their pins are dragged (M, P, 2) px, and the slides (M, 6)."""
-    taps = _taps(stored, split)
+) -> SlideMotions:
+    """Simulate the slides of a split that have no file yet, and read all."""
+    taps = _read_taps(stored, split)
     rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
     parts = [rows[start : start + chunk] for start in range(0, len(rows), chunk)]
     paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
@@ -109,20 +125,23 @@ def _motions(
                 _write(paths[i], simulate, taps.pose, parts[i])
                 progress.advance(len(parts[i]))
     chunks = [load_chunk(path) for path in paths]
-    joined = {
-        name: np.concatenate([chunk[name] for chunk in chunks])
-        for name in ("row", "motion", "move", "fine")
-    }
-    fine = joined["fine"]
+    fine = _join(chunks, "fine")
     if not fine.all():
         print(
-            f"simulated slides ({split}): {int((~fine).sum())} of {len(fine)} out of reach or not converged, left out"
+            f"simulated slides ({split}): {int((~fine).sum())} of {len(fine)} out of reach or not "
+            "converged, left out"
         )
     if not fine.any():
         raise UserError(
             f"paired.pairing simulated: of {len(fine)} slides none converged: use another pairing"
         )
-    return joined["row"][fine], joined["motion"][fine], joined["move"][fine]
+    return SlideMotions(
+        _join(chunks, "row")[fine], _join(chunks, "motion")[fine], _join(chunks, "move")[fine]
+    )
+
+
+def _join(chunks: list[Batch], name: str) -> np.ndarray:
+    return np.concatenate([chunk[name] for chunk in chunks])
 
 
 def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -> None:
@@ -136,23 +155,19 @@ def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -
 
 
 def _vary_slides(
-    taps: RecordedTaps,
-    row: np.ndarray,
-    motion: np.ndarray,
-    move: np.ndarray,
-    rest: np.ndarray,
-    spacing_px: float,
-    split: str,
+    stored: RecordedSet, taps: RecordedTaps, motions: SlideMotions, split: str
 ) -> Batch:
-    """DRAWN slides of each motion."""
+    """Draw SLIDES_PER_MOTION slides of each motion."""
+    rest, spacing_px = np.array(stored.frame["place_px"]), stored.frame["spacing_px"]
     generator = np.random.default_rng([VERSION, *split.encode()])
-    again = np.tile(np.arange(len(row)), SLIDES_PER_MOTION)
-    follow = generator.uniform(*MOTION_FACTOR, len(again))[:, None, None]
-    angle = np.radians(TURNED_DEG) * generator.standard_normal(len(again))
-    moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ rotation_2d(-angle)
-    moved += SHIFTED * spacing_px * generator.standard_normal((len(again), 1, 2))
+    repeats = np.tile(np.arange(len(motions.row)), SLIDES_PER_MOTION)
+    row = motions.row[repeats]
+    factor = generator.uniform(*MOTION_FACTOR, len(repeats))[:, None, None]
+    angle = np.radians(TURNED_DEG) * generator.standard_normal(len(repeats))
+    moved = (taps.pins[row] - rest + factor * motions.motion[repeats]) @ rotation_2d(-angle)
+    moved += SHIFTED * spacing_px * generator.standard_normal((len(repeats), 1, 2))
     return {
-        "row": row[again],
+        "row": row,
         "sheared_pins": (rest + moved).astype(np.float32),
-        "move": move[again],
+        "move": motions.move[repeats],
     }

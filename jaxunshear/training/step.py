@@ -1,4 +1,4 @@
-"""One training step as a pure function: gradient, optimiser, running statistics and moving averages."""
+"""The training step as a pure function: gradient, optimiser, statistics and moving averages."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,19 +17,18 @@ from jaxunshear.training.tasks import Batch, Task, Tree
 
 
 class State(NamedTuple):
-    """All that a step changes."""
+    """The arrays that a step changes."""
 
     step: Int[Array, ""]
     params: Tree
     batch_stats: Tree
     optimiser: Tree
-    average: dict[
-        str, Tree
-    ]  # moving averages of both: the variables that are validated, kept and used
+    # moving averages of params and batch_stats: the variables that are validated, kept and used
+    average: dict[str, Tree]
 
 
 def make_schedule(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
-    """Step -> learning rate. Raises UserError for an unknown schedule."""
+    """Make the schedule, step -> learning rate. Raises UserError for an unknown one."""
     first = training.learning_rate
     if training.schedule == "cosine":
         return optax.cosine_decay_schedule(first, steps)
@@ -45,7 +44,7 @@ def make_schedule(training: Training, steps: int, steps_per_epoch: float) -> opt
 def make_optimiser(
     training: Training, steps: int, steps_per_epoch: float
 ) -> optax.GradientTransformation:
-    """Adam or Muon with the schedule of `training`. Raises UserError for another name."""
+    """Make Adam or Muon with the schedule of `training`. Raises UserError for another name."""
     kinds = {"adam": optax.adam, "muon": muon}
     if training.optimiser not in kinds:
         raise UserError(f'optimiser: "{training.optimiser}" is unknown; use "adam" or "muon"')
@@ -55,7 +54,7 @@ def make_optimiser(
 
 
 def init_state(variables: Tree, optimiser: optax.GradientTransformation) -> State:
-    """The state before the first step."""
+    """Make the state before the first step."""
     params, batch_stats = variables["params"], variables["batch_stats"]
     average = {"params": params, "batch_stats": batch_stats}
     return State(jnp.zeros((), jnp.int32), params, batch_stats, optimiser.init(params), average)
@@ -64,9 +63,12 @@ def init_state(variables: Tree, optimiser: optax.GradientTransformation) -> Stat
 def make_step(
     task: Task, training: Training, optimiser: optax.GradientTransformation, key: Array
 ) -> Callable[[State, Batch], tuple[State, dict[str, Array]]]:
-    """The step: (state, batch) -> (state, mean terms, regularisation and gradient norm by name)."""
+    """Make the step: (state, batch) -> (state, metrics).
 
-    def loss(
+    The metrics are mean terms, regularisation and gradient norm by name.
+    """
+
+    def compute_loss(
         params: Tree, batch_stats: Tree, batch: Batch, step_key: Array
     ) -> tuple[Array, tuple[dict[str, Array], Tree]]:
         terms, batch_stats = task.terms(
@@ -79,8 +81,8 @@ def make_step(
 
     def step(state: State, batch: Batch) -> tuple[State, dict[str, Float[Array, ""]]]:
         step_key = jax.random.fold_in(key, state.step)
-        gradient_of = jax.grad(loss, has_aux=True)
-        gradient, (metrics, batch_stats) = gradient_of(
+        compute_gradient = jax.grad(compute_loss, has_aux=True)
+        gradient, (metrics, batch_stats) = compute_gradient(
             state.params, state.batch_stats, batch, step_key
         )
         updates, moments = optimiser.update(gradient, state.optimiser, state.params)

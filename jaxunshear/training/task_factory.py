@@ -1,4 +1,4 @@
-"""What each network of an experiment learns, and from which fields of its examples."""
+"""Make the task of each network of an experiment, and choose the fields of its examples."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -49,11 +49,13 @@ from jaxunshear.training.modality import IMAGES, PINS, Modality
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
 from jaxunshear.training.tasks import Batch, Supervision, Task, Tree
 
+VALIDATION_BATCH = 64
+
 
 def make_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path
 ) -> tuple[Task, tuple[str, ...]]:
-    """Return what `network` learns, and the fields of a batch that this takes."""
+    """Make the task of `network`, and list the fields of a batch that it takes."""
     training, targets = get_training(experiment, network), examples.targets
     labels = tuple(list_label_fields(targets))
     if network == RENDERER or uses_pins(experiment):
@@ -79,44 +81,60 @@ def _make_pin_task(
     field = "pins" if network in TAP_NETWORKS else "sheared_pins"
     rest = examples.pins.rest
     spread = measure_pin_spread(examples.reader, field, rest)
-    pins, recorded = drop_direct(drop_rotation(experiment.pins)), get_recorded(experiment)
-    settings, plain = asdict(pins), asdict(drop_pin_codes(pins))
-    sure = ("sure",) if recorded else ()  # simulated pins are all known
+    sure = ("sure",) if get_recorded(experiment) else ()  # simulated pins are all known
     if network == RENDERER:
-        net = PinRenderer(**plain)
-        task = pin_tasks.make_renderer_task(net, training, targets, rest, spread)
+        renderer = PinRenderer(**_list_plain_settings(experiment))
+        task = pin_tasks.make_renderer_task(renderer, training, targets, rest, spread)
         return task, ("pins", *sure, *labels)
     if network in POSENETS:
-        turned = experiment.pins.turned if network not in TAP_NETWORKS and recorded else 0.0
-        turns = _make_rotations(examples) if turned else None
-        convolved = () if network in TAP_NETWORKS else experiment.pins.direct_convolved
-        reader = PinPoseNet(**plain | {"turned": turned, "convolved": convolved})
-        render = None
-        if "rendered_pose" in training.losses:
-            render = partial(
-                pin_networks.render_pins, *_load_tap_network(experiment, RENDERER, folder)
-            )
-        task = pin_tasks.make_pin_posenet_task(
-            reader, training, targets, rest, spread, turns, render
-        )
+        task = _make_pin_posenet_task(experiment, network, examples, spread, folder)
         return task, (field, *sure, *labels)
-    has_codes = network == DISENTANGLED
-    codes = PinUnshear(**settings if has_codes else settings | {"shear_code": 0})
-    size = codes.shear_code if "slide" in training.losses else 0
+    pins, has_codes = drop_direct(drop_rotation(experiment.pins)), network == DISENTANGLED
+    net = PinUnshear(**asdict(pins) if has_codes else asdict(pins) | {"shear_code": 0})
+    size = net.shear_code if "slide" in training.losses else 0
     supervision = _make_supervision(experiment, training, examples, folder, size)
-    task = pin_tasks.make_pin_unshear_task(codes, training, rest, spread, supervision)
+    task = pin_tasks.make_pin_unshear_task(net, training, rest, spread, supervision)
     return task, _list_pair_fields(experiment, training, supervision, PINS, has_codes, sure)
+
+
+def _make_pin_posenet_task(
+    experiment: Experiment, network: str, examples: Examples, spread: float, folder: Path
+) -> Task:
+    training, pins = get_training(experiment, network), experiment.pins
+    reads_slides = network not in TAP_NETWORKS
+    turned = pins.turned if reads_slides and get_recorded(experiment) else 0.0
+    convolved = pins.direct_convolved if reads_slides else ()
+    settings = _list_plain_settings(experiment) | {"turned": turned, "convolved": convolved}
+    rotations = _make_rotations(examples) if turned else None
+    render = None
+    if "rendered_pose" in training.losses:
+        renderer = _load_tap_network(experiment, RENDERER, folder)
+        render = partial(pin_networks.render_pins, *renderer)
+    return pin_tasks.make_pin_posenet_task(
+        PinPoseNet(**settings),
+        training,
+        examples.targets,
+        examples.pins.rest,
+        spread,
+        rotations,
+        render,
+    )
+
+
+def _list_plain_settings(experiment: Experiment) -> Json:
+    """List the settings of networks over pins that have neither codes nor rotations."""
+    return asdict(drop_pin_codes(drop_direct(drop_rotation(experiment.pins))))
 
 
 def _make_supervision(
     experiment: Experiment, training: Training, examples: Examples, folder: Path, shear_size: int
 ) -> Supervision:
-    """Return what teaches a network whose shear code, of `shear_size` numbers, is taught the slide."""
+    """Make the supervision of a network whose shear code has `shear_size` numbers."""
     teacher = None
     if uses_teacher(training):
         predict = pin_networks.predict if uses_pins(experiment) else posenet.predict
         teacher = partial(predict, *_load_tap_network(experiment, TEACHER, folder))
-    slides = _slides(examples, shear_size) if shear_size else ()
+    slides = _choose_slide_targets(examples, shear_size) if shear_size else ()
     return Supervision(examples.targets, slides, teacher)
 
 
@@ -128,25 +146,27 @@ def _list_pair_fields(
     has_codes: bool,
     more: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Return the fields of a batch that a network that unshears takes, `more` among them."""
-    shares = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+    """List the fields of a batch that a network that unshears takes, `more` among them."""
+    shares_slides = (
+        isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+    )
     partners = {"other": modality.other, "swapped": modality.swapped}
-    of_losses = {name for loss in training.losses for name in get_loss(loss).fields}
+    loss_fields = {name for loss in training.losses for name in get_loss(loss).fields}
     fields = [modality.canonical, modality.sheared]
-    if shares and has_codes:
-        fields += [field for name, field in partners.items() if name in of_losses]
+    if shares_slides and has_codes:
+        fields += [field for name, field in partners.items() if name in loss_fields]
     fields += more
     if get_recorded(experiment):
         fields.append("weight")
-    if "labels" in of_losses:
+    if "labels" in loss_fields:
         fields += list_label_fields(supervision.targets)
     fields += list_label_fields(supervision.slides)
-    fields += sorted(of_losses - {*partners, "labels", "slide_labels"})
+    fields += sorted(loss_fields - {*partners, "labels", "slide_labels"})
     return tuple(dict.fromkeys(fields))
 
 
-def _slides(examples: Examples, size: int) -> Targets:
-    """Return what a shear code of `size` numbers is taught: shifts before turns, as many as it has room for.
+def _choose_slide_targets(examples: Examples, size: int) -> Targets:
+    """Choose the slide targets of a shear code of `size` numbers, shifts before rotations.
 
     Raises UserError if no slide of the data differs from others.
     """
@@ -158,17 +178,17 @@ def _slides(examples: Examples, size: int) -> Targets:
 
 
 def _augment_task(task: Task, examples: Examples, share: float) -> Task:
-    """The same task on simulated pins that are drawn as another sensor would show them."""
-    draw = make_randomisation(examples.pins.rest, share)
+    """Randomise the pins of a `share` of the batches of a task."""
+    randomise = make_randomisation(examples.pins.rest, share)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        return task.terms(variables, draw(batch, jax.random.fold_in(key, 2)), key)
+        return task.terms(variables, randomise(batch, jax.random.fold_in(key, 2)), key)
 
     return dataclasses.replace(task, terms=terms)
 
 
 def make_unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
-    """The settings of one of the networks that unshear, all derived from `net`."""
+    """Make the settings of a network that unshears, all derived from `net`."""
     return _NETS[network](dataclasses.replace(net, disentangled=True))
 
 
@@ -181,45 +201,45 @@ _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
 
 
 def rename_inputs(batch: Json) -> Json:
-    """Trainings that read poses name their input "image", or "pins"."""
+    """Rename the slides of a batch without taps to "image" or "pins", the inputs of a PoseNet."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch
-    return {
-        {"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()
-    }
+    new_names = {"sheared": "image", "sheared_pins": "pins"}
+    return {new_names.get(name, name): values for name, values in batch.items()}
 
 
 def take_first(
     split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]
 ) -> Callable[[], Iterator[Batch]]:
-    """The first `count` validation examples, in batches."""
-    batch = 64
+    """Make the function that reads the first `count` validation examples, in batches."""
 
-    def batches() -> Iterator[Batch]:
+    def start_batches() -> Iterator[Batch]:
         taken = 0
-        for examples in split("validation", batch, fields):
-            examples = {name: values[: count - taken] for name, values in examples.items()}
-            taken += len(examples[fields[0]])
-            yield rename_inputs(examples)
+        for batch in split("validation", VALIDATION_BATCH, fields):
+            batch = {name: values[: count - taken] for name, values in batch.items()}
+            taken += len(batch[fields[0]])
+            yield rename_inputs(batch)
             if taken >= count:
                 return
 
-    return batches
+    return start_batches
 
 
 def _make_rotations(examples: Examples) -> Rotations:
-    """Raises UserError where the taps that the sensor has recorded do not turn with their labels."""
-    taps = examples.taps or examples.reader
-    field = "pins" if examples.taps else "sheared_pins"
-    known = read_all_training(taps, field, "pose")
-    return make_rotations(
-        examples.pins.rest,
-        find_rotation_sense(examples.pins.rest, known[field], known["pose"], examples.targets),
-    )
+    """Make the rotations of recorded pins.
+
+    Raises UserError if the recorded taps do not turn with their labels.
+    """
+    reader, field = examples.reader, "sheared_pins"
+    if examples.taps:
+        reader, field = examples.taps, "pins"
+    batch, rest = read_all_training(reader, field, "pose"), examples.pins.rest
+    sense = find_rotation_sense(rest, batch[field], batch["pose"], examples.targets)
+    return make_rotations(rest, sense)
 
 
 def _load_tap_network(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
-    """Settings and variables of a network that another learns from. Raises UserError."""
+    """Load settings and variables of a network that another learns from. Raises UserError."""
     path = folder / network
     if not (path / "summary.json").exists():
         raise UserError(f"{path} is missing, and others learn from it: train {network} first")

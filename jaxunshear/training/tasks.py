@@ -1,6 +1,6 @@
-"""What a training does with a batch: the losses that it names as terms per example, and what is validated."""
+"""Tasks: how a network turns a batch into the losses that its training names, per example."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ Terms = dict[str, Array]  # losses per example (B,), by name
 
 @dataclass(frozen=True)
 class Task:
-    """What differs between the networks."""
+    """What a network learns: its losses, per example, in training and in validation."""
 
     kind: str
     net: Net  # the network's settings
@@ -36,14 +36,14 @@ class Task:
     weights: dict[str, float]
     validate: Callable[[Tree, Batch], Terms]
     rank: str  # the validation term that the best model is chosen by
-    slide_targets: Targets = ()  # what z_s is taught of the slide
+    slide_targets: Targets = ()  # what z_s learns of the slide
 
 
 class Supervision(NamedTuple):
-    """What teaches a network that unshears, beside the taps."""
+    """Labels and a teacher that a network that unshears learns from, in addition to the taps."""
 
     targets: Targets = ()  # of poses: of the teacher, and of labels
-    slides: Targets = ()  # what z_s is taught of the slide
+    slides: Targets = ()  # what z_s learns of the slide
     # a trained PoseNet, images (B, S, S, 1) in [0, 1] or pins (B, P, 2) px -> outputs (B, K)
     teacher: Callable[[Array], Array] | None = None
 
@@ -78,11 +78,7 @@ def make_unshear_task(
     if isinstance(net, networks.UNet):
         unet.check_net(net)
         passes = PairPasses(
-            partial(unet.init, net),
-            lambda variables, batch, key: unet.reconstruct(net, variables, batch["sheared"]),
-            lambda variables, batch: Reconstruction(
-                unet.compute_logits(net, variables, batch["sheared"])
-            ),
+            partial(unet.init, net), partial(_run_unet, net), partial(_validate_unet, net)
         )
         return make_pair_task("unet", net, training, IMAGES, passes, supervision)
     unshearnet.check_net(net)
@@ -92,6 +88,16 @@ def make_unshear_task(
         partial(_validate_unshearnet, net),
     )
     return make_pair_task("unshear", net, training, IMAGES, passes, supervision)
+
+
+def _run_unet(
+    net: networks.UNet, variables: Variables, batch: Batch, key: Array
+) -> tuple[Reconstruction, Tree]:
+    return unet.reconstruct(net, variables, batch[IMAGES.sheared])
+
+
+def _validate_unet(net: networks.UNet, variables: Variables, batch: Batch) -> Reconstruction:
+    return Reconstruction(unet.compute_logits(net, variables, batch[IMAGES.sheared]))
 
 
 def _run_unshearnet(
@@ -123,13 +129,9 @@ def make_pair_task(
     passes: PairPasses,
     supervision: Supervision,
 ) -> Task:
-    """Make the task of a network that unshears: the losses of its training, of its modality."""
-    if uses_teacher(training) and supervision.teacher is None:
-        raise UserError(
-            "losses.pose_label: a PoseNet is needed to read the pose: train one first, or leave it out"
-        )
-    if uses_teacher(training) and not supervision.targets:
-        raise UserError("losses.pose_label: no pose targets are known: give them, or leave it out")
+    """Make the task of a network that unshears. Raises UserError where a loss lacks its teacher."""
+    if uses_teacher(training):
+        _check_teacher(supervision)
     specs = list_losses(training, "unshears")
 
     def compute_terms(
@@ -152,8 +154,8 @@ def make_pair_task(
             key,
             unshear_noisy,
         )
-        there = (spec for spec in specs if _has_parts(outputs, spec))
-        return weight_terms(run_losses(there, inputs, key), batch)
+        possible = (spec for spec in specs if _has_parts(outputs, spec))
+        return weight_terms(run_losses(possible, inputs, key), batch)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
         batch = modality.prepare(batch)
@@ -177,6 +179,16 @@ def make_pair_task(
     )
 
 
+def _check_teacher(supervision: Supervision) -> None:
+    if supervision.teacher is None:
+        raise UserError(
+            "losses.pose_label: a PoseNet is needed to read the pose: train one first, "
+            "or leave it out"
+        )
+    if not supervision.targets:
+        raise UserError("losses.pose_label: no pose targets are known: give them, or leave it out")
+
+
 def _has_parts(outputs: Reconstruction, spec: LossSpec) -> bool:
     return all(getattr(outputs, part) is not None for part in spec.parts)
 
@@ -190,8 +202,8 @@ def list_losses(training: Training, role: Role) -> list[LossSpec]:
     for spec in specs:
         if spec.role != role:
             raise UserError(f"losses.{spec.name}: is for a network that {spec.role}: leave it out")
-    order = {name: place for place, name in enumerate(LOSSES)}
-    return sorted(specs, key=lambda spec: order[spec.name])
+    order = list(LOSSES)
+    return sorted(specs, key=lambda spec: order.index(spec.name))
 
 
 def choose_rank(specs: list[LossSpec]) -> str:
@@ -202,21 +214,21 @@ def choose_rank(specs: list[LossSpec]) -> str:
     for spec in specs:
         if spec.is_validated:
             return spec.name
-    named = ", ".join(spec.name for spec in specs)
-    raise UserError(f"losses = {named}: none is computed in validation: name another, too")
+    names = ", ".join(spec.name for spec in specs)
+    raise UserError(f"losses = {names}: none is computed in validation: name another, too")
 
 
-def run_losses(specs: Iterator[LossSpec], inputs: Any, key: Array | None) -> Terms:
-    """Compute losses by name, those of validation alone where there is no key."""
+def run_losses(specs: Iterable[LossSpec], inputs: Any, key: Array | None) -> Terms:
+    """Compute losses by name; without a key, only those of validation."""
     return {
         spec.name: spec.load()(inputs) for spec in specs if key is not None or spec.is_validated
     }
 
 
 def make_posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
-    """Make the task of PoseNet, of batches {"image"} uint8 (B, S, S, 1) and the fields of `targets`.
+    """Make the task of PoseNet, of batches {"image"} and the fields of `targets`.
 
-    Raises UserError without targets.
+    Images are uint8 (B, S, S, 1). Raises UserError without targets.
     """
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
@@ -228,7 +240,7 @@ def make_posenet_task(net: networks.PoseNet, training: Training, targets: Target
     ) -> Terms:
         poses = posenet.scale_poses(batch, targets)
         inputs = PoseInputs(batch, outputs, poses, net, variables, IMAGES, targets, key)
-        return run_losses(iter(specs), inputs, key)
+        return run_losses(specs, inputs, key)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
         images = to_unit(batch["image"])
@@ -237,9 +249,8 @@ def make_posenet_task(net: networks.PoseNet, training: Training, targets: Target
 
     def validate(variables: Tree, batch: Batch) -> Terms:
         outputs = posenet.predict(net, variables, to_unit(batch["image"]))
-        return compute_terms(variables, batch, outputs, None) | compute_pose_error_terms(
-            outputs, batch, targets
-        )
+        computed = compute_terms(variables, batch, outputs, None)
+        return computed | compute_pose_error_terms(outputs, batch, targets)
 
     init = partial(posenet.init, net, posenet.count_outputs(targets))
     rank = choose_rank(specs)
@@ -269,7 +280,7 @@ def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> 
 
 
 def weight_terms(terms: Terms, batch: Batch) -> Terms:
-    """Weigh terms (B,) by their examples where the batch does: 0 for pins that are not sure."""
+    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins."""
     for field in ("weight", "sure"):
         if field in batch:
             terms = {name: term * batch[field] for name, term in terms.items()}

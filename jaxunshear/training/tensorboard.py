@@ -1,4 +1,4 @@
-"""TensorBoard's event files, beside a training's log: written where the extra `tensorboard` is installed."""
+"""Event files of TensorBoard beside a training's log, if the extra `tensorboard` is installed."""
 
 import contextlib
 import time
@@ -14,15 +14,14 @@ GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
 
 @contextlib.contextmanager
 def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Callable[[Json], None]]:
-    """Open an event file in `folder`; yield what appends a line of the log to it.
+    """Open an event file in `folder`; yield a function that appends a line of the log to it.
 
-    TensorBoard then drops what a stopped process wrote beyond `step`. `rate` gives the learning rate
-    of a step from 0. Without tensorboardX nothing is written.
+    TensorBoard then drops what a stopped process wrote beyond `step`. `rate` returns the learning
+    rate of a step from 0. Without tensorboardX nothing is written.
     """
     try:
-        from tensorboardX.event_file_writer import (
-            EventsWriter,  # writes at once: no thread can fail unseen
-        )
+        # EventsWriter writes at once: no thread can fail unnoticed
+        from tensorboardX.event_file_writer import EventsWriter
         from tensorboardX.proto.event_pb2 import Event, SessionLog
         from tensorboardX.proto.summary_pb2 import Summary
     except ImportError:

@@ -1,11 +1,11 @@
-"""Training: one jitted, donated step, validation, checkpoints, and going on after a kill.
+"""Train a network: one jitted, donated step, validation, checkpoints, and resuming after a kill.
 
->>> task = unshear_task(net, training)
->>> train(task, training, batches, validation, seed=0, folder=Path("runs/demo/disentangled"), epoch_images=2160)
+>>> task = make_unshear_task(net, training)
+>>> data = TrainingData(batches, validation, epoch_images=2160)
+>>> train(task, training, data, seed=0, folder=Path("runs/demo/disentangled"))
 
-`batches(start_step)` is an endless iterator of batches, the same ones whichever step it starts from; `validation()` a
-finite one. All randomness of a step follows from the seed and the step's number, so a run that was killed ends with
-the very bits of an undisturbed one. (The losses are in tasks.py, the step in step.py.)
+All randomness of a step follows from the seed and the step's number, so a training that was killed
+ends with the very bits of an undisturbed one. The losses are in tasks.py, the step is in step.py.
 """
 
 import contextlib
@@ -38,24 +38,47 @@ from jaxunshear.results.measurement import TrainingSummary
 from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms
-from jaxunshear.training.initial_weights import InitialWeights, begin_from
+from jaxunshear.training.initial_weights import InitialWeights, replace_weights
 from jaxunshear.training.losses import measure_kernel_sizes
 from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
 from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.tensorboard import open_events
 
-Batches = Callable[[int], Iterator[Batch]]
-Validation = Callable[[], Iterator[Batch]]
 RESUME_REMEDY = "delete it to go on from the latest checkpoint"
 
 
-class TrainingLength(NamedTuple):
-    """Of a training."""
+class TrainingData(NamedTuple):
+    """What a network learns from and is validated on."""
 
+    # step -> endless iterator of batches, the same ones whichever step it starts from
+    batches: Callable[[int], Iterator[Batch]]
+    validation: Callable[[], Iterator[Batch]]  # a finite iterator of batches
+    epoch_images: int  # examples that count as one epoch
+
+
+class Provenance(NamedTuple):
+    """Where the data and the first weights of a training come from."""
+
+    origin: object = None  # any JSON that describes the data set
+    data: Sequence[str] = ()  # digests of all data that is learnt, see initial_weights.py
+    start: InitialWeights | None = None  # replace fresh weights of the same parts
+
+
+class TrainingLength(NamedTuple):
     steps: int
     steps_per_epoch: float
     batch: int  # images in a step
+
+
+class TrainingRun(NamedTuple):
+    """What does not change in the course of a training."""
+
+    task: Task
+    training: Training
+    length: TrainingLength
+    folder: Path
+    devices: Devices
 
 
 @dataclass
@@ -63,79 +86,88 @@ class TrainingProgress:
     """How far a training has come: what a checkpoint keeps beside its state."""
 
     step: int = 0
-    history: list[Json] = field(default_factory=list)  # a line a checkpoint
+    history: list[Json] = field(default_factory=list)  # a line per checkpoint
     best_step: int = 0
     best_loss: float = math.inf
     seconds: float = 0.0
     compile_seconds: float = 0.0
 
 
+class FinishedStep(NamedTuple):
+    number: int  # the first is 1
+    terms: dict[str, Array]
+    batch: Batch
+
+
 def train(
     task: Task,
     training: Training,
-    batches: Batches,
-    validation: Validation,
+    data: TrainingData,
     seed: int,
     folder: Path,
-    *,
-    epoch_images: int,
-    origin: object = None,
-    data: Sequence[str] = (),
-    start: InitialWeights | None = None,
+    provenance: Provenance = Provenance(),
 ) -> TrainingSummary:
-    """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
+    """Train the network of `task` into `folder`, resume it there, or return at once if finished.
 
-    Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
-    `data` the digests of all that was learnt (`training/initial_weights.py`); a folder trained from other origins or with other settings is
-    refused.
-    `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
-    Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
+    A folder that holds a training of other settings or another provenance is refused.
+
+    Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do
+    not fit).
     """
     folder = Path(folder)
-    asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
-    asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
-    asked |= {"data": data} | (
-        {"slides": to_json(task.slide_targets)} if task.slide_targets else {}
-    )
-    checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
+    settings = _describe(task, training, seed, data.epoch_images, provenance)
+    checkpoint.write_settings(folder, settings)
     if (folder / checkpoint.SUMMARY).exists():
         return record_files.read_record(folder / checkpoint.SUMMARY, TrainingSummary, RESUME_REMEDY)
-    devices = get_devices(training.batch)
+    length = _compute_length(training, data.epoch_images)
+    run = TrainingRun(task, training, length, folder, get_devices(training.batch))
     keep_freed_memory()
-    steps_per_epoch = epoch_images / training.batch
-    length = TrainingLength(
-        max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch
-    )
-    optimiser = make_optimiser(training, length.steps, steps_per_epoch)
+    optimiser = make_optimiser(training, length.steps, length.steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
-    state, reached = _restore_latest(
-        folder, make_first_state(task, optimiser, key_init, start), task.rank
-    )
-    _write_log(folder, reached.history)
+    first_state = make_first_state(task, optimiser, key_init, provenance.start)
+    state, progress = _restore_latest(folder, first_state, task.rank)
+    _write_log(folder, progress.history)
     step = make_step(task, training, optimiser, key_steps)
-    rate = make_schedule(training, length.steps, steps_per_epoch)
+    rate = make_schedule(training, length.steps, length.steps_per_epoch)
+    # compiled kernels cannot be split over devices
+    form = compiled_kernels.use_form("xla") if run.devices.mesh else contextlib.nullcontext()
+    batches = iter(data.batches(progress.step))
     with (
-        compiled_kernels.use_form("xla") if devices.mesh else contextlib.nullcontext()
-    ):  # what is compiled cannot be split
-        with (
-            contextlib.closing(prefetch(iter(batches(reached.step)), devices.with_batch)) as stream,
-            open_events(folder, reached.step, rate) as log,
-        ):
-            state = _run(
-                step,
-                state,
-                reached,
-                length,
-                task,
-                training,
-                stream,
-                validation,
-                folder,
-                devices,
-                log,
-            )
+        form,
+        contextlib.closing(prefetch(batches, run.devices.with_batch)) as stream,
+        open_events(folder, progress.step, rate) as log,
+    ):
+        measure = _make_measurement(task, data.validation)
+        state = _run_steps(run, step, state, progress, stream, measure, log)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
-        return _finish(task, parameters, reached, length, folder, devices)
+        return _finish(run, progress, parameters)
+
+
+def _describe(
+    task: Task, training: Training, seed: int, epoch_images: int, provenance: Provenance
+) -> Json:
+    """Describe a training for model.json."""
+    settings = {
+        "kind": task.kind,
+        "net": asdict(task.net),
+        "training": asdict(training),
+        "seed": seed,
+        "epoch_images": epoch_images,
+        "targets": to_json(task.targets),
+        "origin": provenance.origin,
+        "data": provenance.data,
+    }
+    if task.slide_targets:
+        settings["slides"] = to_json(task.slide_targets)
+    if provenance.start:
+        settings["start"] = provenance.start.digest
+    return settings
+
+
+def _compute_length(training: Training, epoch_images: int) -> TrainingLength:
+    steps_per_epoch = epoch_images / training.batch
+    steps = max(1, round(training.epochs * steps_per_epoch))
+    return TrainingLength(steps, steps_per_epoch, training.batch)
 
 
 def make_first_state(
@@ -144,135 +176,128 @@ def make_first_state(
     key: Array,
     start: InitialWeights | None = None,
 ) -> State:
-    """Before the first step."""
+    """Make the state before the first step."""
 
-    def first(key: Array, given: Tree) -> State:
+    def make(key: Array, start_variables: Tree) -> State:
         variables = task.init(key)
-        return init_state(begin_from(variables, given) if start else variables, optimiser)
+        if start:
+            variables = replace_weights(variables, start_variables)
+        return init_state(variables, optimiser)
 
-    return jax.jit(first, compiler_options=get_compile_options())(
-        key, start.variables if start else None
-    )
+    compiled = jax.jit(make, compiler_options=get_compile_options())
+    return compiled(key, start.variables if start else None)
 
 
 def _restore_latest(folder: Path, state: State, rank: str) -> tuple[State, TrainingProgress]:
-    """The latest checkpoint's; where there is none, `state` as it is and nothing reached."""
+    """Restore the latest checkpoint; without one, return `state` and no progress."""
     step = checkpoint.find_latest_step(folder)
     if not step:
         return state, TrainingProgress()
     state, record = checkpoint.restore(folder, step, state)
-    history, best_step = record["history"], record["best_step"]
+    history = record["history"]
     best_loss = min(_rank_loss(line["validation"][rank]) for line in history)
-    return state, TrainingProgress(
-        step, history, best_step, best_loss, record["train_seconds"], record["compile_seconds"]
+    progress = TrainingProgress(
+        step,
+        history,
+        record["best_step"],
+        best_loss,
+        record["train_seconds"],
+        record["compile_seconds"],
     )
+    return state, progress
 
 
-def _run(
+def _make_measurement(
+    task: Task, validation: Callable[[], Iterator[Batch]]
+) -> Callable[[State], Json]:
+    """Make the function that measures a state on the validation split."""
+    validate, measure_sizes = jax.jit(task.validate), jax.jit(measure_kernel_sizes)
+
+    def measure(state: State) -> Json:
+        scores = _mean_terms(validate, state.average, validation())
+        sizes = {name: float(size) for name, size in measure_sizes(state.params).items()}
+        return {"validation": scores, "kernels": sizes}
+
+    return measure
+
+
+def _run_steps(
+    run: TrainingRun,
     step: Callable[[State, Batch], tuple[State, dict[str, Array]]],
     state: State,
-    training_progress: TrainingProgress,
-    length: TrainingLength,
-    task: Task,
-    training: Training,
+    progress: TrainingProgress,
     stream: Iterator[Batch],
-    validation: Validation,
-    folder: Path,
-    devices: Devices,
+    measure: Callable[[State], Json],
     log: Callable[[Json], None],
 ) -> State:
-    """All steps that are left, with their checkpoints. Returns the last state; `training_progress` goes along."""
-    state, batch = devices.with_state(state), next(stream)
-    began = time.perf_counter()
-    compiled = (
-        jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
-    )
-    validate, measure = jax.jit(task.validate), jax.jit(measure_kernel_sizes)
-    training_progress.compile_seconds += time.perf_counter() - began
+    """Run all steps that are left, with their checkpoints, and update `progress`.
 
-    with Progress(
-        f"train {folder.name}",
-        length.steps * length.batch,
-        done=training_progress.step * length.batch,
-    ) as progress:
+    Returns the last state. The terms of a step are inspected while the next one runs.
+    """
+    length, folder = run.length, run.folder
+    state, batch = run.devices.with_state(state), next(stream)
+    began = time.perf_counter()
+    jitted = jax.jit(step, donate_argnums=0, out_shardings=run.devices.on_each)
+    compiled = jitted.lower(state, batch).compile()
+    progress.compile_seconds += time.perf_counter() - began
+
+    total, done = length.steps * length.batch, progress.step * length.batch
+    with Progress(f"train {folder.name}", total, done=done) as bar:
         began = time.perf_counter()
-        waiting: list[tuple[int, dict[str, Array], Batch]] = []
-        for done in range(training_progress.step + 1, length.steps + 1):
+        unchecked: list[FinishedStep] = []
+        for number in range(progress.step + 1, length.steps + 1):
             state, metrics = compiled(state, batch)
-            waiting.append((done, metrics, batch))
-            if done < length.steps:
+            unchecked.append(FinishedStep(number, metrics, batch))
+            if number < length.steps:
                 batch = next(stream)
-            at_checkpoint = done % training.validate_every == 0 or done == length.steps
-            while len(waiting) > (0 if at_checkpoint else 1):
-                ready = waiting.pop(0)
-                last = check_terms(*ready, folder)
-            progress.advance(length.batch)
+            at_checkpoint = number % run.training.validate_every == 0 or number == length.steps
+            while len(unchecked) > (0 if at_checkpoint else 1):
+                finished = unchecked.pop(0)
+                terms = check_terms(finished.number, finished.terms, finished.batch, folder)
+            bar.advance(length.batch)
             if not at_checkpoint:
                 continue
-            training_progress.step, training_progress.seconds = (
-                done,
-                training_progress.seconds + time.perf_counter() - began,
-            )
-            check_state(state, done, ready[2], folder)
-            scores = _mean_terms(validate, state.average, validation())
-            sizes = {name: float(size) for name, size in measure(state.params).items()}
-            _keep(
-                state,
-                training_progress,
-                length,
-                {"train": last, "validation": scores, "kernels": sizes},
-                task.rank,
-                folder,
-            )
-            log(training_progress.history[-1])
+            progress.step = number
+            progress.seconds += time.perf_counter() - began
+            check_state(state, number, finished.batch, folder)
+            _write_checkpoint(run, state, progress, {"train": terms} | measure(state))
+            log(progress.history[-1])
             began = time.perf_counter()
     return state
 
 
-def _keep(
-    state: State,
-    training_progress: TrainingProgress,
-    length: TrainingLength,
-    scores: Json,
-    rank: str,
-    folder: Path,
+def _write_checkpoint(
+    run: TrainingRun, state: State, progress: TrainingProgress, scores: Json
 ) -> None:
-    """A line of the history and a checkpoint that holds it."""
-    loss = _rank_loss(scores["validation"][rank])
-    if training_progress.best_step == 0 or loss < training_progress.best_loss:
-        training_progress.best_step, training_progress.best_loss = training_progress.step, loss
+    """Add a line to the history, and write a checkpoint that holds it."""
+    loss = _rank_loss(scores["validation"][run.task.rank])
+    if progress.best_step == 0 or loss < progress.best_loss:
+        progress.best_step, progress.best_loss = progress.step, loss
     counts = {
-        "step": training_progress.step,
-        "epoch": training_progress.step / length.steps_per_epoch,
-        "images": training_progress.step * length.batch,
-        "train_seconds": training_progress.seconds,
+        "step": progress.step,
+        "epoch": progress.step / run.length.steps_per_epoch,
+        "images": progress.step * run.length.batch,
+        "train_seconds": progress.seconds,
     }
-    training_progress.history.append(counts | scores)
-    times = {
-        "train_seconds": training_progress.seconds,
-        "compile_seconds": training_progress.compile_seconds,
-    }
+    progress.history.append(counts | scores)
     record = {
-        "history": training_progress.history,
-        "best_step": training_progress.best_step,
-    } | times
-    checkpoint.save(folder, training_progress.step, state, record)
-    _write_log(folder, training_progress.history)
+        "history": progress.history,
+        "best_step": progress.best_step,
+        "train_seconds": progress.seconds,
+        "compile_seconds": progress.compile_seconds,
+    }
+    checkpoint.save(run.folder, progress.step, state, record)
+    _write_log(run.folder, progress.history)
 
 
-def _finish(
-    task: Task,
-    parameters: int,
-    training_progress: TrainingProgress,
-    length: TrainingLength,
-    folder: Path,
-    devices: Devices,
-) -> TrainingSummary:
-    """Raises UserError where no validation loss was finite."""
-    if math.isinf(training_progress.best_loss):
-        hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
+def _finish(run: TrainingRun, progress: TrainingProgress, parameters: int) -> TrainingSummary:
+    """Write the summary. Raises UserError if no validation loss was finite."""
+    task, length, devices = run.task, run.length, run.devices
+    if math.isinf(progress.best_loss):
         raise UserError(
-            f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}"
+            f"training {run.folder}: its validation loss ({task.rank}) was never finite; check for "
+            "broken data in the validation split, or lower learning_rate, and train in another "
+            "folder"
         )
     images = length.steps * length.batch
     summary = TrainingSummary(
@@ -280,11 +305,11 @@ def _finish(
         steps=length.steps,
         images=images,
         parameters=parameters,
-        best_step=training_progress.best_step,
-        best_loss=training_progress.best_loss,
-        train_seconds=training_progress.seconds,
-        compile_seconds=training_progress.compile_seconds,
-        images_per_second=images / training_progress.seconds,
+        best_step=progress.best_step,
+        best_loss=progress.best_loss,
+        train_seconds=progress.seconds,
+        compile_seconds=progress.compile_seconds,
+        images_per_second=images / progress.seconds,
         trained_on=replace(
             describe_machine(),
             kernels=layer_choice.describe_layers(),
@@ -292,20 +317,23 @@ def _finish(
         ),
         trained_by=read_source(),
     )
-    record_files.write_record(folder / checkpoint.SUMMARY, summary)
+    record_files.write_record(run.folder / checkpoint.SUMMARY, summary)
     return summary
 
 
 def get_compile_options() -> dict[str, int] | None:
-    """Options to compile first states with: random numbers for every kernel are much code, which took a CPU longer to optimise than
-    the step. The bits are the same."""
+    """Get the options to compile first states with.
+
+    Random numbers for every kernel are much code, which took a CPU longer to optimise than the
+    step. The bits are the same.
+    """
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
 
 
 def _mean_terms(
     validate: Callable[[Tree, Batch], dict[str, Array]], variables: Tree, batches: Iterator[Batch]
 ) -> dict[str, float | None]:
-    """Means over all validation examples, None where one is not finite (JSON has no NaN).
+    """Average terms over all validation examples; None for a mean that is not finite (no JSON).
 
     A smaller last batch is filled up, so that nothing is compiled twice.
     """
@@ -327,13 +355,14 @@ def _mean_terms(
 
 
 def _rank_loss(loss: float | None) -> float:
-    """A loss that was not finite ranks last."""
+    """Rank a loss that was not finite last."""
     return math.inf if loss is None else loss
 
 
 def _write_log(folder: Path, history: list[Json]) -> None:
-    """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
-    files.write_text(
-        folder / "log.jsonl",
-        "".join(json.dumps(files.add_checksum(line)) + "\n" for line in history),
-    )
+    """Write log.jsonl anew from the history of the checkpoint.
+
+    So it never holds a line twice, or one of a lost step.
+    """
+    lines = [json.dumps(files.add_checksum(line)) + "\n" for line in history]
+    files.write_text(folder / "log.jsonl", "".join(lines))

@@ -175,10 +175,11 @@ def asked(monkeypatch, tmp_path):
             def length(self, split):
                 return 10
 
-        def train(task, training, batches, validation, seed, folder, **words):
-            list(batches(0))
+        def train(task, training, data, seed, folder, provenance):
+            list(data.batches(0))
             learnt = (task.kind, task.net, task.targets, task.weights)
-            calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
+            fields = [sorted(batch) for batch in data.validation()]
+            calls.append((learnt, training, seed, fields, data.epoch_images, provenance))
             return trainer.TrainingSummary(
                 steps=1,
                 parameters=1,

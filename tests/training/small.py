@@ -56,15 +56,8 @@ def train(folder: Path, pause: float = 0.0):
         return iter([pair(1000, 4), pair(1001, 3)])
 
     task = make_unshear_task(NET, TRAINING)
-    return trainer.train(
-        task,
-        TRAINING,
-        lambda start: endless(pair, start, pause),
-        validation,
-        0,
-        folder,
-        epoch_images=IMAGES,
-    )
+    data = trainer.TrainingData(lambda start: endless(pair, start, pause), validation, IMAGES)
+    return trainer.train(task, TRAINING, data, 0, folder)
 
 
 if __name__ == "__main__":

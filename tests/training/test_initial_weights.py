@@ -20,9 +20,9 @@ from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
     InitialWeights,
-    begin_from,
+    replace_weights,
     check_unseen,
-    data_of,
+    list_training_digests,
     start_folder,
 )
 from jaxunshear.training.tasks import make_unshear_task
@@ -36,7 +36,7 @@ def tree(value, **shapes):
 
 
 def test_what_both_have_is_taken_and_nothing_else():
-    found = begin_from(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
+    found = replace_weights(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
     assert (
         float(found["params"]["E"]["kernel"].min()) == 1
@@ -58,7 +58,7 @@ def test_what_both_have_is_taken_and_nothing_else():
 )
 def test_weights_that_do_not_fit_are_refused(start, line):
     with pytest.raises(UserError, match=line):
-        begin_from(tree(0.0, E=(2, 3)), start)
+        replace_weights(tree(0.0, E=(2, 3)), start)
 
 
 NETWORK = "disentangled"
@@ -78,8 +78,8 @@ def keep(folder, **model):
 
 
 def test_what_was_learnt_through_others_is_known(tmp_path):
-    first = keep(tmp_path / "first", data=data_of(SIMULATED, NETWORK, None))
-    second = keep(tmp_path / "second", data=data_of(RECORDED, NETWORK, first))
+    first = keep(tmp_path / "first", data=list_training_digests(SIMULATED, NETWORK, None))
+    second = keep(tmp_path / "second", data=list_training_digests(RECORDED, NETWORK, first))
     pairs, taps = (
         compute_fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)
     )
@@ -88,7 +88,7 @@ def test_what_was_learnt_through_others_is_known(tmp_path):
         SIMULATED,
         train=replace(SIMULATED.train, losses={**SIMULATED.train.losses, "pose_tap": 0.5}),
     )
-    assert data_of(taught, NETWORK, None) == sorted([pairs, taps])
+    assert list_training_digests(taught, NETWORK, None) == sorted([pairs, taps])
     with pytest.raises(
         UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"
     ):
@@ -100,9 +100,9 @@ def test_weights_are_refused_where_they_learnt_from_what_is_tested(tmp_path):
     """Sets of one seed share their splits, recordings may have been split otherwise."""
     (test,) = list_further_tests(SIMULATED).values()
     for experiment, data, refused in (
-        (SIMULATED, data_of(SIMULATED, NETWORK, None), False),
+        (SIMULATED, list_training_digests(SIMULATED, NETWORK, None), False),
         (SIMULATED, [compute_fingerprint(test, SIMULATED.sensor)], True),
-        (RECORDED, data_of(SIMULATED, NETWORK, None), False),
+        (RECORDED, list_training_digests(SIMULATED, NETWORK, None), False),
         (RECORDED, ["bb"], True),
     ):
         folder = keep(tmp_path, data=data)
@@ -126,7 +126,9 @@ def test_weights_that_do_not_say_what_they_learnt_from_are_refused(tmp_path):
 def test_released_weights_say_what_they_learnt_from(name):
     experiment = load_settings(RELEASED / name)
     for model in (RELEASED / name).glob("*/model.json"):
-        assert json.loads(model.read_text())["data"] == data_of(experiment, model.parent.name, None)
+        assert json.loads(model.read_text())["data"] == list_training_digests(
+            experiment, model.parent.name, None
+        )
 
 
 def trained(folder, start):
@@ -134,16 +136,13 @@ def trained(folder, start):
     training = replace(
         small.TRAINING, epochs=0.25, learning_rate=1e-12, averaging=0.0, l1=0.0, l2=0.0
     )
-    return trainer.train(
-        make_unshear_task(small.NET, training),
-        training,
+    data = trainer.TrainingData(
         lambda first: small.endless(small.pair, first),
         lambda: iter([small.pair(1000, 4)]),
-        0,
-        folder,
-        epoch_images=small.IMAGES,
-        start=start,
+        small.IMAGES,
     )
+    task = make_unshear_task(small.NET, training)
+    return trainer.train(task, training, data, 0, folder, trainer.Provenance(start=start))
 
 
 @pytest.mark.long

@@ -177,15 +177,10 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
                 yield batch
 
         task = make_unshear_task(NET, training)
-        return trainer.train(
-            task,
-            training,
-            batches,
-            lambda: iter([small.pair(1000, 4)]),
-            0,
-            folder,
-            epoch_images=small.IMAGES,
+        data = trainer.TrainingData(
+            batches, lambda: iter([small.pair(1000, 4)]), epoch_images=small.IMAGES
         )
+        return trainer.train(task, training, data, 0, folder)
 
     full = train(tmp_path / "full")
     with pytest.raises(KeyboardInterrupt):

@@ -63,15 +63,12 @@ def straight(tmp_path_factory):
 
 
 def unshear(folder, batches=None, validation=None, net=small.NET, training=small.TRAINING):
-    return trainer.train(
-        make_unshear_task(net, training),
-        training,
+    data = trainer.TrainingData(
         batches or (lambda start: small.endless(small.pair, start)),
         validation or (lambda: iter([small.pair(1000, 4), small.pair(1001, 3)])),
-        0,
-        folder,
-        epoch_images=small.IMAGES,
+        small.IMAGES,
     )
+    return trainer.train(make_unshear_task(net, training), training, data, 0, folder)
 
 
 def test_summary_log_and_settings(straight):
@@ -290,15 +287,13 @@ def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, wo
 
 
 def test_posenet_trains_and_reports_errors_in_units(tmp_path):
-    summary = trainer.train(
-        make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS),
-        small.TRAINING,
+    task = make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS)
+    data = trainer.TrainingData(
         lambda start: small.endless(small.pose, start),
         lambda: iter([small.pose(1000, 4), small.pose(1001, 2)]),
-        0,
-        tmp_path,
-        epoch_images=small.IMAGES,
+        small.IMAGES,
     )
+    summary = trainer.train(task, small.TRAINING, data, 0, tmp_path)
     assert summary.kind == "posenet"
     assert set(lines(tmp_path)[0]["validation"]) == {
         "pose",
@@ -318,8 +313,9 @@ def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
             yield batch
 
     task = make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS)
+    data = trainer.TrainingData(batches, lambda: iter(()), epoch_images=16)
     with pytest.raises(UserError, match="pose not finite at step 1"):
-        trainer.train(task, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, epoch_images=16)
+        trainer.train(task, small.TRAINING, data, 0, tmp_path)
 
 
 def test_schedules():
@@ -351,15 +347,8 @@ def test_overfits_four_images(tmp_path):
         while True:
             yield four
 
-    trainer.train(
-        make_unshear_task(net, training),
-        training,
-        same,
-        lambda: iter([four]),
-        0,
-        tmp_path,
-        epoch_images=4,
-    )
+    data = trainer.TrainingData(same, lambda: iter([four]), epoch_images=4)
+    trainer.train(make_unshear_task(net, training), training, data, 0, tmp_path)
     variables = checkpoint.load_best(tmp_path)
     sheared, canonical = (
         jnp.asarray(four[name] / 255, jnp.float32) for name in ("sheared", "canonical")

@@ -10,7 +10,7 @@ from jax import lax
 
 from jaxunshear.config.networks import PinUnshear
 from jaxunshear.models import layer_choice, pin_networks
-from jaxunshear.models.fast.patches import convolution
+from jaxunshear.models.fast.patches import convolve
 
 ORDER = ("NHWC", "HWIO", "NHWC")
 
@@ -32,7 +32,7 @@ def test_values_and_gradients_are_those_of_a_convolution(side, stride, dtype):
 
             return jax.jit(jax.value_and_grad(loss, (0, 1), has_aux=True))(*given)
 
-        ours, theirs = found(convolution), found(lax.conv_general_dilated)
+        ours, theirs = found(convolve), found(lax.conv_general_dilated)
     near = partial(
         np.testing.assert_allclose, rtol=0, atol=(1e-4 if dtype is np.float32 else 1e-12)
     )
