@@ -245,7 +245,7 @@ def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:
 
     validation = make_batch(net, VALIDATION, 4)
     task = make_task(net, training)
-    data = TrainingData(batches, lambda: iter([checked]), epoch_images=training.batch)
+    data = TrainingData(make_batches, lambda: iter([validation]), epoch_images=training.batch)
     summary = train_network(task, training, data, 0, folder)
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     terms = [{part: _fill_nulls(line[part]) for part in ("train", "validation")} for line in log]

@@ -74,7 +74,9 @@ def check_unseen(folder: Path, digests: Iterable[str]) -> None:
     """Raise UserError if the network in `folder` learnt, or may have learnt, one of `digests`."""
     learnt = read_object(folder / "model.json").get("data")
     if learnt is None:
-        raise UserError(f"{folder} learnt from unknown data ({OLD_FILES}): use other weights or data")
+        raise UserError(
+            f"{folder} learnt from unknown data ({OLD_FILES}): use other weights or data"
+        )
     common = ", ".join(sorted(set(digests).intersection(learnt)))
     if common:
         raise UserError(
