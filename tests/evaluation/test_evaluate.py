@@ -221,7 +221,7 @@ def test_batches_of_any_size_gather_the_same(gathered):
     assert sizes == [(BATCH, BATCH)]
     for name in gathered.scores:
         np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
-    np.testing.assert_array_equal(gathered.kept, other.kept_rows)
+    np.testing.assert_array_equal(gathered.kept_rows, other.kept_rows)
     for kind in KINDS:
         np.testing.assert_array_equal(gathered.images[kind], other.images[kind])
 

@@ -78,7 +78,7 @@ def simulate(sensor, names, scenes):
         retried=np.zeros(len(scenes), bool),
         stuck_nodes=1 - slips,
         slipping_nodes=count + slips,
-        **dict.fromkeys(("iterations", "free"), count),
+        **dict.fromkeys(("iterations", "free_nodes"), count),
     )
 
 
