@@ -19,8 +19,8 @@ from jaxunshear.evaluation.detected_pins import (
     detect_pairs,
     iterate_batches,
 )
-from jaxunshear.evaluation.evaluate import build_results
 from jaxunshear.evaluation.network_outputs import make_pin_run
+from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
