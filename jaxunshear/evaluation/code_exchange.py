@@ -19,7 +19,7 @@ from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.data.factorial import SHEARED_PINS, FactorialReader
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
-from jaxunshear.evaluation.modality import IMAGE_MODALITY, Modality, get_net_modality
+from jaxunshear.evaluation.modality import ImageModality, Modality, get_net_modality
 from jaxunshear.evaluation.pin_errors import compute_half_pitch
 from jaxunshear.evaluation.slide_estimation import is_slipping
 from jaxunshear.files import Json
@@ -59,7 +59,7 @@ class _CodeNetwork(NamedTuple):
     def read_inputs(self, reader: Reader, rows: np.ndarray) -> np.ndarray:
         """Read scaled inputs of test contacts."""
         field = self.modality.sheared
-        return np.asarray(self.modality.scale(reader.take("test", rows, (field,))[field]))
+        return self.modality.scale(reader.take("test", rows, (field,))[field])
 
 
 class _ExchangeRows(NamedTuple):
@@ -114,10 +114,10 @@ def exchange_codes(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exc
 def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """Measure how far reconstructions from exchanged codes are from the simulated contacts.
 
-    Errors are root mean squares, in px or in grey of 1. None if the poses of the data set share no
-    slides. For images also the pins that are detected in BATCH of them are compared. `by slip` gives
-    the same for slides whose partner still sticks somewhere, and for those whose partner slips
-    everywhere, which hides how far it went.
+    Errors are root mean squares, in px or in grey of 1. For images also the pins that are detected
+    in BATCH of them are compared. `by slip` gives the same for slides whose partner still sticks
+    somewhere, and for those whose partner slips everywhere, which hides how far it went.
+    None if the poses of the data set share no slides.
     """
     if not isinstance(reader, FactorialReader):
         return None
@@ -136,7 +136,7 @@ def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> J
         if inside.any():
             by_slip.append({"part": part, **_summarise(squares, poses, inside, unit)})
     summary = _summarise(squares, poses, changed, unit)
-    if network.modality is IMAGE_MODALITY:
+    if isinstance(network.modality, ImageModality):
         step = max(1, int(changed.sum()) // BATCH)
         some = rows.select(np.resize(np.flatnonzero(changed)[::step], BATCH))
         true_pins = reader.take("test", some.targets, (SHEARED_PINS,))[SHEARED_PINS]

@@ -2,9 +2,9 @@
 
     results = ablate(experiment, Path("runs/demo"), Path("datasets"), command)
 
-This is the ablation study of the paper's appendix D, extended. A cell is a decoder, the codes that it
-is given, and the image that it should reconstruct. "Another image" is the one half the test split
-further on.
+This is the ablation study of the paper's appendix D, extended. A cell is a decoder, the codes that
+it is given, and the image that it should reconstruct. "Another image" is the one half the test
+split further on.
 """
 
 from pathlib import Path
@@ -22,6 +22,7 @@ from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_intervals, n
 from jaxunshear.evaluation.code_swaps import SWAP_CELLS, decode_cells
 from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, get_cell_target, make_cell_metrics
+from jaxunshear.evaluation.score_collection import concatenate_batches
 from jaxunshear.files import Json, write_json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
@@ -127,11 +128,11 @@ def _score_test_split(
             scores = run(batch["canonical"], batch["sheared"], other["sheared"])
             parts.append(jax.device_get(scores))
             progress.advance(min(BATCH, total - start))
-    return {name: np.concatenate([part[name] for part in parts])[:total] for name in parts[0]}
+    return {name: score[:total] for name, score in concatenate_batches(parts).items()}
 
 
 def build_rows(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
-    """Build a row for each cell: means, bootstrap intervals over poses (N,), the paper's figures."""
+    """Build a row for each cell: means, intervals over poses (N,), and the paper's figures."""
     intervals = compute_intervals(scores, poses, SEED)
     rows = []
     for cell in SWAP_CELLS:

@@ -18,9 +18,10 @@ def make_encoder(net: Net, variables: Variables) -> Encode | None:
     modality = get_net_modality(net)
     if not modality.has_shear_code(net):
         return None
-    run = jax.jit(
-        lambda weights, stored: modality.encode(net, weights, modality.scale(stored))  # type: ignore[arg-type]
-    )
+
+    @jax.jit
+    def run(weights: Variables, stored: jax.Array) -> tuple[jax.Array, jax.Array | None]:
+        return modality.encode(net, weights, modality.scale(stored))
 
     def encode(stored: np.ndarray) -> dict[str, np.ndarray]:
         count = len(stored)

@@ -1,8 +1,8 @@
 """Conformal intervals: half-widths that contain 95 % of the errors on validation contacts.
 
-No distribution is assumed (split conformal). The coverage is guaranteed for contacts drawn like those
-of the validation, so of the same session. On other recordings errors can be larger, and the widths
-contain fewer of them; `compute_coverage` computes how many.
+No distribution is assumed (split conformal). The coverage is guaranteed for contacts drawn like
+those of the validation, so of the same session. On other recordings errors can be larger, and the
+widths contain fewer of them; `compute_coverage` computes how many.
 """
 
 import math

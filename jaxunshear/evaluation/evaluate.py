@@ -31,8 +31,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     `scores.npz` and `scores-<test>.npz`, so that runs can be compared contact by contact. `command`
     is what the user typed; the results keep it.
 
-    Raises `UserError` if a network or the data set is missing, damaged or empty, or a network learnt
-    from other data or is not trained to the end.
+    Raises `UserError` if a network or the data set is missing, damaged or empty, or a network
+    learnt from other data or is not trained to the end.
     """
     started = time.perf_counter()
     run_dir = Path(run_dir)

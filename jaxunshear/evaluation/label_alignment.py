@@ -1,7 +1,7 @@
-"""Align what networks predict with the labels of recordings, by a sign and an offset for each label.
+"""Align predictions with the labels of recordings, by a sign and an offset for each label.
 
-The labels are of taps on a straight edge. What a network predicts of them, edge distance, edge angle
-and depth, has an offset and a sign of its own.
+The labels are of taps on a straight edge. What a network predicts of them, edge distance, edge
+angle and depth, has an offset and a sign of its own.
 """
 
 from typing import NamedTuple
@@ -54,9 +54,10 @@ def get_label(name: str, labels: np.ndarray) -> np.ndarray:
 
 
 def align_to_labels(name: str, poses: dict[str, np.ndarray], labels: np.ndarray) -> LabelAlignment:
-    """Choose the sign with the least scatter, and its median or mean direction, for one label.
+    """Find the sign with the least scatter of one label, and the offset.
 
-    `poses` (N,) are NaN for taps without a prediction. Raises UserError if all are.
+    The offset is the median of the differences, or the mean direction of an angle's. `poses` (N,)
+    are NaN for taps without a prediction. Raises UserError if all are.
     """
     target = LABEL_TARGETS[name]
     predicted, label = poses[target], get_label(name, labels)

@@ -2,10 +2,10 @@
 
     results = measure_leakage(experiment, Path("runs/demo"), Path("datasets"), command)
 
-Each quantity is probed by itself, by every family of `probes`. The result is the largest R2 over the
-families, which errs towards a leak. Its ceiling is the largest R2 that the same families reach from
-the pins of the network's input, or from either code. Quantities that the input does not show have no
-ceiling; they are named, and left out of means. A slide is given in the sensor's frame.
+Each quantity is probed by itself, by every family of `probes`. The result is the largest R2 over
+the families, which errs towards a leak. Its ceiling is the largest R2 that the same families reach
+from the pins of the network's input, or from either code. Quantities that the input does not show
+have no ceiling; they are named, and left out of means. A slide is given in the sensor's frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -76,8 +76,8 @@ def measure_leakage(
 
     `controls` adds an untrained network and shuffled labels.
 
-    Raises `UserError` if the network or the data set is missing or damaged, there is no shear code, or
-    the network learnt from other data or is not trained to the end.
+    Raises `UserError` if the network or the data set is missing or damaged, there is no shear code,
+    or the network learnt from other data or is not trained to the end.
     """
     folder = Path(run_dir) / DISENTANGLED
     check_finished(folder)
@@ -100,8 +100,9 @@ def measure_leakage(
     results = {
         "experiment": experiment.name,
         "simulated": get_recorded(experiment) is None,
-        "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
-        f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}",
+        "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its "
+        "ceiling, the most that the input's pins or a code give; brackets: 95 % over "
+        f"{INTERVALS_OVER}",
         "rows": rows,
         "summary": [
             _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)
@@ -126,8 +127,8 @@ def probe_quantity(
 ) -> Estimate:
     """Estimate one quantity from a code by every family; return the errors of the best.
 
-    `codes`: of training slides (N, F) and test slides (M, F); `quantity` (N, K) and `true` (M, K) are
-    the quantity, with two columns for an angle over the full circle; `groups` (N,) are training poses.
+    `codes` are those of training slides (N, F) and test slides (M, F). `quantity` (N, K) and `true`
+    (M, K) have two columns for an angle over the full circle. `groups` (N,) are training poses.
     """
     scatter = np.sum(np.square(true - true.mean(axis=0)), axis=1)
     squares = {

@@ -22,8 +22,8 @@ def measure_independence(
     """Test each leak for independence, on one slide at each pose: rows are independent draws.
 
     The planted leak shows the test's power: codes of other contacts, which know nothing, with the
-    quantity hidden in a direction of PLANTED of the code's spread. A test that does not find it says
-    nothing by a large p.
+    quantity hidden in a direction of PLANTED of the code's spread. If the test does not find it, a
+    large p means nothing.
     """
     first = np.unique(test.poses, return_index=True)[1]
     chosen = first[select_evenly(len(first), MAX_COMPARED)]

@@ -4,8 +4,8 @@
 >>> results = score_recordings(experiment, Path("runs/recorded"), recordings, data, command)
 >>> results.pose_mae["unsheared"]["y_mm"]
 
-The recordings are of the same sensor. All of them are scored, and nothing is fitted to them. Pins are
-identified by their rest positions in the training taps.
+The recordings are of the same sensor. All of them are scored, and nothing is fitted to them. Pins
+are identified by their rest positions in the training taps.
 """
 
 import shutil
@@ -92,7 +92,7 @@ def score_recordings(
 def _check_not_learned_from(
     experiment: Experiment, settings: Recorded, run_dir: Path, recordings: Path
 ) -> str:
-    """Return the digest of recordings. Raises UserError if a network of the run learned from them."""
+    """Return the digest of recordings. Raises UserError if the run learned from them."""
     digest = compute_digest((str(recordings),))
     if digest == settings.digest:
         raise UserError(

@@ -21,8 +21,8 @@ def measure_pin_errors(
 ) -> dict[str, dict[str, float | None]]:
     """Measure pin errors, and missed and extra pins per image, by kind of image.
 
-    Detected and true pins match within half the tap's pitch; the error is NaN if none match. A mm is
-    one at the height of the apex pin: pins of the rim, nearer to the camera, move by less
+    Detected and true pins match within half the tap's pitch; the error is NaN if none match. A mm
+    is one at the height of the apex pin: pins of the rim, nearer to the camera, move by less
     (`tactip331-fitted`: by a tenth less).
 
     Args:

@@ -17,14 +17,14 @@ from jaxunshear.config.targets import (
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
-from jaxunshear.evaluation.modality import PIN_MODALITY, get_modality
+from jaxunshear.evaluation.modality import PinModality, get_modality
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.selection import select_evenly
 from jaxunshear.training.examples import Examples, open_recorded_set
 
 MAX_TRAINING, MAX_TESTED = 4000, 2000  # slides, evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
-PINS = PIN_MODALITY.sheared
+PINS = PinModality.sheared
 
 Quantities = dict[str, np.ndarray]  # by name (N, 1), or (N, 2) if it is a circular angle
 

@@ -1,8 +1,8 @@
 """Score networks that learned from recordings on recorded contacts.
 
-Taps and slides of a test need not have the same poses: a PoseNet is scored on recorded taps for taps,
-and on recorded slides for slides, sheared and unsheared. Similarity is that of an unsheared slide to
-its partner, which is a recorded tap or rendered.
+Taps and slides of a test need not have the same poses. PoseNet is scored on taps, and on slides
+sheared and unsheared. Similarity is that of an unsheared slide to its partner, which is a recorded
+tap or rendered.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +18,7 @@ from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.modality import PIN_MODALITY, Modality, get_modality
+from jaxunshear.evaluation.modality import Modality, PinModality, get_modality
 from jaxunshear.evaluation.network_outputs import Run, load_run
 from jaxunshear.evaluation.pose_estimators import BatchEstimator
 from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind
@@ -105,7 +105,7 @@ def collect_recorded_scores(
         _score_slides(scorer, modality, test, split), _score_taps(scorer, modality, test, split)
     )
     if scores.slides is None and scores.taps is None:
-        requirement = " and pins that are identified" if modality is PIN_MODALITY else ""
+        requirement = " and pins that are identified" if isinstance(modality, PinModality) else ""
         raise UserError(f"nothing can be scored: no {split} slide or tap has a label{requirement}")
     return scores
 
@@ -153,7 +153,7 @@ def _select_usable(
     Networks over pins can be given contacts whose pins were identified in all `pin_fields`.
     """
     rows = np.arange(reader.length(split))
-    if modality is not PIN_MODALITY:
+    if not isinstance(modality, PinModality):
         return rows
     pins = reader.take(split, rows, pin_fields)
     identified = [np.isfinite(pins[name]).any(axis=(1, 2)) for name in pin_fields]

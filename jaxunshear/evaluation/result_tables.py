@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -13,7 +13,6 @@ from jaxunshear.evaluation.bootstrap import (
     LEVEL,
     RESAMPLES,
     compute_interval,
-    compute_intervals,
     resample_means,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, get_cell_target
@@ -24,7 +23,6 @@ from jaxunshear.results.run import (
     PoseSpread,
     Span,
     Spread,
-    Table,
     Tables,
 )
 
@@ -40,6 +38,13 @@ class Resampled(NamedTuple):
 
     scores: Mapping[str, np.ndarray]
     means: Mapping[str, np.ndarray]  # (RESAMPLES,)
+
+    def compute_mean(self, name: str) -> float | None:
+        values = self.scores[name]
+        return float(np.mean(values, dtype=np.float64)) if len(values) else None
+
+    def compute_interval(self, name: str) -> list[float]:
+        return compute_interval(self.means[name])
 
 
 def resample_part(
@@ -63,9 +68,9 @@ def build_tables(
     """Build the tables of a test, with their 95 % intervals under `spread`.
 
     A stimulus without test contacts is None. `pose_ratio` is the error over that on sheared images;
-    `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap),
-    None if the slide does no damage; `difference` is disentangled less another network, contact by
-    contact.
+    `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared -
+    tap), None if the slide does no damage; `difference` is disentangled less another network,
+    contact by contact.
 
     Args:
         scores: (N,) by the names of `score.py`, of whichever networks there are.
@@ -84,71 +89,63 @@ def build_tables(
     pose_table = _tabulate_poses(tested_poses)
     groups = {**parts, OVERALL: overall}
     return Tables(
-        ms_ssim=_tabulate_similarity(groups),
+        ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
         pose_mae=pose_table.pose_mae,
         pose_ratio=pose_table.pose_ratio,
         pose_recovery=pose_table.pose_recovery,
         pose_by_stimulus={
             name: None if part is None else _tabulate_poses(part) for name, part in parts.items()
         },
-        difference=_group_by_kind(
-            {name: _mean(score) for name, score in _select_differences(scores).items()}
-        ),
-        swap=_tabulate_swaps(scores),
+        difference=_tabulate_differences(overall, Resampled.compute_mean),
+        swap=_tabulate_swaps(overall),
         spread=Spread(
             what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, "
             "each with all its slides",
             over=INTERVALS_OVER,
             resamples=RESAMPLES,
             seed=seed,
-            ms_ssim=_spread_similarity(groups),
+            ms_ssim=_tabulate_similarity(groups, Resampled.compute_interval),
             pose_mae=pose_table.spread.pose_mae,
             pose_recovery=pose_table.spread.pose_recovery,
-            difference=_group_by_kind(
-                {
-                    name: compute_interval(means)
-                    for name, means in _select_differences(overall.means).items()
-                }
-            ),
+            difference=_tabulate_differences(overall, Resampled.compute_interval),
         ),
     )
 
 
-def _tabulate_similarity(groups: Mapping[str, Resampled | None]) -> Table:
-    """Tabulate the mean MS-SSIM by kind and group of contacts."""
-    table: dict[str, dict[str, float | None]] = {}
-    for kind in _list_similar_kinds(groups):
+def _tabulate_similarity(
+    groups: Mapping[str, Resampled | None], compute: Callable[[Resampled, str], Figure]
+) -> dict[str, dict[str, Figure | None]]:
+    """Tabulate a figure of the MS-SSIM by kind and group of contacts."""
+    overall = groups[OVERALL]
+    assert overall is not None
+    table: dict[str, dict[str, Figure | None]] = {}
+    for kind in KINDS:
         name = f"ms_ssim/{kind}"
-        table[kind] = {
-            group: None if part is None else _mean(part.scores[name])
-            for group, part in groups.items()
-        }
+        if name in overall.scores:
+            table[kind] = {
+                group: None if part is None else compute(part, name)
+                for group, part in groups.items()
+            }
     return table
 
 
-def _spread_similarity(groups: Mapping[str, Resampled | None]) -> dict[str, dict[str, Span]]:
-    """Compute the intervals of `_tabulate_similarity`."""
-    spread: dict[str, dict[str, Span]] = {}
-    for kind in _list_similar_kinds(groups):
-        name = f"ms_ssim/{kind}"
-        spread[kind] = {
-            group: None if part is None else compute_interval(part.means[name])
-            for group, part in groups.items()
-        }
-    return spread
+def _tabulate_differences(
+    overall: Resampled, compute: Callable[[Resampled, str], Figure]
+) -> dict[str, dict[str, Figure]]:
+    """Tabulate a figure of `difference/<kind>/<quantity>` by kind and quantity."""
+    table: dict[str, dict[str, Figure]] = {}
+    for name in overall.scores:
+        if name.startswith("difference/"):
+            _, kind, quantity = name.split("/")
+            table.setdefault(kind, {})[quantity] = compute(overall, name)
+    return table
 
 
-def _list_similar_kinds(groups: Mapping[str, Resampled | None]) -> list[str]:
-    overall = groups[OVERALL]
-    assert overall is not None
-    return [kind for kind in KINDS if f"ms_ssim/{kind}" in overall.scores]
-
-
-def _tabulate_swaps(scores: Mapping[str, np.ndarray]) -> dict[str, CodeSwapScore]:
+def _tabulate_swaps(overall: Resampled) -> dict[str, CodeSwapScore]:
     table = {}
     for cell in CELLS:
-        if f"swap/{cell}/mse" in scores:
-            means = {metric: _mean(scores[f"swap/{cell}/{metric}"]) for metric in CELL_METRICS}
+        if f"swap/{cell}/mse" in overall.scores:
+            means = {name: overall.compute_mean(f"swap/{cell}/{name}") for name in CELL_METRICS}
             table[cell] = CodeSwapScore(target=get_cell_target(cell), **means)
     return table
 
@@ -212,11 +209,10 @@ def add_estimators(
                 continue
             _, estimator, kind, quantity = name.split("/")
             finite = np.isfinite(score)
-            errors = score[finite]
-            span = None
-            if finite.any():
-                span = compute_intervals({name: errors}, poses[finite], seed)[name]
-            means.setdefault(estimator, {}).setdefault(kind, {})[quantity] = _mean(errors)
+            part = resample_part({name: score}, finite, poses, seed)
+            mean = None if part is None else part.compute_mean(name)
+            span = None if part is None else part.compute_interval(name)
+            means.setdefault(estimator, {}).setdefault(kind, {})[quantity] = mean
             spans.setdefault(estimator, {}).setdefault(kind, {})[quantity] = span
             counts.setdefault(estimator, {})[kind] = {
                 "read": int(finite.sum()),
@@ -277,7 +273,7 @@ def _group_pose_errors(part: Resampled) -> dict[str, _PoseErrors]:
         names = {name.removeprefix(prefix): name for name in part.scores if name.startswith(prefix)}
         if names:
             errors[kind] = _PoseErrors(
-                {quantity: _mean(part.scores[name]) for quantity, name in names.items()},
+                {quantity: part.compute_mean(name) for quantity, name in names.items()},
                 {quantity: part.means[name] for quantity, name in names.items()},
             )
     return errors
@@ -313,10 +309,6 @@ def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
     return np.array(chosen, np.int64)
 
 
-def _mean(values: np.ndarray) -> float | None:
-    return float(np.mean(values, dtype=np.float64)) if len(values) else None
-
-
 def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
     return error / sheared if error is not None and sheared else None
 
@@ -337,21 +329,3 @@ def _compute_recovery_interval(sheared: np.ndarray, unsheared: np.ndarray, tap: 
     if np.any(sheared <= tap):
         return None
     return compute_interval((sheared - unsheared) / (sheared - tap))
-
-
-def _select_differences(figures: Mapping[str, Figure]) -> dict[str, Figure]:
-    """Select the figures named `difference/<kind>/<quantity>`, by `<kind>/<quantity>`."""
-    return {
-        name.removeprefix("difference/"): figure
-        for name, figure in figures.items()
-        if name.startswith("difference/")
-    }
-
-
-def _group_by_kind(figures: Mapping[str, Figure]) -> dict[str, dict[str, Figure]]:
-    """Group figures that are named `<kind>/<quantity>`."""
-    groups: dict[str, dict[str, Figure]] = {}
-    for name, figure in figures.items():
-        kind, quantity = name.split("/")
-        groups.setdefault(kind, {})[quantity] = figure
-    return groups

@@ -93,7 +93,7 @@ def compute_differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarra
 
 
 def choose_main_kind(kinds: Container[str]) -> str:
-    """Choose the network that stands for a run: the last of UNSHEARING that it has, or "sheared"."""
+    """Choose the network that stands for a run: its last of UNSHEARING, or "sheared"."""
     return next((kind for kind in reversed(UNSHEARING) if kind in kinds), "sheared")
 
 

@@ -99,13 +99,13 @@ def collect_scores(
             pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
             start += size
             progress.advance(size)
-    all_scores = _concatenate(scores)
+    all_scores = concatenate_batches(scores)
     return CollectedScores(
         all_scores | compute_differences(all_scores),
-        _concatenate(labels),
+        concatenate_batches(labels),
         kept_rows[kept_rows < start],
-        _concatenate(images),
-        _concatenate(pins),
+        concatenate_batches(images),
+        concatenate_batches(pins),
     )
 
 
@@ -131,5 +131,9 @@ def _select_images(outputs: Outputs, rows: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _concatenate(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+def concatenate_batches(batches: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Concatenate the arrays of all batches, name by name."""
+    arrays = {}
+    for name in batches[0]:
+        arrays[name] = np.concatenate([batch[name] for batch in batches])
+    return arrays

@@ -3,15 +3,15 @@
 >>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
 >>> results.pose_mae["unsheared"]["Rz_deg"]
 
-Half of the recorded taps, drawn at random, align predictions with labels (`label_alignment`). The other
-half is scored, and every slide; nothing is fitted to slides. Unsheared slides have an alignment of
-their own, by unsheared taps, because the network moves all real taps a little and alike. With the
-alignment of taps as recorded, unsheared slides are scored once more (`UNSHEARED_RAW_OFFSET`). For
-networks over pins, the rest positions are the mean over some of the contacts themselves: of taps for
-taps, of slides for slides.
+Half of the recorded taps, drawn at random, align predictions with labels (`label_alignment`). The
+other half is scored, and every slide; nothing is fitted to slides. Unsheared slides have an
+alignment of their own, by unsheared taps, because the network moves all real taps a little and
+alike. With the alignment of taps as recorded, unsheared slides are scored once more
+(`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are the mean over some of the
+contacts themselves: of taps for taps, of slides for slides.
 
-Networks over pins are also evaluated by kernel ridge regression, which learns the pose from the pins
-of those same taps. It has nothing in common with the networks or with their simulator.
+Networks over pins are also evaluated by kernel ridge regression, which learns the pose from the
+pins of those same taps. It has nothing in common with the networks or with their simulator.
 """
 
 import time
@@ -67,7 +67,7 @@ Errors = dict[str, float]  # mean absolute errors by label
 class _Predictions(NamedTuple):
     """Predictions for the taps that align them with labels, for other taps, and for slides."""
 
-    known_taps: ContactPredictions
+    alignment_taps: ContactPredictions
     test_taps: ContactPredictions
     slides: ContactPredictions
 
@@ -90,7 +90,7 @@ def score_transfer(
     settings = Recorded(str(recordings), str(recordings), digest, preprocess=paired.preprocess)
     predictions = _predict_all(experiment, model, network, settings)
     labels = choose_scored_labels(
-        predictions.known_taps.poses[AS_RECORDED], predictions.known_taps.labels
+        predictions.alignment_taps.poses[AS_RECORDED], predictions.alignment_taps.labels
     )
     pose_mae = _score_networks(labels, predictions)
     results = Results(
@@ -143,8 +143,8 @@ def _predict_all(
     taps, slides = predictions["taps"], predictions["slides"]
     if UNSHEARED not in slides.poses:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    is_known = np.random.default_rng(SEED).random(len(taps.labels)) < 0.5
-    return _Predictions(taps.select(is_known), taps.select(~is_known), slides)
+    aligns = np.random.default_rng(SEED).random(len(taps.labels)) < 0.5
+    return _Predictions(taps.select(aligns), taps.select(~aligns), slides)
 
 
 def _load_network(
@@ -159,17 +159,19 @@ def _load_network(
 
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
     """Compute the errors of the networks by kind of contact."""
-    known, taps, slides = predictions
-    raw = {name: align_to_labels(name, known.poses[AS_RECORDED], known.labels) for name in labels}
-    unsheared = {
-        name: align_to_labels(name, known.poses[UNSHEARED], known.labels) for name in labels
-    }
+    alignment_taps, taps, slides = predictions
+    raw = _align(labels, alignment_taps, AS_RECORDED)
+    unsheared = _align(labels, alignment_taps, UNSHEARED)
     return {
         "tap": _compute_network_errors(raw, taps, AS_RECORDED),
         "sheared": _compute_network_errors(raw, slides, AS_RECORDED),
         "unsheared": _compute_network_errors(unsheared, slides, UNSHEARED),
         UNSHEARED_RAW_OFFSET: _compute_network_errors(raw, slides, UNSHEARED),
     }
+
+
+def _align(labels: Sequence[str], taps: ContactPredictions, kind: str) -> dict[str, LabelAlignment]:
+    return {name: align_to_labels(name, taps.poses[kind], taps.labels) for name in labels}
 
 
 def _compute_network_errors(
@@ -189,12 +191,12 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
 
     Empty for networks over images, or if there are too few taps to learn from.
     """
-    known, taps, slides = predictions
-    if not known.pins:
+    alignment_taps, taps, slides = predictions
+    if not alignment_taps.pins:
         return {}
-    pins = known.pins[AS_RECORDED]
+    pins = alignment_taps.pins[AS_RECORDED]
     identified = np.isfinite(pins).all(axis=(1, 2))
-    poses = known.labels[identified]
+    poses = alignment_taps.labels[identified]
     estimator = fit_to_features(
         compute_pin_features(pins[identified]), {"pose": poses}, make_label_targets(labels, poses)
     )
@@ -236,11 +238,11 @@ def _compute_recovery(pose_mae: dict[str, Errors]) -> dict[str, float | None]:
 
 
 def _count_contacts(predictions: _Predictions) -> Counts:
-    known, taps, slides = predictions
+    alignment_taps, taps, slides = predictions
     return Counts(
-        known_taps=known.count_accepted(),
+        known_taps=alignment_taps.count_accepted(),
         test_taps=taps.count_accepted(),
         test_poses=slides.count_accepted(),
-        unread_taps=known.count_rejected() + taps.count_rejected(),
+        unread_taps=alignment_taps.count_rejected() + taps.count_rejected(),
         test_unsure=slides.count_rejected(),
     )

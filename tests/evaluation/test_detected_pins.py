@@ -1,4 +1,4 @@
-"""Pins found in simulated images: which pairs are scored, what is said of them, and what is compared with what."""
+"""Pins detected in simulated images: which pairs are scored, and what is compared with what."""
 
 from dataclasses import replace
 from functools import partial
@@ -40,7 +40,7 @@ def drawn(pins):
 
 
 class Reader:
-    """Three taps at rest, and slides that move all pins alike; the images of `black` slides show nothing."""
+    """Three taps at rest, and slides that move all pins alike; `black` slides show nothing."""
 
     def __init__(self, black=()):
         self.black = list(black)

@@ -1,4 +1,4 @@
-"""From arrays to results.json with networks and data made up here: an oracle, and networks that do nothing."""
+"""From arrays to results.json with an oracle, networks that do nothing, and made-up data."""
 
 import io
 import json
@@ -61,7 +61,10 @@ def batches(full, size):
 
 
 def oracle(full, sizes=None, step=4):
-    """Networks that unshear perfectly (disentangled) or not at all (entangled), and pose errors known by kind."""
+    """Make networks that unshear perfectly (disentangled) or not at all (entangled).
+
+    Pose errors are known by kind.
+    """
     wrong = {"tap": 0.0, "sheared": 4.0, "entangled": 4.0, "disentangled": 1.0}
     place = [0]
 

@@ -1,4 +1,4 @@
-"""The stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
+"""The stage on files: networks on disk and a stand-in data set in, results and montage out."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""From simulation to skin: what a network reads is brought into the labels' frame by taps alone, then scored."""
+"""From simulation to skin: predictions are aligned with labels by taps alone, then scored."""
 
 import csv
 import json
@@ -96,13 +96,16 @@ def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
-    """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared, which moves all edges."""
+    """A stand-in predicts the true pose of taps and errs on slides, by half as much once unsheared.
+
+    Unshearing moves all edges.
+    """
     folder = made.edge(tmp_path / "edge", 60, 40)
     preprocess = Preprocess(size=made.SIZE)
     contacts = read_test_contacts(Recorded(str(folder), str(folder), preprocess=preprocess))
 
     def batches(size):
-        """Taps, then slides: their poses (B, 6), the last of them again where they are too few, and how far off their poses are read."""
+        """Iterate over poses (B, 6) of taps, then of slides, filled up, and errors of each."""
         for slid in (False, True):
             here = contacts.pose[contacts.is_slide == slid]
             for start in range(0, len(here), size):
@@ -173,7 +176,7 @@ TARGETS = targets.make_range_targets(("edge_mm", "edge_deg:circle", "depth_mm"),
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    """Networks over simulated pins of 127, random: what they answer depends on the pins, and on nothing else."""
+    """Write random networks over 127 simulated pins, whose outputs depend on the pins alone."""
     folder = tmp_path_factory.mktemp("weights")
     seen = Preprocess(size=made.SIZE)
     sets = {"paired": PairedData(preprocess=seen), "pose": PoseData(preprocess=seen)}
