@@ -43,6 +43,10 @@ from jaxunshear.training.examples import Examples, open_examples
 MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0
 CODES = ("z_s", "z_p")
+METRIC = (
+    "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
+    f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}"
+)
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what a code should not contain
 
 
@@ -100,9 +104,7 @@ def measure_leakage(
     results = {
         "experiment": experiment.name,
         "simulated": get_recorded(experiment) is None,
-        "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its "
-        "ceiling, the most that the input's pins or a code give; brackets: 95 % over "
-        f"{INTERVALS_OVER}",
+        "metric": METRIC,
         "rows": rows,
         "summary": [
             _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)

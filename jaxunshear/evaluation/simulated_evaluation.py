@@ -111,8 +111,8 @@ def _make_scorer(
     Networks over images have no pins among their outputs: these are detected in images afterwards.
     """
     modality = get_modality(experiment)
-    names = [PIN_PLACES] if uses_pins(experiment) else [PIXELS]
-    selected = {name: estimators[name] for name in names if name in estimators}
+    applicable = PIN_PLACES if uses_pins(experiment) else PIXELS
+    selected = {name: value for name, value in estimators.items() if name == applicable}
     return Scorer(
         run,
         examples.targets,
