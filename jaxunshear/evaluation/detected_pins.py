@@ -28,7 +28,7 @@ INPUTS = (*PINS, DETECTED_TAP)  # the true tap, the detected slide and the detec
 class DetectedPairs(NamedTuple):
     """Test pairs in whose tap and slide all pins were identified."""
 
-    # detected `sheared_pins` and DETECTED_TAP, NaN where a pin is missing, and true `canonical_pins`
+    # detected `sheared_pins` and DETECTED_TAP, NaN if a pin is missing; true `canonical_pins`
     pairs: Batch
     # by "tap" and "sheared": share of images, error of their pins, number of missing ones
     reported: dict[str, dict[str, float]]

@@ -44,8 +44,8 @@ MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quant
 SEED = 0
 CODES = ("z_s", "z_p")
 METRIC = (
-    "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
-    f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}"
+    "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the "
+    f"most that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}"
 )
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what a code should not contain
 
