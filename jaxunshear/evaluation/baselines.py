@@ -1,4 +1,4 @@
-"""What can be said of a sheared image without a network that unshears: pure functions of images (B, S, S, 1) in [0, 1].
+"""Baselines: unshear images (B, S, S, 1) in [0, 1] without a network.
 
 >>> make_baseline_images(collect_training_taps(batches), tap, sheared)["nearest_tap"]
 """
@@ -12,59 +12,65 @@ from jax import Array
 
 from jaxunshear.selection import select_evenly
 
-MAX_TAPS = 2000  # of the training split are searched, evenly chosen
-MAX_SHIFT = 0.25  # of the image's side: how far a translation may go
+MAX_TAPS = 2000  # of the training split, evenly chosen
+MAX_SHIFT = 0.25  # of a translation, in sides of the image
 
 
 def collect_training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
-    """One tap of every pose, at most MOST_TAPS of them: (M, S, S, 1) uint8. Batches hold canonical, stimulus and pose_id."""
-    taps: dict[tuple[int, int], np.ndarray] = {}
+    """Collect one tap of every pose, at most MAX_TAPS: (M, S, S, 1) uint8.
+
+    Batches hold canonical, stimulus and pose_id.
+    """
+    tap_by_pose: dict[tuple[int, int], np.ndarray] = {}
     for batch in batches:
         for stimulus, pose, tap in zip(
             batch["stimulus"], batch["pose_id"], batch["canonical"], strict=True
         ):
-            taps.setdefault((int(stimulus), int(pose)), tap)
-    every = list(taps.values())
-    return np.stack([every[index] for index in select_evenly(len(every), MAX_TAPS)])
+            tap_by_pose.setdefault((int(stimulus), int(pose)), tap)
+    taps = list(tap_by_pose.values())
+    return np.stack([taps[index] for index in select_evenly(len(taps), MAX_TAPS)])
 
 
 def make_baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:
-    """By name of `score.BASELINES`; taps (M, S, S, 1) uint8 of the training split. Only "translated" uses the tap."""
-    known = taps.astype(sheared.dtype) / 255
+    """Make the images of `score.BASELINES` by name.
+
+    `taps` (M, S, S, 1) uint8 are of the training split. Only "translated" uses `tap`.
+    """
+    training_taps = taps.astype(sheared.dtype) / 255
     return {
-        "mean_tap": jnp.broadcast_to(known.mean(0), sheared.shape),
-        "nearest_tap": find_nearest_images(known, sheared),
+        "mean_tap": jnp.broadcast_to(training_taps.mean(0), sheared.shape),
+        "nearest_tap": find_nearest_images(training_taps, sheared),
         "translated": jax.vmap(translate_to_target)(sheared, tap),
     }
 
 
 def find_nearest_images(candidates: Array, images: Array) -> Array:
-    """For every image that of `candidates` (M, S, S, 1) which differs least from it, by mean squared difference."""
-    flat, rows = (x.reshape(len(x), -1) for x in (candidates, images))
-    away = jnp.sum(flat**2, 1) - 2 * jnp.matmul(
-        rows, flat.T, precision="highest"
-    )  # up to the image's own square
-    return candidates[jnp.argmin(away, 1)]
+    """Find for every image that of `candidates` (M, S, S, 1) with the least mean squared error."""
+    flat, rows = candidates.reshape(len(candidates), -1), images.reshape(len(images), -1)
+    products = jnp.matmul(rows, flat.T, precision="highest")
+    distances = jnp.sum(flat**2, 1) - 2 * products  # without the square of the image, a constant
+    return candidates[jnp.argmin(distances, 1)]
 
 
 def translate_to_target(image: Array, target: Array) -> Array:
-    """`image` (S, S, 1) moved by the integer shift, at most REACH of its side, that brings it nearest to `target` in mean squared
-    difference; black flows in. No translation can do better: this one knows the answer."""
+    """Translate `image` (S, S, 1) by the pixels that bring it nearest to `target`.
+
+    The shift is at most MAX_SHIFT of the side, nearness is the mean squared difference, and black
+    flows in. No translation can do better, since this one uses the answer.
+    """
     size = image.shape[0]
     most = int(MAX_SHIFT * size)
     shape = (2 * size, 2 * size)
 
     def correlate(a: Array, b: Array) -> Array:
-        """sum over x of a(x) b(x + shift), by shift from -most to most on each axis."""
+        """Sum a(x) b(x + shift) over x, for shifts from -most to most on each axis."""
         product = jnp.fft.irfft2(jnp.conj(jnp.fft.rfft2(a, shape)) * jnp.fft.rfft2(b, shape), shape)
         return jnp.roll(product, (most, most), (0, 1))[: 2 * most + 1, : 2 * most + 1]
 
-    plain, wanted = image[..., 0], target[..., 0]
+    plain = image[..., 0]
     in_view = correlate(plain**2, jnp.ones_like(plain))
-    best = jnp.argmin(in_view - 2 * correlate(plain, wanted))
+    best = jnp.argmin(in_view - 2 * correlate(plain, target[..., 0]))
     rows, columns = jnp.divmod(best, 2 * most + 1)
-    # moved by (rows - most, columns - most)
-    framed = jnp.pad(plain, most)
-    return jax.lax.dynamic_slice(framed, (2 * most - rows, 2 * most - columns), (size, size))[
-        ..., None
-    ]
+    # the shift is (rows - most, columns - most)
+    start = (2 * most - rows, 2 * most - columns)
+    return jax.lax.dynamic_slice(jnp.pad(plain, most), start, (size, size))[..., None]

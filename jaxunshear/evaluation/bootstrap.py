@@ -1,35 +1,33 @@
-"""How far a mean would move if the test had drawn other contacts: bootstrap intervals.
+"""Bootstrap intervals: how far a mean would move if the test had drawn other contacts.
 
-Slides at one pose share their tap, so they are no independent draws: entire poses are drawn, each with all its slides.
+Slides at one pose share their tap, so they are no independent draws. Poses are drawn, each with all
+its slides.
 """
 
 import numpy as np
 
 LEVEL = 0.95
 RESAMPLES = 1000
-INTERVALS_OVER = "test poses of one training"  # what the intervals of one run are over
+INTERVALS_OVER = "test poses of one training"
 
 
 def number_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
-    """(N,) which pose of which stimulus a contact belongs to; both (N,)."""
-    return np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)[1].reshape(
-        -1
-    )
+    """Number the poses (N,) of contacts, by their stimulus (N,) and its pose (N,)."""
+    pairs = np.stack([stimulus, pose_id], axis=1)
+    return np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def resample_means(
     values: dict[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
-    """Means (RESAMPLES,) of each (N,) array over as many draws of the poses (N,) that its numbers belong to.
+    """Compute means (RESAMPLES,) of each array (N,) over resampled poses.
 
-    All arrays see the same draws, so a group's figures do not depend on which others are asked for, and figures made of several
-    means can be made draw by draw. Raises `ValueError` where nothing is given or lengths differ.
+    `poses` (N,) says which pose each value belongs to. All arrays get the same draws, so the means
+    of one do not depend on the others, and a figure made of several means can be computed draw by
+    draw. Raises `ValueError` if there are no poses, or if lengths differ.
     """
-    if (
-        poses.ndim != 1
-        or not len(poses)
-        or any(value.shape != poses.shape for value in values.values())
-    ):
+    same_shape = all(value.shape == poses.shape for value in values.values())
+    if poses.ndim != 1 or not len(poses) or not same_shape:
         raise ValueError("values and poses must be arrays (N,) of one length, at least 1")
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
@@ -43,14 +41,16 @@ def resample_means(
 
 
 def compute_interval(means: np.ndarray) -> list[float]:
-    """[low, high] that holds 95 % of redrawn figures (RESAMPLES,)."""
+    """Compute the interval [low, high] of 95 % of resampled figures (RESAMPLES,)."""
     return np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
 
 
 def compute_intervals(
     values: dict[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, list[float]]:
-    """[low, high] of the mean of each (N,) array, at 95 %; see `resample_means`. A single pose gives no width."""
-    return {
-        name: compute_interval(means) for name, means in resample_means(values, poses, seed).items()
-    }
+    """Compute the interval [low, high] of the mean of each array (N,), as `resample_means`.
+
+    A single pose gives an interval without width.
+    """
+    resampled = resample_means(values, poses, seed)
+    return {name: compute_interval(means) for name, means in resampled.items()}

@@ -1,4 +1,4 @@
-"""Draw what each decoder makes of the codes that it is fed: the cells of appendix D, and some more."""
+"""Decode swapped codes: the cells of the paper's appendix D, and some more."""
 
 from collections.abc import Iterable
 
@@ -30,25 +30,27 @@ def decode_cells(
     names: Iterable[str] = CELLS,
     other: Array | None = None,
 ) -> dict[str, Array]:
-    """Draw images (B, S, S, 1) in [0, 1] of the named cells from the codes of `sheared`, and of `other`, (B, S, S, 1).
+    """Decode images (B, S, S, 1) in [0, 1] of the named cells from the codes of `sheared`.
 
-    Cells that the network cannot draw are left out: without a shear code there is only DC's pose code, and a code in
-    the other's place needs codes of one width.
+    Codes of another image are those of `other` (B, S, S, 1). Cells that the network cannot decode
+    are left out: without a shear code there is only DC's pose code, and a code in the other's place
+    needs codes of one width.
     """
     own = unshearnet.encode(net, variables, sheared)
     foreign = own if other is None else unshearnet.encode(net, variables, other)
+    z_p, z_s = own
 
-    def code(name: str) -> Array | None:
+    def get_code(name: str) -> Array | None:
         z = (foreign if name[0] == "*" else own)["ps".index(name[-1])]
         return jnp.zeros_like(z) if z is not None and name[0] == "0" else z
 
-    drawn = {}
+    logits = {}
     for cell in names:
-        first, *second = (code(name) for name in SWAP_CELLS[cell])
-        if first is None or first.shape != own[0].shape:
+        codes = [get_code(name) for name in SWAP_CELLS[cell]]
+        if codes[0] is None or codes[0].shape != z_p.shape:
             continue
-        if not second:
-            drawn[cell] = unshearnet.decode_canonical(net, variables, first)
-        elif own[1] is not None and second[0] is not None and second[0].shape == own[1].shape:
-            drawn[cell] = unshearnet.decode_sheared(net, variables, first, second[0])
-    return {name: jax.nn.sigmoid(logits) for name, logits in drawn.items()}
+        if len(codes) == 1:
+            logits[cell] = unshearnet.decode_canonical(net, variables, codes[0])
+        elif z_s is not None and codes[1] is not None and codes[1].shape == z_s.shape:
+            logits[cell] = unshearnet.decode_sheared(net, variables, codes[0], codes[1])
+    return {name: jax.nn.sigmoid(values) for name, values in logits.items()}

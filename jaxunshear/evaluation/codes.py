@@ -1,14 +1,11 @@
 """Pose code and shear code of a disentangled network, over images or pins, a row for each input."""
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.networks import PinUnshear, UnshearNet
-from jaxunshear.models import pin_networks, unshearnet
+from jaxunshear.evaluation.modality import get_net_modality
 from jaxunshear.models.weights import Net, Variables
 
 ENCODE_BATCH = 64
@@ -17,36 +14,31 @@ Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F)
 
 
 def make_encoder(net: Net, variables: Variables) -> Encode | None:
-    """Inputs -> codes (N, F) by name; None without a shear code."""
-    if isinstance(net, PinUnshear) and net.shear_code:
-        run = jax.jit(partial(pin_networks.encode, net))
-    elif isinstance(net, UnshearNet) and net.disentangled and net.shear_channels:
-        run = jax.jit(
-            lambda weights, images: unshearnet.encode(
-                net, weights, images.astype(jnp.float32) / 255
-            )
-        )
-    else:
+    """Make a function from stored inputs to codes (N, F) by name; None without a shear code."""
+    modality = get_net_modality(net)
+    if not modality.has_shear_code(net):
         return None
 
-    def encode(seen: np.ndarray) -> dict[str, np.ndarray]:
-        parts = []
-        for start in range(0, len(seen), ENCODE_BATCH):
-            rows = np.arange(start, start + ENCODE_BATCH) % len(seen)
-            parts.append(jax.device_get(run(variables, seen[rows])))
-        joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
+    @jax.jit
+    def run(weights: Variables, stored: jax.Array) -> tuple[jax.Array, jax.Array | None]:
+        return modality.encode(net, weights, modality.scale(stored))
+
+    def encode(stored: np.ndarray) -> dict[str, np.ndarray]:
+        count = len(stored)
+        pose_codes, shear_codes = [], []
+        for start in range(0, count, ENCODE_BATCH):
+            rows = np.arange(start, start + ENCODE_BATCH) % count  # all batches have one size
+            z_p, z_s = jax.device_get(run(variables, stored[rows]))
+            pose_codes.append(z_p)
+            shear_codes.append(z_s)
         return {
-            name: code.reshape(len(seen), -1)
-            for name, code in zip(("z_p", "z_s"), joined, strict=True)
+            "z_p": np.concatenate(pose_codes)[:count].reshape(count, -1),
+            "z_s": np.concatenate(shear_codes)[:count].reshape(count, -1),
         }
 
     return encode
 
 
-def init_untrained(net: Net, variables: Variables, seed: int) -> Variables:
-    """Fresh variables of the network."""
-    key = jax.random.key(seed)
-    if isinstance(net, PinUnshear):
-        constants = variables["batch_stats"]
-        return pin_networks.init(net, constants["rest"], constants["spread"], key)
-    return unshearnet.init(net, key)
+def init_like(net: Net, variables: Variables, seed: int) -> Variables:
+    """Draw new weights for the network that has `variables`."""
+    return get_net_modality(net).init(net, variables, jax.random.key(seed))

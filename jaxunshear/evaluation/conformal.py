@@ -1,18 +1,18 @@
-"""How far an answer may be off: half-widths that hold 95 % of the errors on validation contacts, tried on others.
+"""Conformal intervals: half-widths that contain 95 % of the errors on validation contacts.
 
-Split conformal: no distribution is assumed. The promise is for contacts drawn as those of the
-validation, so of the same session. On other recordings errors can be larger, and the widths hold
-fewer of them; `compute_coverage` says how many.
+No distribution is assumed (split conformal). The coverage is guaranteed for contacts drawn like
+those of the validation, so of the same session. On other recordings errors can be larger, and the
+widths contain fewer of them; `compute_coverage` computes how many.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from jaxunshear.evaluation.bootstrap import LEVEL
 
-MIN_CONTACTS = 20  # contacts: of fewer no width holds 95 %
+MIN_CONTACTS = 20  # no half-width contains 95 % of fewer
 # coverage of unsheared slides in docs/results/locked/recorded_pins_seed0.json
 COVERAGE_ELSEWHERE = {"y_mm": 0.9405, "z_mm": 0.8195, "Rz_deg": 0.9455}
 _SHARES = (
@@ -21,32 +21,42 @@ _SHARES = (
 ELSEWHERE_NOTE = (
     f"On other recordings of a public edge, unsheared over pins, they held {', '.join(_SHARES)}"
 )
-ByMethod = dict[str, dict[str, float]]  # way of perceiving: target: mm or deg, or a share
+ByKind = dict[str, dict[str, float]]  # by kind of contact and target
 
 
-def compute_half_widths(errors: Mapping[str, np.ndarray]) -> ByMethod:
-    """Of absolute errors (N,) mm or deg by `pose/<way>/<target>`."""
-    found: ByMethod = {}
-    for way, name, values in _by_way(errors):
-        if (count := len(values)) >= MIN_CONTACTS:
-            held = min(count, math.ceil(round(LEVEL * (count + 1), 9)))
-            found.setdefault(way, {})[name] = float(np.sort(values)[held - 1])
-    return found
+def compute_half_widths(errors: Mapping[str, np.ndarray]) -> ByKind:
+    """Compute half-widths from absolute errors (N,), mm or deg, by `pose/<kind>/<target>`."""
+    widths: ByKind = {}
+    for kind, targets in _group_pose_errors(errors).items():
+        for name, values in targets.items():
+            count = len(values)
+            if count >= MIN_CONTACTS:
+                rank = min(count, math.ceil(round(LEVEL * (count + 1), 9)))
+                widths.setdefault(kind, {})[name] = float(np.sort(values)[rank - 1])
+    return widths
 
 
 def compute_coverage(
     widths: Mapping[str, Mapping[str, float]], errors: Mapping[str, np.ndarray]
-) -> ByMethod:
-    """The share of `errors`, as above but of other contacts, that the half-widths hold; of what both know."""
-    found: ByMethod = {}
-    for way, name, values in _by_way(errors):
-        if (width := widths.get(way, {}).get(name)) is not None:
-            found.setdefault(way, {})[name] = float(np.mean(values <= width))
-    return found
+) -> ByKind:
+    """Compute the share of other contacts' errors that the half-widths contain.
+
+    Kinds and targets without a half-width are left out.
+    """
+    coverage: ByKind = {}
+    for kind, targets in _group_pose_errors(errors).items():
+        for name, values in targets.items():
+            width = widths.get(kind, {}).get(name)
+            if width is not None:
+                coverage.setdefault(kind, {})[name] = float(np.mean(values <= width))
+    return coverage
 
 
-def _by_way(errors: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, np.ndarray]]:
+def _group_pose_errors(errors: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+    """Group errors that are named `pose/<kind>/<target>` by kind and target."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
     for name, values in errors.items():
-        table, way, *target = name.split("/")
+        table, kind, *target = name.split("/")
         if table == "pose":
-            yield way, target[0], values
+            groups.setdefault(kind, {})[target[0]] = values
+    return groups

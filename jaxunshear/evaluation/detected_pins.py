@@ -1,9 +1,11 @@
-"""Pins found in simulated images, in the place of the simulator's true ones: what networks over pins read where there is but a camera.
+"""Detect pins in simulated images, to replace the simulator's true ones as on a real sensor.
 
->>> found = detect_pairs(pairs, lattice, FIELDS)
->>> gather(run, iterate_batches(found, 32), len(found.pairs["pose"]), 0, targets, inputs=INPUTS)
+>>> detected = detect_pairs(pairs, lattice, FIELDS)
+>>> scorer = scorer._replace(inputs=INPUTS)
+>>> collect_scores(scorer, iterate_batches(detected, 32), len(detected.pairs["pose"]))
 
-Slide and tap are both found; what comes out is compared with the tap's true pins. Each image is followed by itself, as a robot sees it.
+Pins are detected in slide and tap, and unsheared pins are compared with the tap's true pins. Each
+image is tracked by itself, as on a robot.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,48 +22,53 @@ from jaxunshear.selection import select_evenly
 DETECTED = "found"  # the name of this test
 MAX_PAIRS = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
 DETECTED_TAP = "seen_tap"
-INPUTS = (*PINS, DETECTED_TAP)  # the true tap, the slide and the tap as found
+INPUTS = (*PINS, DETECTED_TAP)  # the true tap, the detected slide and the detected tap
 
 
 class DetectedPairs(NamedTuple):
-    """Test pairs whose tap and slide were both followed for sure."""
+    """Test pairs in whose tap and slide all pins were identified."""
 
-    pairs: Batch  # `sheared_pins` and SEEN_TAP (N, P, 2) px, NaN where a pin is not seen; `canonical_pins` true ones
-    # of taps and slides, what share was followed, how far found pins are off, how many are missing
+    # detected `sheared_pins` and DETECTED_TAP, NaN if a pin is missing; true `canonical_pins`
+    pairs: Batch
+    # by "tap" and "sheared": share of images, error of their pins, number of missing ones
     reported: dict[str, dict[str, float]]
 
 
 def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> DetectedPairs | None:
-    """None where no pair can be followed, as in images too small to show pins."""
-    count = reader.length("test")
-    rows = select_evenly(count, MAX_PAIRS)
+    """Detect the pins of test pairs; None if no pair is identified, as in images without pins."""
+    rows = select_evenly(reader.length("test"), MAX_PAIRS)
     batch = reader.take("test", rows, fields)
     reported: dict[str, dict[str, float]] = {}
-    places: dict[str, np.ndarray] = {}
-    sure = np.ones(len(rows), bool)
-    for kind, image, true in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
-        motion, known = track_images(lattice, batch[image][..., 0], independent=True)
-        places[true] = (lattice.rest + motion).astype(np.float32)
-        reported[kind] = _measure_detection(places[true][known], batch[true][known], len(rows))
-        sure &= known
-    if not sure.any():
+    detected: dict[str, np.ndarray] = {}
+    both_identified = np.ones(len(rows), bool)
+    for kind, image_field, pin_field in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
+        motion, identified = track_images(lattice, batch[image_field][..., 0], independent=True)
+        pins = (lattice.rest + motion).astype(np.float32)
+        true = batch[pin_field]
+        reported[kind] = _measure_detection(pins[identified], true[identified], len(rows))
+        detected[kind] = pins
+        both_identified &= identified
+    if not both_identified.any():
         return None
     pairs = {name: values for name, values in batch.items() if name not in IMAGES}
-    pairs |= {PINS[1]: places[PINS[1]], DETECTED_TAP: places[PINS[0]]}
-    return DetectedPairs({name: values[sure] for name, values in pairs.items()}, reported)
+    pairs |= {PINS[1]: detected["sheared"], DETECTED_TAP: detected["tap"]}
+    return DetectedPairs(
+        {name: values[both_identified] for name, values in pairs.items()}, reported
+    )
 
 
-def iterate_batches(found: DetectedPairs, batch: int) -> Iterator[Batch]:
-    for start in range(0, len(found.pairs[DETECTED_TAP]), batch):
-        yield {name: values[start : start + batch] for name, values in found.pairs.items()}
+def iterate_batches(detected: DetectedPairs, batch: int) -> Iterator[Batch]:
+    """Iterate over batches of detected pairs."""
+    for start in range(0, len(detected.pairs[DETECTED_TAP]), batch):
+        yield {name: values[start : start + batch] for name, values in detected.pairs.items()}
 
 
-def _measure_detection(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
-    seen = np.isfinite(found).all(-1)
-    squares = np.sum(np.square(found - true), axis=-1)[seen]
+def _measure_detection(detected: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
+    present = np.isfinite(detected).all(-1)
+    squares = np.sum(np.square(detected - true), axis=-1)[present]
     return {
         "images": images,
-        "followed": len(found) / images,
+        "followed": len(detected) / images,
         "rms_px": float(np.sqrt(squares.mean())) if len(squares) else float("nan"),
-        "missing_per_image": float((~seen).sum() / max(len(found), 1)),
+        "missing_per_image": float((~present).sum() / max(len(detected), 1)),
     }

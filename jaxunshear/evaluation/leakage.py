@@ -1,11 +1,11 @@
-"""What each code holds that it should not: pose in the shear code, slide in the pose code, by probes on held-out poses.
+"""Measure leakage: pose in the shear code and slide in the pose code, by probes on held-out poses.
 
     results = measure_leakage(experiment, Path("runs/demo"), Path("datasets"), command)
 
-Each quantity is probed by itself, by every family of `probes`; reported is the largest R2 over the
-families, which errs towards a leak. Its ceiling is the largest R2 that the same families reach from the
-pins of the network's input, or from either code. Quantities that the input does not show have no ceiling; they
-are named, and left out of means. A slide is given as the sensor feels it, in its own frame.
+Each quantity is probed by itself, by every family of `probes`. The result is the largest R2 over
+the families, which errs towards a leak. Its ceiling is the largest R2 that the same families reach
+from the pins of the network's input, or from either code. Quantities that the input does not show
+have no ceiling; they are named, and left out of means. A slide is given in the sensor's frame.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,20 +15,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.experiment import Experiment, get_recorded
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
-from jaxunshear.evaluation.codes import Encode, init_untrained, make_encoder
+from jaxunshear.evaluation.codes import Encode, init_like, make_encoder
 from jaxunshear.evaluation.leakage_scores import compute_standard_scores, measure_independence
+from jaxunshear.evaluation.modality import get_modality
 from jaxunshear.evaluation.probe_data import (
-    MOST_TESTED,
-    PINS,
+    MAX_TESTED,
     ProbeSplit,
-    compute_slides,
+    read_labelled_slides,
+    read_slides,
     read_splits,
-    take_labelled,
 )
 from jaxunshear.evaluation.probes import FAMILIES
 from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
@@ -40,10 +40,14 @@ from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.examples import Examples, open_examples
 
-MIN_CEILING = 0.1  # R2 from the input: below it a quantity cannot be seen, and has no ceiling
+MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0
 CODES = ("z_s", "z_p")
-LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
+METRIC = (
+    "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the "
+    f"most that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}"
+)
+LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what a code should not contain
 
 
 class Estimate(NamedTuple):
@@ -59,6 +63,16 @@ class Estimate(NamedTuple):
         return self.families[self.family]
 
 
+class _SplitCodes(NamedTuple):
+    """Codes (N, F) by name of training slides and of test slides."""
+
+    train: Mapping[str, np.ndarray]
+    test: Mapping[str, np.ndarray]
+
+    def get_pair(self, code: str) -> tuple[np.ndarray, np.ndarray]:
+        return self.train[code], self.test[code]
+
+
 def measure_leakage(
     experiment: Experiment, run_dir: Path, data_dir: Path, command: str, controls: bool = True
 ) -> Json:
@@ -66,8 +80,8 @@ def measure_leakage(
 
     `controls` adds an untrained network and shuffled labels.
 
-    Raises `UserError` if the network or the data set is missing or damaged, there is no shear code, or
-    the network learnt from other data or is not trained to the end.
+    Raises `UserError` if the network or the data set is missing or damaged, there is no shear code,
+    or the network learnt from other data or is not trained to the end.
     """
     folder = Path(run_dir) / DISENTANGLED
     check_finished(folder)
@@ -80,28 +94,27 @@ def measure_leakage(
         )
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     train, test = read_splits(experiment, examples, data_dir)
-    codes = [encode(split.inputs) for split in (train, test)]
-    fresh = []
+    codes = _SplitCodes(encode(train.inputs), encode(test.inputs))
+    untrained = None
     if controls:
-        untrained_encode = make_encoder(net, init_untrained(net, variables, SEED))
-        assert untrained_encode is not None
-        fresh = [untrained_encode(split.inputs) for split in (train, test)]
-    rows = _probe_all(codes, fresh, train, test, controls)
+        encode_untrained = make_encoder(net, init_like(net, variables, SEED))
+        assert encode_untrained is not None
+        untrained = _SplitCodes(encode_untrained(train.inputs), encode_untrained(test.inputs))
+    rows = _probe_all(codes, untrained, train, test)
     results = {
         "experiment": experiment.name,
         "simulated": get_recorded(experiment) is None,
-        "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the most "
-        f"that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}",
+        "metric": METRIC,
         "rows": rows,
         "summary": [
             _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)
         ],
-        "independence": measure_independence(codes[1], test, rows),
+        "independence": measure_independence(codes.test, test, rows),
         "scores": compute_standard_scores(codes, train, test, rows),
         "exchanged": measure_exchange_errors(net, variables, examples.reader),
-        "slide": _slide(experiment, examples, encode, (train, test)),
+        "slide": _estimate_slides(experiment, examples, encode, train, test),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
-        "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
+        "sizes": {code: int(codes.test[code].shape[1]) for code in CODES},
         **read_training_facts(run_dir, experiment.networks),
         **describe_provenance(command),
     }
@@ -116,8 +129,8 @@ def probe_quantity(
 ) -> Estimate:
     """Estimate one quantity from a code by every family; return the errors of the best.
 
-    `codes`: of training slides (N, F) and test slides (M, F); `quantity` (N, K) and `true` (M, K) are the
-    quantity, with two columns for an angle over the full circle; `groups` (N,) are training poses.
+    `codes` are those of training slides (N, F) and test slides (M, F). `quantity` (N, K) and `true`
+    (M, K) have two columns for an angle over the full circle. `groups` (N,) are training poses.
     """
     scatter = np.sum(np.square(true - true.mean(axis=0)), axis=1)
     squares = {
@@ -130,94 +143,101 @@ def probe_quantity(
 
 
 def _probe_all(
-    codes: Sequence[Mapping[str, np.ndarray]],
-    fresh: Sequence[Mapping[str, np.ndarray]],
-    train: ProbeSplit,
-    test: ProbeSplit,
-    controls: bool,
+    codes: _SplitCodes, untrained: _SplitCodes | None, train: ProbeSplit, test: ProbeSplit
 ) -> list[Json]:
-    """Return a row for each quantity and code."""
+    """Return a row for each quantity and code, with controls if there are `untrained` codes."""
     shuffled = np.random.default_rng(SEED).permutation(len(train.poses))
     rows = []
     for what in ("pose", "slide"):
-        for quantity, known in train.quantities[what].items():
+        for quantity, labels in train.quantities[what].items():
             true = test.quantities[what][quantity]
             inputs = {"pins": (train.pins, test.pins)}
-            inputs |= {code: (codes[0][code], codes[1][code]) for code in CODES}
-            found = {
-                name: probe_quantity(pair, known, true, train.poses)
+            inputs |= {code: codes.get_pair(code) for code in CODES}
+            estimates = {
+                name: probe_quantity(pair, labels, true, train.poses)
                 for name, pair in inputs.items()
             }
             # a code is a function of the input, so what a code shows the input shows, too
-            ceiling = max(estimate.r2 for estimate in found.values())
+            ceiling = max(estimate.r2 for estimate in estimates.values())
             for code in CODES:
-                pair, estimate = inputs[code], found[code]
-                row = {
-                    "name": f"{quantity} from {code}",
-                    "what": what,
-                    "code": code,
-                    "quantity": quantity,
-                    "leak": (what, code) in LEAKS,
-                    "r2": estimate.r2,
-                    "r2 interval": _bootstrap_r2([estimate], test.poses),
-                    "family": estimate.family,
-                    "families": estimate.families,
-                    "ceiling": ceiling if ceiling >= MIN_CEILING else None,
-                    "estimate": estimate,
-                }
-                if controls:
-                    other = (fresh[0][code], fresh[1][code])
-                    row["untrained"] = probe_quantity(other, known, true, train.poses).r2
-                    row["shuffled"] = probe_quantity(pair, known[shuffled], true, train.poses).r2
+                row = _make_row(what, code, quantity, estimates[code], test.poses)
+                row["ceiling"] = ceiling if ceiling >= MIN_CEILING else None
+                if untrained is not None:
+                    pair = untrained.get_pair(code)
+                    row["untrained"] = probe_quantity(pair, labels, true, train.poses).r2
+                    pair = inputs[code]
+                    row["shuffled"] = probe_quantity(pair, labels[shuffled], true, train.poses).r2
                 rows.append(row)
     return rows
 
 
+def _make_row(what: str, code: str, quantity: str, estimate: Estimate, poses: np.ndarray) -> Json:
+    return {
+        "name": f"{quantity} from {code}",
+        "what": what,
+        "code": code,
+        "quantity": quantity,
+        "leak": (what, code) in LEAKS,
+        "r2": estimate.r2,
+        "r2 interval": _bootstrap_r2([estimate], poses),
+        "family": estimate.family,
+        "families": estimate.families,
+        "estimate": estimate,
+    }
+
+
 def _summarise(rows: Sequence[Json], pair: tuple[str, str], poses: np.ndarray) -> Json:
-    """Return the means over the quantities that have a ceiling, of what is in which code."""
+    """Average the rows of one part of the contact, "pose" or "slide", and one code.
+
+    Quantities without a ceiling are named, and left out.
+    """
     what, code = pair
-    asked = [row for row in rows if (row["what"], row["code"]) == pair]
-    seen = [row for row in asked if row["ceiling"] is not None]
+    probed = [row for row in rows if (row["what"], row["code"]) == pair]
+    visible = [row for row in probed if row["ceiling"] is not None]
     summary = {
         "name": f"{what} from {code}",
         "leak": pair in LEAKS,
-        "quantities": [row["quantity"] for row in seen],
-        "without a ceiling": [row["quantity"] for row in asked if row["ceiling"] is None],
+        "quantities": [row["quantity"] for row in visible],
+        "without a ceiling": [row["quantity"] for row in probed if row["ceiling"] is None],
     }
     for name in ("r2", "ceiling", "untrained", "shuffled"):
-        if seen and name in seen[0]:
-            summary[name] = float(np.mean([row[name] for row in seen]))
-    if seen:
-        summary["r2 interval"] = _bootstrap_r2([row["estimate"] for row in seen], poses)
-        summary["share"] = float(np.mean([max(row["r2"], 0) / row["ceiling"] for row in seen]))
-        summary["largest share"] = max(max(row["r2"], 0) / row["ceiling"] for row in seen)
+        if visible and name in visible[0]:
+            summary[name] = float(np.mean([row[name] for row in visible]))
+    if visible:
+        shares = [max(row["r2"], 0) / row["ceiling"] for row in visible]
+        summary["r2 interval"] = _bootstrap_r2([row["estimate"] for row in visible], poses)
+        summary["share"] = float(np.mean(shares))
+        summary["largest share"] = max(shares)
     return summary
 
 
-def _slide(
-    experiment: Experiment, examples: Examples, encode: Encode, splits: Sequence[ProbeSplit]
+def _estimate_slides(
+    experiment: Experiment,
+    examples: Examples,
+    encode: Encode,
+    train: ProbeSplit,
+    test: ProbeSplit,
 ) -> list[Json]:
-    """What both codes together say of the slide, in mm and deg, and how surely."""
-    train, test = splits
-    batch = take_labelled(experiment, examples.reader, "validation", MOST_TESTED)
-    seen = (train.inputs, batch[PINS if uses_pins(experiment) else "sheared"], test.inputs)
-    codes = [np.concatenate(list(encode(each).values()), axis=1) for each in seen]
-    wanted = [
+    """Estimate the slide from both codes together, in mm and deg, with intervals."""
+    validation = read_labelled_slides(experiment, examples.reader, "validation", MAX_TESTED)
+    inputs = (train.inputs, validation[get_modality(experiment).sheared], test.inputs)
+    codes = [np.concatenate(list(encode(each).values()), axis=1) for each in inputs]
+    slides = [
         train.quantities["slide"],
-        compute_slides(examples.slides, batch),
+        read_slides(examples.slides, validation),
         test.quantities["slide"],
     ]
-    slipped = (
-        is_slipping(test.batch["stuck"], test.batch["slipping"]) if "stuck" in test.batch else None
-    )
-    return estimate_slides(codes, wanted, train.poses, test.poses, slipped)
+    slipped = None
+    if "stuck" in test.batch:
+        slipped = is_slipping(test.batch["stuck"], test.batch["slipping"])
+    return estimate_slides(codes, slides, train.poses, test.poses, slipped)
 
 
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:
-    """Return the 95 % interval of the mean R2 over redrawn poses."""
-    redrawn = []
+    """Compute the 95 % interval of the mean R2 over resampled poses."""
+    resampled = []
     for estimate in estimates:
         values = {"squares": estimate.squares, "scatter": estimate.scatter}
         means = resample_means(values, poses, SEED)
-        redrawn.append(1 - means["squares"] / means["scatter"])
-    return compute_interval(np.mean(redrawn, axis=0))
+        resampled.append(1 - means["squares"] / means["scatter"])
+    return compute_interval(np.mean(resampled, axis=0))

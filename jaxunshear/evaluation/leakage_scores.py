@@ -1,34 +1,34 @@
-"""Tests of independence and standard scores of the codes, beside the probes."""
+"""Tests of independence and standard scores of the codes, in addition to the probes."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from jaxunshear.evaluation.probe_data import ProbeSplit
-from jaxunshear.evaluation.probes import fit_whitening
+from jaxunshear.evaluation.probes import Whitening, fit_whitening
 from jaxunshear.files import Json
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.independence import compute_hsic
 from jaxunshear.selection import select_evenly
 
 SEED = 0
-MOST_COMPARED = 500  # poses, in the criterion of independence
+MAX_COMPARED = 500  # poses, in the criterion of independence
 PLANTED = 0.01  # deviation of a planted leak, in shares of the code's widest direction
 
 
 def measure_independence(
     codes: Mapping[str, np.ndarray], test: ProbeSplit, rows: Sequence[Json]
 ) -> list[Json]:
-    """Test each leak for independence, one slide at each pose: rows are independent draws.
+    """Test each leak for independence, on one slide at each pose: rows are independent draws.
 
     The planted leak shows the test's power: codes of other contacts, which know nothing, with the
-    quantity hidden in a direction of PLANTED of the code's spread. A test that does not find it says
-    nothing by a large p.
+    quantity hidden in a direction of PLANTED of the code's spread. If the test does not find it, a
+    large p means nothing.
     """
     first = np.unique(test.poses, return_index=True)[1]
-    chosen = first[select_evenly(len(first), MOST_COMPARED)]
+    chosen = first[select_evenly(len(first), MAX_COMPARED)]
     shuffled = np.random.default_rng(SEED).permutation(chosen)
-    found = []
+    results = []
     for row in rows:
         if not row["leak"] or row["ceiling"] is None:
             continue
@@ -36,12 +36,17 @@ def measure_independence(
         statistic, p = compute_hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
         hidden = PLANTED * code.std(axis=0).max() * quantity / max(quantity.std(), 1e-12)
         planted = np.concatenate([code[shuffled], hidden], axis=1)
-        _, power = compute_hsic(fit_whitening(planted).apply(planted), quantity, SEED)
-        name = f"{row['quantity']} and {row['code']}"
-        found.append(
-            {"name": name, "hsic": statistic, "p": p, "planted p": power, "poses": len(chosen)}
+        _, planted_p = compute_hsic(fit_whitening(planted).apply(planted), quantity, SEED)
+        results.append(
+            {
+                "name": f"{row['quantity']} and {row['code']}",
+                "hsic": statistic,
+                "p": p,
+                "planted p": planted_p,
+                "poses": len(chosen),
+            }
         )
-    return found
+    return results
 
 
 def compute_standard_scores(
@@ -50,24 +55,38 @@ def compute_standard_scores(
     test: ProbeSplit,
     rows: Sequence[Json],
 ) -> dict[str, float]:
-    """Return MIG, SAP and DCI by block over the quantities with a ceiling, on whitened codes."""
-    asked = {(row["what"], row["quantity"]) for row in rows if row["ceiling"] is not None}
-    if {what for what, _ in asked} != {"pose", "slide"}:
+    """Compute MIG, SAP and DCI by block over the quantities with a ceiling, on whitened codes.
+
+    `codes` are those of training slides and of test slides, by name.
+    """
+    visible = sorted({(row["what"], row["quantity"]) for row in rows if row["ceiling"] is not None})
+    if {what for what, _ in visible} != {"pose", "slide"}:
         return {}
-    whitenings = {name: fit_whitening(codes[0][name]) for name in ("z_p", "z_s")}
-    sizes = [whitening.directions.shape[1] for whitening in whitenings.values()]
-    blocks = []
-    for split, encoded in zip((train, test), codes, strict=True):
-        factors = [(int(w == "slide"), split.quantities[w][q]) for w, q in sorted(asked)]
-        blocks.append(
-            Blocks(
-                np.concatenate(
-                    [whitenings[name].apply(encoded[name]) for name in whitenings], axis=1
-                ),
-                np.repeat([0, 1], sizes),
-                np.concatenate([values for _, values in factors], axis=1),
-                np.concatenate([np.full(values.shape[1], owner) for owner, values in factors]),
-            )
-        )
-    dci = {f"DCI {name}": value for name, value in score_dci(*blocks).items()}
-    return {"MIG": score_mig(blocks[0]), "SAP": score_sap(*blocks), **dci}
+    train_codes, test_codes = codes
+    whitenings = {name: fit_whitening(train_codes[name]) for name in ("z_p", "z_s")}
+    train_blocks = _make_blocks(whitenings, train_codes, train, visible)
+    test_blocks = _make_blocks(whitenings, test_codes, test, visible)
+    dci = score_dci(train_blocks, test_blocks)
+    return {
+        "MIG": score_mig(train_blocks),
+        "SAP": score_sap(train_blocks, test_blocks),
+        **{f"DCI {name}": value for name, value in dci.items()},
+    }
+
+
+def _make_blocks(
+    whitenings: Mapping[str, Whitening],
+    codes: Mapping[str, np.ndarray],
+    split: ProbeSplit,
+    visible: Sequence[tuple[str, str]],
+) -> Blocks:
+    """Make blocks of z_p, which should hold the pose, and z_s, which should hold the slide."""
+    white = [whitening.apply(codes[name]) for name, whitening in whitenings.items()]
+    factors = [split.quantities[what][quantity] for what, quantity in visible]
+    owners = [int(what == "slide") for what, _ in visible]
+    return Blocks(
+        np.concatenate(white, axis=1),
+        np.repeat([0, 1], [code.shape[1] for code in white]),
+        np.concatenate(factors, axis=1),
+        np.repeat(owners, [factor.shape[1] for factor in factors]),
+    )

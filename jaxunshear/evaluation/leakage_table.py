@@ -1,43 +1,36 @@
-"""What `leakage` found, for sweeps and for people."""
+"""Rows and a table of the results of `leakage`, for sweeps and for people."""
 
 from jaxunshear.files import Json
 
-UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of what DS draws, over images and over pins
+UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of reconstructions: images and pins
 DECODED_UNITS = (*UNITS, "missed_per_image")
-SLIDE = ("mae", "rmse", "coverage")
+SLIDE_ERRORS = ("mae", "rmse", "coverage")
 
 
 def build_sweep_rows(results: Json) -> list[Json]:
-    """Rows of a sweep's ablation."""
+    """Build the rows of a sweep's ablation."""
     rows = []
-    for part, errors in _list_exchanged(results):
+    for part, errors in _list_exchange_parts(results):
         for name, row in errors["drawn"].items():
-            rows.append(
-                {"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DECODED_UNITS if n in row}
-            )
+            rows.append({"name": f"DS, codes {name}{part}"} | _select(row, DECODED_UNITS))
     for row in results["summary"]:
         if row["quantities"]:
-            rows.append({n: row[n] for n in ("name", "r2", "ceiling", "share", "largest share")})
+            rows.append(_select(row, ("name", "r2", "ceiling", "share", "largest share")))
     rows += [{"name": row["name"], "r2": row["r2"]} for row in results["rows"]]
     rows.append({"name": "standard scores", **results["scores"]})
-    rows += [
-        {"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE}
-        for row in results["slide"]
-    ]
+    for row in results["slide"]:
+        rows.append({"name": f"{row['name']}, {row['part']}"} | _select(row, SLIDE_ERRORS))
     return rows
 
 
+def _select(row: Json, names: tuple[str, ...]) -> Json:
+    return {name: row[name] for name in names if name in row}
+
+
 def format_table(results: Json) -> str:
-    """For people."""
+    """Format the results for people."""
     lines = [f"{'R2 of':24}  code [95 %]              strongest      ceiling  untrained  shuffled"]
-    for row in results["rows"]:
-        low, high = row["r2 interval"]
-        values = [row.get(name) for name in ("ceiling", "untrained", "shuffled")]
-        more = "  ".join("    none" if value is None else f"{value:8.3f}" for value in values)
-        mark = "  a leak" if row["leak"] else ""
-        lines.append(
-            f"{row['name']:24}  {row['r2']:6.3f} [{low:.3f}, {high:.3f}]   {row['family']:12}  {more}{mark}"
-        )
+    lines += [_format_row(row) for row in results["rows"]]
     for row in results["summary"]:
         if row["quantities"]:
             share, largest = row["share"], row["largest share"]
@@ -45,9 +38,8 @@ def format_table(results: Json) -> str:
                 f"{row['name']}: {share:.0%} of the ceiling on average, {largest:.0%} at most"
             )
         if row["without a ceiling"]:
-            lines.append(
-                f"{row['name']}: the input does not show {', '.join(row['without a ceiling'])}: left out"
-            )
+            hidden = ", ".join(row["without a ceiling"])
+            lines.append(f"{row['name']}: the input does not show {hidden}: left out")
     for row in results["independence"]:
         lines.append(
             f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, "
@@ -55,28 +47,45 @@ def format_table(results: Json) -> str:
         )
     for name, value in results["scores"].items():
         lines.append(f"{name} by block: {value:.3f}")
-    for part, errors in _list_exchanged(results):
+    for part, errors in _list_exchange_parts(results):
         for name, row in errors["drawn"].items():
-            low, high = row["interval"]
-            value, unit = next((row[name], unit) for name, unit in UNITS.items() if name in row)
-            text = f"{value:.3f} [{low:.3f}, {high:.3f}] {unit} from the contact of that pose and that slide"
-            lines.append(f"DS, codes {name}{part}: {text}")
+            lines.append(f"DS, codes {name}{part}: {_format_exchange_error(row)}")
     for row in results["slide"]:
-        mae, coverage = (
-            "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"])
-            for name in ("mae", "coverage")
-        )
+        mae, coverage = _format_with_interval(row, "mae"), _format_with_interval(row, "coverage")
         lines.append(
-            f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; 95 % intervals hold {coverage}"
+            f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; "
+            f"95 % intervals hold {coverage}"
         )
     return "\n".join([*lines, results["metric"]])
 
 
-def _list_exchanged(results: Json) -> list[tuple[str, Json]]:
-    """What DS draws of exchanged codes, all of it and its parts, each with what its name ends in."""
-    errors = results["exchanged"]
+def _format_row(row: Json) -> str:
+    low, high = row["r2 interval"]
+    values = [row.get(name) for name in ("ceiling", "untrained", "shuffled")]
+    more = "  ".join("    none" if value is None else f"{value:8.3f}" for value in values)
+    mark = "  a leak" if row["leak"] else ""
     return (
-        [("", errors), *((f", {part['part']}", part) for part in errors["by slip"])]
-        if errors
-        else []
+        f"{row['name']:24}  {row['r2']:6.3f} [{low:.3f}, {high:.3f}]   {row['family']:12}  "
+        f"{more}{mark}"
     )
+
+
+def _format_exchange_error(row: Json) -> str:
+    low, high = row["interval"]
+    name = next(name for name in UNITS if name in row)
+    return (
+        f"{row[name]:.3f} [{low:.3f}, {high:.3f}] {UNITS[name]} "
+        "from the contact of that pose and that slide"
+    )
+
+
+def _format_with_interval(row: Json, name: str) -> str:
+    return "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"])
+
+
+def _list_exchange_parts(results: Json) -> list[tuple[str, Json]]:
+    """List errors of exchanged codes, overall and by slip, each with the end of its name."""
+    errors = results["exchanged"]
+    if not errors:
+        return []
+    return [("", errors), *((f", {part['part']}", part) for part in errors["by slip"])]

@@ -1,16 +1,16 @@
-"""Results as rows for machines: a name, a value, a unit, and the bar it should clear. Imports no JAX."""
+"""Write results as rows for machines: a name, a value, a unit, and a bar. Imports no JAX."""
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxunshear.files import Json
 from jaxunshear.results.measurement import Measured, Measurement
-from jaxunshear.results.run import CodeSwapScore, Results, Table
+from jaxunshear.results.run import CodeSwapScore, Results, Table, Tables
 from jaxunshear.serialization import to_builtins
 
-BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
+BARS: dict[str, tuple[str, float]] = {  # that the demo should clear, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),
     "ms_ssim.sheared.overall": ("<=", 0.45),
     "pose_ratio.disentangled.edge_mm": ("<=", 0.6),
@@ -30,28 +30,18 @@ UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 
 def build_measurements(results: Results) -> Measured:
-    """The rows of a run's results, with the machine and the versions they were measured on and with."""
-    rows = []
-    for prefix, found, names in (
-        ("", results, (*TABLES, "pin_error", "half_width", "coverage")),
-        *((f"{test}.", further, TABLES) for test, further in results.tests.items()),
-    ):
-        for name in names:
-            rows += _rows(getattr(found, name, None), name, results.metric.get(name, name), prefix)
-        if found.pose_smooth:
-            rows += _rows(
-                found.pose_smooth.pose_mae, "pose_smooth", results.metric["pose_smooth"], prefix
-            )
-        for reader, kinds in found.readers.items():
-            rows += _rows(kinds, reader, results.metric["readers"], f"{prefix}readers.")
+    """Build the rows of a run's results, with the machine and the versions they come from."""
+    rows = _build_test_rows(results, (*TABLES, "pin_error", "half_width", "coverage"), results, "")
+    for test, further in results.tests.items():
+        rows += _build_test_rows(further, TABLES, results, f"{test}.")
     for network, times in results.ms_per_image.items():
         rows.append(
-            _row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time")
+            _make_row(
+                f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"
+            )
         )
-    rows += [
-        _row(f"time_s.{stage}", seconds, "s", "wall clock")
-        for stage, seconds in results.time_s.items()
-    ]
+    for stage, seconds in results.time_s.items():
+        rows.append(_make_row(f"time_s.{stage}", seconds, "s", "wall clock"))
     return Measured(
         rows,
         results.machine,
@@ -64,26 +54,45 @@ def build_measurements(results: Results) -> Measured:
     )
 
 
-def _rows(
-    kinds: Table | Mapping[str, CodeSwapScore] | None, table: str, metric: str | int, prefix: str
+def _build_test_rows(
+    tables: Tables, names: Sequence[str], results: Results, prefix: str
 ) -> list[Measurement]:
-    return [
-        _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), str(metric))
-        for kind, columns in (kinds or {}).items()
-        for column, value in (
-            vars(columns) if isinstance(columns, CodeSwapScore) else columns
-        ).items()
-        if not isinstance(value, str)
-    ]
+    """Build the rows of one test: those of the tables `names`, and of other pose estimators."""
+    notes = results.metric
+    rows = []
+    for name in names:
+        rows += _build_rows(getattr(tables, name, None), name, notes.get(name, name), prefix)
+    if tables.pose_smooth:
+        table = tables.pose_smooth.pose_mae
+        rows += _build_rows(table, "pose_smooth", notes["pose_smooth"], prefix)
+    for estimator, table in tables.readers.items():
+        rows += _build_rows(table, estimator, notes["readers"], f"{prefix}readers.")
+    return rows
+
+
+def _build_rows(
+    table: Table | Mapping[str, CodeSwapScore] | None, name: str, metric: str | int, prefix: str
+) -> list[Measurement]:
+    rows = []
+    for kind, columns in (table or {}).items():
+        values = vars(columns) if isinstance(columns, CodeSwapScore) else columns
+        for column, value in values.items():
+            if not isinstance(value, str):
+                unit = _find_unit(name, column)
+                rows.append(_make_row(f"{prefix}{name}.{kind}.{column}", value, unit, str(metric)))
+    return rows
 
 
 def select_reproducible(results: Results) -> Json:
-    """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
+    """Select what the same experiment on the same machine gives bit for bit.
+
+    That is all but times and places.
+    """
     places = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
     return {name: value for name, value in to_builtins(results).items() if name not in places}
 
 
-def _row(name: str, value: float | None, unit: str, metric: str) -> Measurement:
+def _make_row(name: str, value: float | None, unit: str, metric: str) -> Measurement:
     sense, bar = BARS.get(name, (None, None))
     ok = None
     if bar is not None:
@@ -91,14 +100,14 @@ def _row(name: str, value: float | None, unit: str, metric: str) -> Measurement:
     return Measurement(name, value, unit, bar, sense, ok, metric)
 
 
-def _unit(table: str, column: str) -> str:
+def _find_unit(table: str, column: str) -> str:
     if table in ("pose_ratio", "pose_recovery", "coverage"):
         return "1"
     return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "1")
 
 
 def round_values(value: Any) -> Any:
-    """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
+    """Round all numbers to six significant digits; None stands for those that are not finite."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return dataclasses.replace(value, **round_values(vars(value)))
     if isinstance(value, dict):

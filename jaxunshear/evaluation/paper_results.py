@@ -1,6 +1,7 @@
-"""The paper's figures, measured on a real TacTip (Gupta, Aitchison, Lepora: Tactile Image-to-Image Disentanglement).
+"""The paper's figures, measured on a real TacTip.
 
-Keys are those of our results, so that the two can stand side by side. The paper does not name its MS-SSIM library.
+Gupta, Aitchison, Lepora: Tactile Image-to-Image Disentanglement. Keys are those of our results. The
+paper does not name its MS-SSIM library.
 """
 
 from jaxunshear.config.registry import DISENTANGLED, ENTANGLED

@@ -1,12 +1,13 @@
-"""Readers of poses that are no neural networks: kernel ridge on pixels, and on pins.
+"""Pose estimators that are no neural networks: kernel ridge regression on pixels and on pins.
 
-A network that is taught by a PoseNet, and judged by one of its make, might please the make. These have nothing in common with it but
-the taps that they learn from, those of PoseNet's training split.
+A network that a PoseNet supervises, and that another PoseNet evaluates, may exploit the weaknesses
+of that architecture. These estimators share with PoseNet only the taps of its training split.
 
->>> reader = fit_estimator(PIXELS, examples.reader, examples.targets)
->>> estimate_poses(reader, compute_pixel_features(images))["edge_mm"]
+>>> estimator = fit_estimator(PIXELS, examples.reader, examples.targets)
+>>> estimate_poses(estimator, compute_pixel_features(images))["edge_mm"]
 
-In simulation the one on pins learns from the taps' true pins, and reads those that are found in images.
+In simulation the estimator over pins learns from the true pins of taps, and is given the pins that
+are detected in images.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +22,8 @@ from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
 from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
-from jaxunshear.evaluation.kernel_ridge import FEWEST, Ridge, answers, fitted
+from jaxunshear.evaluation import kernel_ridge
+from jaxunshear.evaluation.modality import ImageModality, PinModality
 from jaxunshear.evaluation.score import Outputs, score_poses
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
 from jaxunshear.perception.lattice import Lattice
@@ -30,16 +32,19 @@ from jaxunshear.selection import select_evenly
 from jaxunshear.training.examples import open_examples
 
 PIXELS, PIN_PLACES = "pixels", "pins"
-MAX_TAPS = 3000  # are learnt from, evenly chosen
+MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
 ESTIMATED_KINDS = ("tap", "sheared", *UNSHEARING)  # kinds of contacts
-INPUT_FIELDS = {PIXELS: "image", PIN_PLACES: "pins"}  # of a tap
+INPUT_FIELDS = {  # of a tap
+    PIXELS: ImageModality.single_tap,
+    PIN_PLACES: PinModality.single_tap,
+}
 
 
 class RidgeEstimator(NamedTuple):
-    ridge: Ridge
+    ridge: kernel_ridge.Ridge
     targets: Targets
-    taps: int  # that it learnt from
+    taps: int  # training taps
 
 
 Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
@@ -47,7 +52,7 @@ BatchEstimator = Callable[[Outputs], dict[str, Poses]]  # of a batch, by kind
 
 
 def compute_pixel_features(images: np.ndarray) -> np.ndarray:
-    """(B, F) of images (B, S, S, 1): means over squares, SIDE along each side or as many as there are pixels."""
+    """Average images (B, S, S, 1) over squares: (B, F), SIDE_PX squares along each side."""
     images = np.asarray(images, np.float64)[..., 0] / (255 if images.dtype == np.uint8 else 1)
     cell = max(1, images.shape[1] // SIDE_PX)
     side = images.shape[1] // cell
@@ -56,7 +61,7 @@ def compute_pixel_features(images: np.ndarray) -> np.ndarray:
 
 
 def compute_pin_features(pins: np.ndarray) -> np.ndarray:
-    """(B, F) of pins (B, P, 2) px, NaN where one is not seen."""
+    """Flatten pins (B, P, 2) px to (B, F), NaN where one is missing."""
     return np.asarray(pins, np.float64).reshape(len(pins), -1)
 
 
@@ -66,83 +71,105 @@ FEATURES = {PIXELS: compute_pixel_features, PIN_PLACES: compute_pin_features}
 def fit_estimator(
     name: str, taps: Reader, targets: Targets, max_taps: int = MAX_TAPS
 ) -> RidgeEstimator | None:
-    """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
+    """Fit PIXELS or PIN_PLACES to training taps; None if there are too few."""
     rows = select_evenly(taps.length("train"), max_taps)
-    fields = list_label_fields(targets)
-    batch = taps.take("train", rows, (INPUT_FIELDS[name], *fields))
-    return fit_to_features(
-        FEATURES[name](batch[INPUT_FIELDS[name]]),
-        {field: batch[field] for field in fields},
-        targets,
-    )
+    input_field, label_fields = INPUT_FIELDS[name], list_label_fields(targets)
+    batch = taps.take("train", rows, (input_field, *label_fields))
+    labels = {field: batch[field] for field in label_fields}
+    return fit_to_features(FEATURES[name](batch[input_field]), labels, targets)
 
 
 def fit_to_features(
     features: np.ndarray, labels: Mapping[str, np.ndarray], targets: Targets
 ) -> RidgeEstimator | None:
-    """From features (N, F), NaN where nothing is seen, and the labels by field, (N, columns) each; None where there are too few. What
-    shows nothing at all is not learnt from."""
-    some = np.isfinite(features).any(axis=1)
-    features, labels = features[some], {field: values[some] for field, values in labels.items()}
-    if len(features) < FEWEST or not targets:
+    """Fit poses to features (N, F) of contacts; None if there are too few contacts or no target.
+
+    Features that are NaN count as their mean, and contacts without any feature are left out.
+    `labels` are (N, columns) by field.
+    """
+    usable = np.isfinite(features).any(axis=1)
+    features = features[usable]
+    labels = {field: values[usable] for field, values in labels.items()}
+    if len(features) < kernel_ridge.MIN_EXAMPLES or not targets:
         return None
-    seen = np.isfinite(features)
-    mean = np.where(seen, features, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    finite = np.isfinite(features)
+    mean = np.where(finite, features, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
     outputs = np.asarray(scale_poses(labels, targets))
-    return RidgeEstimator(fitted(np.where(seen, features, mean), outputs), targets, len(features))
+    ridge = kernel_ridge.fit(np.where(finite, features, mean), outputs)
+    return RidgeEstimator(ridge, targets, len(features))
 
 
-def estimate_poses(reader: RidgeEstimator, features: np.ndarray) -> Poses:
-    """Poses by features (B, F); what is not seen counts as it is on average."""
-    found = answers(reader.ridge, np.where(np.isfinite(features), features, reader.ridge.middle))
-    return {
-        name: np.asarray(value)
-        for name, value in unscale_outputs(jnp.asarray(found), reader.targets).items()
-    }
+def estimate_poses(estimator: RidgeEstimator, features: np.ndarray) -> Poses:
+    """Estimate poses from features (B, F); those that are NaN count as their training mean."""
+    mean = estimator.ridge.feature_mean
+    filled = np.where(np.isfinite(features), features, mean)
+    outputs = jnp.asarray(kernel_ridge.predict(estimator.ridge, filled))
+    poses = unscale_outputs(outputs, estimator.targets)
+    return {name: np.asarray(value) for name, value in poses.items()}
 
 
 def fit_estimators(
     experiment: Experiment, data_dir: Path, run_dir: Path
 ) -> dict[str, RidgeEstimator]:
-    """By name, from the taps that the run's PoseNet learnt from: none where it has no PoseNet, or too few taps. Networks over pins have
-    no images but drawn ones; what networks over recorded images draw has no pins known by name."""
+    """Fit estimators, by name, to the taps that the run's PoseNet learned from.
+
+    There is none if the run has no PoseNet, or too few taps.
+    """
     if POSENET not in experiment.networks:
         return {}
     examples = open_examples(experiment, POSENET, data_dir, run_dir)
-    images = not uses_pins(experiment)
-    names = [PIXELS] * images + [PIN_PLACES] * (not images or get_recorded(experiment) is None)
-    found = {name: fit_estimator(name, examples.reader, examples.targets) for name in names}
-    return {name: reader for name, reader in found.items() if reader}
+    estimators = {}
+    for name in _list_estimators(experiment):
+        estimator = fit_estimator(name, examples.reader, examples.targets)
+        if estimator is not None:
+            estimators[name] = estimator
+    return estimators
 
 
-def make_batch_estimators(readers: Mapping[str, RidgeEstimator]) -> dict[str, BatchEstimator]:
-    """The same readers as functions of what the networks make of a batch: of its images or of its pins."""
-    return {name: partial(_read_batch, name, reader) for name, reader in readers.items()}
+def _list_estimators(experiment: Experiment) -> tuple[str, ...]:
+    """List the estimators that the outputs of an experiment's networks can be given to."""
+    if uses_pins(experiment):
+        return (PIN_PLACES,)  # their images are drawn from the pins, and show nothing else
+    if get_recorded(experiment) is not None:
+        return (PIXELS,)  # the pins in unsheared images of recordings have no identities
+    return (PIXELS, PIN_PLACES)
 
 
-def _read_batch(name: str, reader: RidgeEstimator, outputs: Outputs) -> dict[str, Poses]:
-    seen = outputs.images if name == PIXELS else outputs.pins
+def make_batch_estimators(
+    estimators: Mapping[str, RidgeEstimator],
+) -> dict[str, BatchEstimator]:
+    """Make functions that estimate poses from the networks' outputs for a batch."""
     return {
-        kind: estimate_poses(reader, FEATURES[name](np.asarray(seen[kind])))
+        name: partial(_estimate_batch, name, estimator) for name, estimator in estimators.items()
+    }
+
+
+def _estimate_batch(name: str, estimator: RidgeEstimator, outputs: Outputs) -> dict[str, Poses]:
+    inputs = outputs.images if name == PIXELS else outputs.pins
+    return {
+        kind: estimate_poses(estimator, FEATURES[name](np.asarray(inputs[kind])))
         for kind in ESTIMATED_KINDS
-        if kind in seen
+        if kind in inputs
     }
 
 
 def score_detected_pins(
-    reader: RidgeEstimator,
+    estimator: RidgeEstimator,
     lattice: Lattice,
     images: Mapping[str, np.ndarray],
     true: Mapping[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Errors (N,) by `estimate_poses/pins/<kind>/<quantity>` of the poses that pins found in images (N, S, S) uint8 give; NaN of images whose pins
-    are not identified for sure."""
+    """Score the poses estimated from the pins that are detected in images (N, S, S) uint8.
+
+    Errors (N,) are named `read/pins/<kind>/<quantity>`. They are NaN for images whose pins could
+    not be identified.
+    """
     errors: dict[str, np.ndarray] = {}
-    for kind in (kind for kind in ESTIMATED_KINDS if kind in images):
-        found = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))
-        scores = score_poses({kind: estimate_poses(reader, found)}, true, f"read/{PIN_PLACES}")
-        errors |= {
-            name: np.where(np.isfinite(found[:, 0]), score, np.nan)
-            for name, score in scores.items()
-        }
+    for kind in ESTIMATED_KINDS:
+        if kind not in images:
+            continue
+        features = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))
+        poses = {kind: estimate_poses(estimator, features)}
+        for name, score in score_poses(poses, true, f"read/{PIN_PLACES}").items():
+            errors[name] = np.where(np.isfinite(features[:, 0]), score, np.nan)
     return errors

@@ -1,12 +1,12 @@
-"""Probes: estimate one quantity from a code, by regressors of several families.
+"""Estimate one quantity from a code by probes: regressors of several families.
 
 >>> probe = FAMILIES["kernel ridge"]
 >>> estimates = probe(codes, quantity, others, groups)         # (N, F), (N, K), (M, F) -> (M, K)
->>> mean, deviation = fit_gaussian(codes, wanted, others, groups)  # a network with its uncertainty
+>>> mean, deviation = fit_gaussian(codes, quantity, others, groups)  # with its uncertainty
 
-A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity that
-no family finds may still be there: report the strongest family, and compare it with what the same
-families find in the network's input.
+A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity
+that no family finds may still be there: report the strongest family, and compare it with what the
+same families find in the network's input.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ TREES = 300
 LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
 MIN_SPREAD = 1e-12  # spread of a number that does not vary
 NOISE_FLOOR = 1e-5  # of the widest direction's deviation: below it lies the rounding of float32
-MOST_DIRECTIONS = 256
+MAX_DIRECTIONS = 256
 _State = tuple[VariableDict, optax.OptState]
 Codes = Float[np.ndarray, "N F"]
 Probe = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -55,12 +55,12 @@ class Whitening(NamedTuple):
 
 
 def fit_whitening(codes: Codes) -> Whitening:
-    """Return the whitening of the codes' principal directions, the widest MOST_DIRECTIONS at most."""
+    """Compute the whitening of the codes' widest principal directions, MAX_DIRECTIONS at most."""
     codes = np.asarray(codes, np.float64)
-    pca = PCA(min(MOST_DIRECTIONS, *codes.shape), random_state=0).fit(codes)
+    pca = PCA(min(MAX_DIRECTIONS, *codes.shape), random_state=0).fit(codes)
     deviations = np.sqrt(pca.explained_variance_)
-    kept = deviations > max(MIN_SPREAD, NOISE_FLOOR * deviations[0])
-    return Whitening(pca.mean_, (pca.components_[kept] / deviations[kept, None]).T)
+    varied = deviations > max(MIN_SPREAD, NOISE_FLOOR * deviations[0])
+    return Whitening(pca.mean_, (pca.components_[varied] / deviations[varied, None]).T)
 
 
 class MLP(nn.Module):
@@ -79,40 +79,41 @@ def fit_linear(
 ) -> np.ndarray:
     """Predict by ridge regression; held-out groups choose the ridge."""
     data = _prepare(codes, targets, test_codes, groups)
-    learnt = ~data.held_out
+    fitting, held_out = ~data.held_out, data.held_out
 
-    def fit(r: float, x: np.ndarray, y: np.ndarray) -> Ridge:
-        return Ridge(r * len(x), fit_intercept=False).fit(x, y)
+    def predict(ridge: float, x: np.ndarray, y: np.ndarray, others: np.ndarray) -> np.ndarray:
+        model = Ridge(ridge * len(x), fit_intercept=False).fit(x, y)
+        return model.predict(others).reshape(len(others), -1)
 
-    def error(r: float) -> float:
-        found = fit(r, data.x[learnt], data.y[learnt]).predict(data.x[data.held_out])
-        return float(np.mean((found.reshape(len(found), -1) - data.y[data.held_out]) ** 2))
+    def compute_error(ridge: float) -> float:
+        predicted = predict(ridge, data.x[fitting], data.y[fitting], data.x[held_out])
+        return float(np.mean((predicted - data.y[held_out]) ** 2))
 
-    found = fit(min(RIDGES, key=error), data.x, data.y).predict(data.others)
-    return data.unscale(found.reshape(len(found), -1))
+    best = min(RIDGES, key=compute_error)
+    return data.unscale(predict(best, data.x, data.y, data.others))
 
 
 def fit_kernel_ridge(
     codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> np.ndarray:
-    """Predict by kernel ridge regression on codes as they are or whitened, whichever held-out groups prefer."""
+    """Predict by kernel ridge regression; held-out groups choose raw or whitened codes."""
     data = _prepare(codes, targets, test_codes, groups)
     choices = ((data.x, data.others), (np.asarray(codes, np.float64), test_codes))
-    learnt = np.flatnonzero(~data.held_out)
-    some, judged = learnt[select_evenly(len(learnt), kernel_ridge.TRIED_ON)], data.held_out
+    fitting, held_out = np.flatnonzero(~data.held_out), data.held_out
+    some = fitting[select_evenly(len(fitting), kernel_ridge.MAX_SEARCH_EXAMPLES)]
 
-    def error(features: tuple[np.ndarray, np.ndarray]) -> float:
-        model = kernel_ridge.fitted(features[0][some], data.y[some])
-        return float(
-            np.mean((kernel_ridge.answers(model, features[0][judged]) - data.y[judged]) ** 2)
-        )
+    def compute_error(choice: tuple[np.ndarray, np.ndarray]) -> float:
+        features, _ = choice
+        ridge = kernel_ridge.fit(features[some], data.y[some])
+        predicted = kernel_ridge.predict(ridge, features[held_out])
+        return float(np.mean((predicted - data.y[held_out]) ** 2))
 
-    features, asked = min(choices, key=error)
-    return data.unscale(kernel_ridge.answers(kernel_ridge.fitted(features, data.y), asked))
+    features, test_features = min(choices, key=compute_error)
+    return data.unscale(kernel_ridge.predict(kernel_ridge.fit(features, data.y), test_features))
 
 
 def fit_mlp(codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray) -> np.ndarray:
-    """Predict by a network of two hidden layers, trained by AdamW; held-out groups stop it early."""
+    """Predict by a network with two hidden layers; held-out groups stop its training early."""
     data = _prepare(codes, targets, test_codes, groups)
     return data.unscale(_train(data, gaussian=False))
 
@@ -120,7 +121,7 @@ def fit_mlp(codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.nda
 def fit_trees(
     codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> np.ndarray:
-    """Predict by gradient-boosted trees, a forest for each column; held-out groups stop it early."""
+    """Predict each column by gradient-boosted trees; held-out groups stop them early."""
     data = _prepare(codes, targets, test_codes, groups)
     # threads that wait for each other on busy cores take many times as long
     with threadpool_limits(1, "openmp"):
@@ -133,13 +134,14 @@ def fit_neighbours(
 ) -> np.ndarray:
     """Predict by the mean of the nearest codes; held-out groups choose how many."""
     data = _prepare(codes, targets, test_codes, groups)
+    fitting, held_out = ~data.held_out, data.held_out
 
-    def error(count: int) -> float:
-        nearest = KNeighborsRegressor(count).fit(data.x[~data.held_out], data.y[~data.held_out])
-        return float(np.mean((nearest.predict(data.x[data.held_out]) - data.y[data.held_out]) ** 2))
+    def compute_error(count: int) -> float:
+        nearest = KNeighborsRegressor(count).fit(data.x[fitting], data.y[fitting])
+        return float(np.mean((nearest.predict(data.x[held_out]) - data.y[held_out]) ** 2))
 
-    possible = [count for count in NEIGHBOURS if count <= np.count_nonzero(~data.held_out)]
-    best = min(possible or [1], key=error)
+    possible = [count for count in NEIGHBOURS if count <= np.count_nonzero(fitting)]
+    best = min(possible or [1], key=compute_error)
     return data.unscale(KNeighborsRegressor(best).fit(data.x, data.y).predict(data.others))
 
 
@@ -155,25 +157,25 @@ FAMILIES: dict[str, Probe] = {
 def fit_gaussian(
     codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Predict mean and standard deviation of a normal distribution by the MLP's likelihood.
+    """Predict mean and standard deviation by an MLP that is trained by a normal likelihood.
 
     The deviation is not calibrated.
     """
     data = _prepare(codes, targets, test_codes, groups)
     mean, log_deviation = np.split(_train(data, gaussian=True), 2, axis=1)
-    return data.unscale(mean), np.exp(log_deviation) * data.reach
+    return data.unscale(mean), np.exp(log_deviation) * data.spread
 
 
-def _fit_forest(data: "_Data", wanted: np.ndarray) -> np.ndarray:
-    """Return the predictions (M,) of one column (N,)."""
-    learnt, held = ~data.held_out, data.held_out
+def _fit_forest(data: "_Data", column: np.ndarray) -> np.ndarray:
+    """Predict one column: (N,) -> (M,)."""
+    fitting, held = ~data.held_out, data.held_out
     trees = HistGradientBoostingRegressor(max_iter=TREES, early_stopping=True, random_state=0)
-    trees.fit(data.x[learnt], wanted[learnt], X_val=data.x[held], y_val=wanted[held])
+    trees.fit(data.x[fitting], column[fitting], X_val=data.x[held], y_val=column[held])
     return trees.predict(data.others)
 
 
 class _Best(NamedTuple):
-    """State of a training, and its parameters that did best on the held-out groups."""
+    """State of a training, with the parameters that did best on the held-out groups."""
 
     state: _State
     error: jax.Array
@@ -188,31 +190,32 @@ class _Data(NamedTuple):
     others: np.ndarray  # (M, D)
     held_out: np.ndarray  # (N,) bool
     centre: np.ndarray  # (K,)
-    reach: np.ndarray  # (K,)
+    spread: np.ndarray  # (K,)
 
     def unscale(self, y: np.ndarray) -> np.ndarray:
-        return self.centre + self.reach * y
+        return self.centre + self.spread * y
 
 
 def _prepare(
-    codes: Codes, wanted: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]
+    codes: Codes, targets: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]
 ) -> _Data:
     whitening = fit_whitening(codes)
-    centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
-    reach = np.where(reach > MIN_SPREAD, reach, 1)
+    centre = targets.mean(axis=0, dtype=np.float64)
+    spread = targets.std(axis=0, dtype=np.float64)
+    spread = np.where(spread > MIN_SPREAD, spread, 1)
     x, z = whitening.apply(codes), whitening.apply(others)
-    return _Data(x, (wanted - centre) / reach, z, mark_held_out(groups), centre, reach)
+    return _Data(x, (targets - centre) / spread, z, mark_held_out(groups), centre, spread)
 
 
 def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
-    """Return which examples (N,) belong to every fifth group."""
+    """Mark the examples (N,) of every fifth group."""
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
 
 
 def _train(data: _Data, gaussian: bool) -> np.ndarray:
-    learnt, held = ~data.held_out, data.held_out
-    parts = (data.x[learnt], data.y[learnt], data.x[held], data.y[held], data.others)
-    arrays = (jnp.asarray(part, jnp.float32) for part in parts)
+    fitting, held = ~data.held_out, data.held_out
+    parts = (data.x[fitting], data.y[fitting], data.x[held], data.y[held], data.others)
+    arrays = [jnp.asarray(part, jnp.float32) for part in parts]
     return np.asarray(_train_mlp(*arrays, gaussian=gaussian), np.float64)
 
 
@@ -225,17 +228,17 @@ def _train_mlp(
     others: jax.Array,
     gaussian: bool,
 ) -> jax.Array:
-    """Train on (x, y); predict for `others`: (M, K), or (M, 2 K), mean and log deviation."""
+    """Train on (x, y) and predict for `others`: (M, K), or mean and log deviation (M, 2 K)."""
     net = MLP(y.shape[1] * (2 if gaussian else 1))
     key = jax.random.key(0)
     params: VariableDict = net.init(key, x[:1])
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, STEPS), weight_decay=DECAY)
 
     def predict(params: VariableDict, x: jax.Array) -> jax.Array:
-        answer = jnp.asarray(net.apply(params, x))
+        outputs = jnp.asarray(net.apply(params, x))
         if not gaussian:
-            return answer
-        mean, log_deviation = jnp.split(answer, 2, axis=-1)
+            return outputs
+        mean, log_deviation = jnp.split(outputs, 2, axis=-1)
         return jnp.concatenate([mean, jnp.clip(log_deviation, *LOG_DEVIATIONS)], -1)
 
     def error(params: VariableDict, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -255,9 +258,10 @@ def _train_mlp(
 
     def check(carry: _Best, keys: jax.Array) -> tuple[_Best, None]:
         state, _ = jax.lax.scan(step, carry.state, keys)
-        off = error(state[0], x_held, y_held)
-        params = jax.tree.map(partial(jnp.where, off < carry.error), state[0], carry.params)
-        return _Best(state, jnp.minimum(off, carry.error), params), None
+        held_error = error(state[0], x_held, y_held)
+        better = held_error < carry.error
+        params = jax.tree.map(partial(jnp.where, better), state[0], carry.params)
+        return _Best(state, jnp.minimum(held_error, carry.error), params), None
 
     keys = jax.random.split(jax.random.fold_in(key, 1), (CHECKS, STEPS // CHECKS))
     start = _Best((params, optimiser.init(params)), error(params, x_held, y_held), params)

@@ -1,4 +1,6 @@
-"""What results say of recordings: which they are, how slides are paired, and what is scored."""
+"""Describe the recordings of a run: which they are, how slides are paired, what is scored."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,21 @@ from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
 
+RECORDED_COUNTS = ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")
+
+
+class ScoredContacts(NamedTuple):
+    """Contacts of a test, and the scores of those that could be scored; None if there are none."""
+
+    reader: Reader | None
+    scores: CollectedScores | None
+
+    def count_tested(self) -> int:
+        return 0 if self.reader is None else self.reader.length("test")
+
+    def count_scored(self) -> int:
+        return 0 if self.scores is None else len(self.scores.labels["number"])
+
 
 def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:
     settings = stored.settings
@@ -22,42 +39,34 @@ def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordin
         sensor=experiment.sensor.name,
         pins=experiment.sensor.pins,
         pins_sure=stored.metadata["pins"]["sure"],
-        **{
-            name: counts[name]
-            for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")
-        },
+        **{name: counts[name] for name in RECORDED_COUNTS},
         labelled=settings.labelled,
         notes=stored.metadata["notes"][:20],
     )
 
 
 def describe_pairing(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
-    """How slides are paired, and how far the partners' poses are off."""
+    """Describe how slides are paired, and how far the partners' poses are from theirs."""
     recorded = get_recorded(experiment)
     if recorded is None or slides is None:
         return Pairing("none", {})
-    shown: dict[str, dict[str, Scores | int]] = {}
+    gaps: dict[str, dict[str, Scores | int]] = {}
     for split in ("train", "test"):
         count = slides.length(split)
         if not count:
             continue
         gap = slides.take(split, np.arange(count), ("gap",))["gap"]
-        shown[split] = {"pairs": count}
+        gaps[split] = {"pairs": count}
         for target in targets:
             median, p95 = np.quantile(gap[:, target.column], (0.5, 0.95)).tolist()
-            shown[split][target.name] = {"median": median, "p95": p95}
-    return Pairing(recorded.pairing, shown)
-
-
-ScoredContacts = tuple[
-    Reader | None, CollectedScores | None
-]  # contacts of the test, and what was scored of them
+            gaps[split][target.name] = {"median": median, "p95": p95}
+    return Pairing(recorded.pairing, gaps)
 
 
 def describe_test(results: Results) -> str:
     """Name the recorded contacts that a run is tested on.
 
-    Runs of earlier versions do not say: they were tested on a random split of their own session.
+    Results of earlier versions do not say: they are of a random split of the run's own session.
     """
     if results.test_data == "other recordings":
         return results.test_data
@@ -67,19 +76,13 @@ def describe_test(results: Results) -> str:
 def count_test_contacts(
     stored: RecordedSet, slides: ScoredContacts, taps: ScoredContacts
 ) -> Counts:
-    """How many contacts there are by split, and how many of the test were scored, or left out."""
+    """Count contacts by split, and those of the test that were scored and left out."""
     written = stored.metadata["counts"]["written"]
-    all_slides, all_taps = (
-        0 if reader is None else reader.length("test") for reader, _ in (slides, taps)
-    )
-    test_poses, test_taps = (
-        0 if found is None else len(found.labels["number"]) for _, found in (slides, taps)
-    )
     return Counts(
         **{split: written[split] for split in SPLITS},
-        test_poses=test_poses,
-        test_taps=test_taps,
-        test_unsure=all_slides - test_poses,
-        unread_taps=all_taps - test_taps,
-        pin_images=0 if slides[1] is None else len(slides[1].kept_rows),
+        test_poses=slides.count_scored(),
+        test_taps=taps.count_scored(),
+        test_unsure=slides.count_tested() - slides.count_scored(),
+        unread_taps=taps.count_tested() - taps.count_scored(),
+        pin_images=0 if slides.scores is None else len(slides.scores.kept_rows),
     )

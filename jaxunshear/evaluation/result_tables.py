@@ -1,10 +1,10 @@
-"""From one number an image to the tables: pure functions of arrays, so they are tested without networks or data."""
+"""Build the tables of results from one number per contact, by pure functions of arrays."""
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from jaxunshear.evaluation.bootstrap import (
     LEVEL,
     RESAMPLES,
     compute_interval,
-    compute_intervals,
     resample_means,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, get_cell_target
@@ -21,7 +20,6 @@ from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
     Parts,
-    Poses,
     PoseSpread,
     Span,
     Spread,
@@ -29,9 +27,34 @@ from jaxunshear.results.run import (
 )
 
 Figure = TypeVar("Figure")
+OVERALL = "overall"
 PARTS = 3  # equal parts of the range of a size
 QUANTILES = (0.1, 0.5, 0.9)  # of the score of the contacts that are shown
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
+
+
+class Resampled(NamedTuple):
+    """Scores (N,) of some contacts by the names of `score.py`, with their resampled means."""
+
+    scores: Mapping[str, np.ndarray]
+    means: Mapping[str, np.ndarray]  # (RESAMPLES,)
+
+    def compute_mean(self, name: str) -> float | None:
+        values = self.scores[name]
+        return float(np.mean(values, dtype=np.float64)) if len(values) else None
+
+    def compute_interval(self, name: str) -> list[float]:
+        return compute_interval(self.means[name])
+
+
+def resample_part(
+    scores: Mapping[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
+) -> Resampled | None:
+    """Resample the scores of the contacts `inside` (N,) alone; None if there is none."""
+    if not inside.any():
+        return None
+    selected = {name: score[inside] for name, score in scores.items()}
+    return Resampled(selected, resample_means(selected, poses[inside], seed))
 
 
 def build_tables(
@@ -40,74 +63,91 @@ def build_tables(
     stimulus: np.ndarray,
     poses: np.ndarray,
     seed: int,
-    separate_scores: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
+    separate: Resampled | None = None,
 ) -> Tables:
-    """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
-    Poses of each stimulus alone stand under `pose_by_stimulus`.
+    """Build the tables of a test, with their 95 % intervals under `spread`.
 
-    `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
-    `stimulus` (N,); `poses` (N,) as `numbered_poses`. A stimulus without test contacts is null. Ratio: error over that on sheared images.
-    Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
-    Difference: disentangled less another network, contact by contact. `separate_scores`: scores of other contacts (M,) that join the tables of poses,
-    with their redrawn means.
+    A stimulus without test contacts is None. `pose_ratio` is the error over that on sheared images;
+    `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared -
+    tap), None if the slide does no damage; `difference` is disentangled less another network,
+    contact by contact.
+
+    Args:
+        scores: (N,) by the names of `score.py`, of whichever networks there are.
+        names: Stimuli, indexed by `stimulus` (N,).
+        poses: (N,) poses of the contacts, as `number_poses` numbers them.
+        separate: Scores of other contacts that join the tables of poses.
     """
-    groups = {name: stimulus == index for index, name in enumerate(names)} | {
-        "overall": np.ones(len(stimulus), bool)
+    parts = {
+        name: resample_part(scores, stimulus == index, poses, seed)
+        for index, name in enumerate(names)
     }
-    redrawn = {
-        group: resample_means(
-            {name: score[inside] for name, score in scores.items()}, poses[inside], seed
-        )
-        for group, inside in groups.items()
-        if inside.any()
-    }
-    overall = redrawn["overall"]
-    similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
-    pose, pose_spread = _poses(scores | separate_scores[0], overall | separate_scores[1])
-    differences = {
-        name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")
-    }
+    overall = Resampled(scores, resample_means(scores, poses, seed))
+    tested_poses = overall
+    if separate is not None:
+        tested_poses = Resampled({**scores, **separate.scores}, {**overall.means, **separate.means})
+    pose_table = _tabulate_poses(tested_poses)
+    groups = {**parts, OVERALL: overall}
     return Tables(
-        ms_ssim={
-            kind: {
-                group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()
-            }
-            for kind in similar
-        },
-        **vars(pose),
+        ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
+        pose_mae=pose_table.pose_mae,
+        pose_ratio=pose_table.pose_ratio,
+        pose_recovery=pose_table.pose_recovery,
         pose_by_stimulus={
-            name: _tabulate_poses(scores, groups[name], redrawn[name]) if name in redrawn else None
-            for name in names
+            name: None if part is None else _tabulate_poses(part) for name, part in parts.items()
         },
-        difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
-        swap={
-            cell: CodeSwapScore(
-                target=get_cell_target(cell),
-                **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS},
-            )
-            for cell in CELLS
-            if f"swap/{cell}/mse" in scores
-        },
+        difference=_tabulate_differences(overall, Resampled.compute_mean),
+        swap=_tabulate_swaps(overall),
         spread=Spread(
-            what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, each with all its slides",
+            what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, "
+            "each with all its slides",
             over=INTERVALS_OVER,
             resamples=RESAMPLES,
             seed=seed,
-            ms_ssim={
-                kind: {
-                    group: compute_interval(redrawn[group][f"ms_ssim/{kind}"])
-                    if group in redrawn
-                    else None
-                    for group in groups
-                }
-                for kind in similar
-            },
-            **vars(pose_spread),
-            difference=_by_kind(
-                {place: compute_interval(overall[name]) for place, name in differences.items()}
-            ),
+            ms_ssim=_tabulate_similarity(groups, Resampled.compute_interval),
+            pose_mae=pose_table.spread.pose_mae,
+            pose_recovery=pose_table.spread.pose_recovery,
+            difference=_tabulate_differences(overall, Resampled.compute_interval),
         ),
     )
+
+
+def _tabulate_similarity(
+    groups: Mapping[str, Resampled | None], compute: Callable[[Resampled, str], Figure]
+) -> dict[str, dict[str, Figure | None]]:
+    """Tabulate a figure of the MS-SSIM by kind and group of contacts."""
+    overall = groups[OVERALL]
+    assert overall is not None
+    table: dict[str, dict[str, Figure | None]] = {}
+    for kind in KINDS:
+        name = f"ms_ssim/{kind}"
+        if name in overall.scores:
+            table[kind] = {
+                group: None if part is None else compute(part, name)
+                for group, part in groups.items()
+            }
+    return table
+
+
+def _tabulate_differences(
+    overall: Resampled, compute: Callable[[Resampled, str], Figure]
+) -> dict[str, dict[str, Figure]]:
+    """Tabulate a figure of `difference/<kind>/<quantity>` by kind and quantity."""
+    table: dict[str, dict[str, Figure]] = {}
+    for name in overall.scores:
+        if name.startswith("difference/"):
+            _, kind, quantity = name.split("/")
+            table.setdefault(kind, {})[quantity] = compute(overall, name)
+    return table
+
+
+def _tabulate_swaps(overall: Resampled) -> dict[str, CodeSwapScore]:
+    table = {}
+    for cell in CELLS:
+        if f"swap/{cell}/mse" in overall.scores:
+            means = {name: overall.compute_mean(f"swap/{cell}/{name}") for name in CELL_METRICS}
+            table[cell] = CodeSwapScore(target=get_cell_target(cell), **means)
+    return table
 
 
 def tabulate_by_size(
@@ -118,121 +158,133 @@ def tabulate_by_size(
     poses: np.ndarray,
     seed: int,
 ) -> Parts:
-    """What `build_tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
-    shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
-    parts, nor has a test without poses."""
-    felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
-    if least == most or not felt:
+    """Tabulate poses by a size (N,) of the slides, mm, in PARTS equal parts of its range.
+
+    The size is an indentation depth, as a shallow touch shows little of a pose even as a tap, or a
+    length. A part without test contacts is None; a range of zero has no parts, nor has a test
+    without poses.
+    """
+    pose_scores = {name: score for name, score in scores.items() if name.startswith("pose/")}
+    if least == most or not pose_scores:
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
     part = np.digitize(size, bounds[1:-1])
-    digits = max(
-        1, 1 - math.floor(math.log10(bounds[1] - bounds[0]))
-    )  # as many as distinguish the parts
-    found: dict[str, PartPoses | None] = {}
+    # as many digits as distinguish the parts
+    digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))
+    table: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
-        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = tabulate_part(
-            felt, part == index, poses, seed
-        )
-    return found
+        name = f"{low:.{digits}f}-{high:.{digits}f} mm"
+        table[name] = tabulate_part(pose_scores, part == index, poses, seed)
+    return table
 
 
 def tabulate_part(
     scores: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
 ) -> PartPoses | None:
-    """Give what `build_tables` says of poses, of the contacts `inside` (N,) alone; None if there is none."""
-    if not inside.any():
-        return None
-    again = resample_means(
-        {name: score[inside] for name, score in scores.items()}, poses[inside], seed
-    )
-    return _tabulate_poses(scores, inside, again)
+    """Tabulate poses over the contacts `inside` (N,) alone; None if there is none."""
+    part = resample_part(scores, inside, poses, seed)
+    return None if part is None else _tabulate_poses(part)
 
 
 def add_estimators(
-    found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
+    tables: Tables, scored: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
 ) -> Tables:
-    """`build_tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
-    of how many images they are, `reader_images`.
+    """Add the errors of pose estimators other than PoseNet, with their intervals.
 
-    `read`: scores (N,) by `read/<reader>/<kind>/<quantity>`, NaN of images that were not read, beside others; and their poses (N,).
+    `readers` are the errors by estimator, kind and quantity, and `reader_images` the number of
+    images that they come from.
+
+    Args:
+        tables: The tables of `build_tables`.
+        scored: Scores (N,) by `read/<estimator>/<kind>/<quantity>`, among others, NaN for images
+            without an estimate; and the poses (N,) of these contacts.
+        seed: Seed of the bootstrap.
     """
     means: dict[str, dict[str, dict[str, float | None]]] = {}
     spans: dict[str, dict[str, dict[str, Span]]] = {}
     counts: dict[str, dict[str, dict[str, int]]] = {}
-    for scores, poses in read:
-        for place in (place for place in scores if place.startswith("read/")):
-            _, reader, kind, quantity = place.split("/")
-            finite = np.isfinite(scores[place])
-            values = {quantity: scores[place][finite]}
-            span = (
-                compute_intervals(values, poses[finite], seed)[quantity] if finite.any() else None
-            )
-            means.setdefault(reader, {}).setdefault(kind, {})[quantity] = _mean(values[quantity])
-            spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
-            counted = {"read": int(finite.sum()), "left_out": int((~finite).sum())}
-            counts.setdefault(reader, {})[kind] = counted
+    for scores, poses in scored:
+        for name, score in scores.items():
+            if not name.startswith("read/"):
+                continue
+            _, estimator, kind, quantity = name.split("/")
+            finite = np.isfinite(score)
+            part = resample_part({name: score}, finite, poses, seed)
+            mean = None if part is None else part.compute_mean(name)
+            span = None if part is None else part.compute_interval(name)
+            means.setdefault(estimator, {}).setdefault(kind, {})[quantity] = mean
+            spans.setdefault(estimator, {}).setdefault(kind, {})[quantity] = span
+            counts.setdefault(estimator, {})[kind] = {
+                "read": int(finite.sum()),
+                "left_out": int((~finite).sum()),
+            }
     return replace(
-        found, readers=means, reader_images=counts, spread=replace(found.spread, readers=spans)
+        tables, readers=means, reader_images=counts, spread=replace(tables.spread, readers=spans)
     )
 
 
-def _tabulate_poses(
-    scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]
-) -> PartPoses:
-    """What `build_tables` says of poses, of the contacts `inside` (N,) alone."""
-    found, spread = _poses({name: score[inside] for name, score in scores.items()}, redrawn)
-    return PartPoses(**vars(found), spread=spread)
+class _PoseErrors(NamedTuple):
+    """Errors of one kind of contact by quantity: their mean, and resampled means (RESAMPLES,)."""
+
+    mean: dict[str, float | None]
+    resampled: dict[str, np.ndarray]
 
 
-def _poses(
-    scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]
-) -> tuple[Poses, PoseSpread]:
-    """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
-    names = {
-        kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")]
-        for kind in POSE_KINDS
-    }
-    felt = [kind for kind in POSE_KINDS if names[kind]]
-    kinds_unsheared = (
-        [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+def _tabulate_poses(part: Resampled) -> PartPoses:
+    """Tabulate pose errors, their ratios and recoveries, with intervals."""
+    errors = _group_pose_errors(part)
+    ratios: dict[str, dict[str, float | None]] = {}
+    recoveries: dict[str, dict[str, float | None]] = {}
+    recovery_spans: dict[str, dict[str, Span]] = {}
+    tap, sheared = errors.get("tap"), errors.get("sheared")
+    for kind, unsheared in errors.items():
+        if sheared is None or kind in ("tap", "sheared"):
+            continue
+        ratios[kind] = {
+            name: _compute_ratio(error, sheared.mean[name])
+            for name, error in unsheared.mean.items()
+        }
+        if tap is None:
+            continue
+        recoveries[kind] = {
+            name: _compute_recovery(sheared.mean[name], error, tap.mean[name])
+            for name, error in unsheared.mean.items()
+        }
+        recovery_spans[kind] = {
+            name: _compute_recovery_interval(sheared.resampled[name], means, tap.resampled[name])
+            for name, means in unsheared.resampled.items()
+        }
+    return PartPoses(
+        pose_mae={kind: error.mean for kind, error in errors.items()},
+        pose_ratio=ratios,
+        pose_recovery=recoveries,
+        spread=PoseSpread(
+            pose_mae={kind: _compute_spans(error.resampled) for kind, error in errors.items()},
+            pose_recovery=recovery_spans,
+        ),
     )
-    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
-    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
-    found = Poses(
-        pose_mae=error,
-        pose_ratio={
-            kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]}
-            for kind in kinds_unsheared
-        },
-        pose_recovery={
-            kind: {
-                q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q])
-                for q in names[kind]
-            }
-            for kind in kinds_unsheared
-            if "tap" in felt
-        },
-    )
-    return found, PoseSpread(
-        pose_mae={
-            kind: {q: compute_interval(redone[kind][q]) for q in names[kind]} for kind in felt
-        },
-        pose_recovery={
-            kind: {
-                q: _compute_recovery_interval(
-                    redone["sheared"][q], redone[kind][q], redone["tap"][q]
-                )
-                for q in names[kind]
-            }
-            for kind in kinds_unsheared
-            if "tap" in felt
-        },
-    )
+
+
+def _group_pose_errors(part: Resampled) -> dict[str, _PoseErrors]:
+    """Group pose errors by those of POSE_KINDS that there are."""
+    errors = {}
+    for kind in POSE_KINDS:
+        prefix = f"pose/{kind}/"
+        names = {name.removeprefix(prefix): name for name in part.scores if name.startswith(prefix)}
+        if names:
+            errors[kind] = _PoseErrors(
+                {quantity: part.compute_mean(name) for quantity, name in names.items()},
+                {quantity: part.means[name] for quantity, name in names.items()},
+            )
+    return errors
+
+
+def _compute_spans(resampled: Mapping[str, np.ndarray]) -> dict[str, Span]:
+    return {name: compute_interval(means) for name, means in resampled.items()}
 
 
 def summarise_contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """Mean, median, 95th percentile and largest of what the simulator says of its contacts, each field (N,)."""
+    """Summarise what the simulator reports of its contacts, each field (N,)."""
     return {
         name: {
             "mean": float(np.mean(values, dtype=np.float64)),
@@ -245,7 +297,10 @@ def summarise_contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[s
 
 
 def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
-    """Indices of contacts to show: for each stimulus those at QUANTILES of the score, worst first, none twice."""
+    """Select contacts to show: for each stimulus those at QUANTILES of the score, worst first.
+
+    Returns indices, none twice.
+    """
     chosen: list[int] = []
     for index in np.unique(stimulus):
         inside = np.flatnonzero(stimulus == index)
@@ -254,35 +309,23 @@ def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
     return np.array(chosen, np.int64)
 
 
-def _mean(values: np.ndarray) -> float | None:
-    return float(np.mean(values, dtype=np.float64)) if len(values) else None
-
-
-def _ratio(error: float | None, sheared: float | None) -> float | None:
+def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
     return error / sheared if error is not None and sheared else None
 
 
-def _recovery(sheared: float | None, unsheared: float | None, tap: float | None) -> float | None:
+def _compute_recovery(
+    sheared: float | None, unsheared: float | None, tap: float | None
+) -> float | None:
     if sheared is None or unsheared is None or tap is None or sheared <= tap:
         return None
     return (sheared - unsheared) / (sheared - tap)
 
 
-def _compute_recovery_interval(
-    sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray
-) -> list[float] | None:
-    """Interval of the recovery; null where in some draw the slide does no damage, as the figure then has no bounds."""
-    return (
-        None
-        if np.any(sheared <= tap)
-        else compute_interval((sheared - unsheared) / (sheared - tap))
-    )
+def _compute_recovery_interval(sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray) -> Span:
+    """Compute the interval of the recovery from resampled errors.
 
-
-def _by_kind(figures: Mapping[str, Figure]) -> dict[str, dict[str, Figure]]:
-    """{"<kind>/<column>": ...} as {kind: {column: ...}}."""
-    found: dict[str, dict[str, Figure]] = {}
-    for place, figure in figures.items():
-        kind, column = place.split("/")
-        found.setdefault(kind, {})[column] = figure
-    return found
+    None if the slide does no damage in one of the resamples, as the recovery then has no bounds.
+    """
+    if np.any(sheared <= tap):
+        return None
+    return compute_interval((sheared - unsheared) / (sheared - tap))

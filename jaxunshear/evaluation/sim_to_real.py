@@ -1,19 +1,21 @@
-"""Networks that learnt in simulation, scored on recordings of an edge: from simulation to skin.
+"""Score networks that learned in simulation on recordings of an edge.
 
 >>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
 >>> results.pose_mae["unsheared"]["Rz_deg"]
 
-What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
-it goes with the labels: a sign and an offset each. The other half is scored, and every slide; no reading is fitted to slides.
-Unsheared pins are read with a zero of their own, that of unsheared taps: the network moves real taps a little, and all of them alike.
-With the zero of taps as recorded, unsheared slides are scored once more (`UNSHEARED_RAW_OFFSET`).
-For networks over pins, where pins rest is the mean over some of the contacts themselves: of taps for taps, of slides for slides.
+Half of the recorded taps, drawn at random, align predictions with labels (`label_alignment`). The
+other half is scored, and every slide; nothing is fitted to slides. Unsheared slides have an
+alignment of their own, by unsheared taps, because the network moves all real taps a little and
+alike. With the alignment of taps as recorded, unsheared slides are scored once more
+(`UNSHEARED_RAW_OFFSET`). For networks over pins, the rest positions are the mean over some of the
+contacts themselves: of taps for taps, of slides for slides.
 
-Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
-in common with the networks, and with the simulator that they learnt in.
+Networks over pins are also evaluated by kernel ridge regression, which learns the pose from the
+pins of those same taps. It has nothing in common with the networks or with their simulator.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -22,22 +24,18 @@ import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
-from jaxunshear.config.targets import (
-    MIN_VARIATION,
-    RECORDED_FIELDS,
-    Target,
-    list_target_names,
-    make_label_targets,
-)
+from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.data.recorded_contacts import (
-    RecordedContacts,
-    find_common_view,
-    read_test_contacts,
-)
-from jaxunshear.data.recordings import read_image
+from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.contact_predictions import ContactPredictions, predict_contacts
+from jaxunshear.evaluation.label_alignment import (
+    LabelAlignment,
+    align_to_labels,
+    choose_scored_labels,
+    get_label,
+)
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
@@ -49,33 +47,29 @@ from jaxunshear.evaluation.pose_estimators import (
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
-from jaxunshear.perception.preprocess import prepare_frame
-from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
 from jaxunshear.results.training_summaries import read_training_facts
 
-BATCH = 32
-SEED = 0  # of the taps that show how readings and labels go together
-UNSHEARED_RAW_OFFSET = (
-    "unsheared_raw_zero"  # unsheared slides, read with the zero of taps as recorded
-)
-LABEL_TARGETS = {
-    "x_mm": "edge_mm",
-    "y_mm": "edge_mm",
-    "z_mm": "depth_mm",
-    "Rz_deg": "edge_deg",
-}  # what goes with a label
+SEED = 0  # of the taps that align predictions with labels
+UNSHEARED_RAW_OFFSET = "unsheared_raw_zero"  # unsheared slides, aligned by taps as recorded
+METRIC = {
+    "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset "
+    "of each reading by half of the recorded taps, which are unsheared where slides are; "
+    f"{UNSHEARED_RAW_OFFSET}: by these taps as recorded",
+    "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+    "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the "
+    "recorded taps",
+}
+
+Errors = dict[str, float]  # mean absolute errors by label
 
 
-class LabelAlignment(NamedTuple):
-    """label = sign * reading + offset."""
+class _Predictions(NamedTuple):
+    """Predictions for the taps that align them with labels, for other taps, and for slides."""
 
-    target: str
-    sign: int
-    offset: float
-
-    def __call__(self, poses: dict[str, np.ndarray]) -> np.ndarray:
-        return self.sign * poses[self.target] + self.offset
+    alignment_taps: ContactPredictions
+    test_taps: ContactPredictions
+    slides: ContactPredictions
 
 
 def score_transfer(
@@ -85,57 +79,32 @@ def score_transfer(
     command: str,
     network: Perceiver | None = None,
 ) -> Results:
-    """Results in the names of results.json, of the networks at `model` or of `network`. Raises UserError where the recordings hold no
-    labelled taps and slides of one edge."""
+    """Score the networks at `model`, or `network`, on recordings of an edge.
+
+    Returns results in the form of results.json. Raises UserError if the recordings hold no labelled
+    taps and slides of one edge.
+    """
     started = time.perf_counter()
     paired, _ = require_simulated(experiment, "this")
-    settings = Recorded(
-        str(recordings),
-        str(recordings),
-        compute_digest((str(recordings),)),
-        preprocess=paired.preprocess,
+    digest = compute_digest((str(recordings),))
+    settings = Recorded(str(recordings), str(recordings), digest, preprocess=paired.preprocess)
+    predictions = _predict_all(experiment, model, network, settings)
+    labels = choose_scored_labels(
+        predictions.alignment_taps.poses[AS_RECORDED], predictions.alignment_taps.labels
     )
-    contacts = read_test_contacts(settings)
-    contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
-    taps, slides = (
-        contacts.take(np.flatnonzero(contacts.is_slide == slid)) for slid in (False, True)
-    )
-    for kind, found in (("taps", taps), ("slides", slides)):
-        if len(found.files) < MIN_FRAMES:
-            raise UserError(
-                f"{recordings} holds {len(found.files)} labelled {kind}: at least {MIN_FRAMES} are needed to score by"
-            )
-    known_half = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
-    (of_taps, tap_pins), (of_slides, slide_pins) = (
-        _read(experiment, model, network, settings, *kind)
-        for kind in ((taps, "taps"), (slides, "slides"))
-    )
-    if UNSHEARED not in of_slides:
-        raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    names = choose_scored_labels(
-        _select_rows(of_taps[AS_RECORDED], known_half), taps.pose[known_half]
-    )
-    mae = _score_ways(names, known_half, (of_taps, taps.pose), (of_slides, slides.pose))
-    tap_read, slide_read = (
-        np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides)
-    )
+    pose_mae = _score_networks(labels, predictions)
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
-        metric={
-            "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
-            f"recorded taps, which are unsheared where slides are; {UNSHEARED_RAW_OFFSET}: by these taps as recorded",
-            "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
-            "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the recorded taps",
-        },
+        metric=METRIC,
         settings=asdict(experiment),
         pin_error={},
         test_data="other recordings",
-        targets=tuple(Target(name, *RECORDED_FIELDS[name]) for name in names),
-        pose_mae=mae,
-        pose_recovery={"unsheared": _recovery(mae)},
-        readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
-        counts=_count(known_half, tap_read, slide_read),
+        targets=tuple(Target(name, *RECORDED_FIELDS[name]) for name in labels),
+        pose_mae=pose_mae,
+        pose_recovery={"unsheared": _compute_recovery(pose_mae)},
+        readers=_score_ridge(labels, predictions),
+        counts=_count_contacts(predictions),
         time_s={"evaluate": time.perf_counter() - started},
         **read_training_facts(model, experiment.networks),
         **describe_provenance(command),
@@ -143,201 +112,137 @@ def score_transfer(
     return round_values(results)
 
 
-def _score_ways(
-    names: tuple[str, ...],
-    known_half: np.ndarray,
-    taps: tuple[dict[str, dict[str, np.ndarray]], np.ndarray],
-    slides: tuple[dict[str, dict[str, np.ndarray]], np.ndarray],
-) -> dict[str, dict[str, float]]:
-    """Return mean absolute errors by way and label, of readings with their labels (N, 6).
+def _predict_all(
+    experiment: Experiment, model: Path, network: Perceiver | None, settings: Recorded
+) -> _Predictions:
+    """Predict all labelled contacts. Raises UserError if there are too few, or no predictions."""
+    contacts = read_test_contacts(settings)
+    contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
+    # crop and rest positions are found in contacts of the training split: here in all of them
+    contacts = contacts._replace(split=np.zeros(len(contacts.files), int))
+    groups = {
+        "taps": contacts.take(np.flatnonzero(~contacts.is_slide)),
+        "slides": contacts.take(np.flatnonzero(contacts.is_slide)),
+    }
+    for kind, group in groups.items():
+        if len(group.files) < MIN_FRAMES:
+            raise UserError(
+                f"{settings.slide_folder} holds {len(group.files)} labelled {kind}: "
+                f"at least {MIN_FRAMES} are needed to score by"
+            )
+    predictions = {}
+    for kind, group in groups.items():
+        perceiver = network
+        if perceiver is None:
+            perceiver = _load_network(experiment, model, group, settings)
+        predictions[kind] = predict_contacts(perceiver, group, f"read {kind}")
+        if not predictions[kind].poses:
+            raise UserError(
+                f"{model} holds no trained PoseNet: what it reads off recordings is what is scored"
+            )
+    taps, slides = predictions["taps"], predictions["slides"]
+    if UNSHEARED not in slides.poses:
+        raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
+    aligns = np.random.default_rng(SEED).random(len(taps.labels)) < 0.5
+    return _Predictions(taps.select(aligns), taps.select(~aligns), slides)
 
-    Sign and offset come from the known half of the taps.
+
+def _load_network(
+    experiment: Experiment, model: Path, contacts: RecordedContacts, settings: Recorded
+) -> Perceiver:
+    """Load networks; those over pins need the rest positions, which are found in the contacts."""
+    frame = None
+    if uses_pins(experiment):
+        frame = find_sensor_frame(contacts, settings, experiment.sensor)
+    return load_perceiver(model, experiment, True, frame)
+
+
+def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
+    """Compute the errors of the networks by kind of contact."""
+    alignment_taps, taps, slides = predictions
+    raw = _align(labels, alignment_taps, AS_RECORDED)
+    unsheared = _align(labels, alignment_taps, UNSHEARED)
+    return {
+        "tap": _compute_network_errors(raw, taps, AS_RECORDED),
+        "sheared": _compute_network_errors(raw, slides, AS_RECORDED),
+        "unsheared": _compute_network_errors(unsheared, slides, UNSHEARED),
+        UNSHEARED_RAW_OFFSET: _compute_network_errors(raw, slides, UNSHEARED),
+    }
+
+
+def _align(labels: Sequence[str], taps: ContactPredictions, kind: str) -> dict[str, LabelAlignment]:
+    return {name: align_to_labels(name, taps.poses[kind], taps.labels) for name in labels}
+
+
+def _compute_network_errors(
+    alignments: dict[str, LabelAlignment], contacts: ContactPredictions, kind: str
+) -> Errors:
+    poses = contacts.poses[kind]
+    finite = np.isfinite(next(iter(poses.values())))
+    if not finite.any():
+        return dict.fromkeys(alignments, float("nan"))
+    accepted = {name: values[finite] for name, values in poses.items()}
+    aligned = {name: alignment.apply(accepted) for name, alignment in alignments.items()}
+    return _compute_mean_errors(aligned, contacts.labels[finite])
+
+
+def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, dict[str, Errors]]:
+    """Compute the errors of kernel ridge regression over pins, by kind of contact.
+
+    Empty for networks over images, or if there are too few taps to learn from.
     """
-    (of_taps, tap_labels), (of_slides, slide_labels) = taps, slides
-    raw, after = (
-        {
-            name: align_to_labels(
-                name, _select_rows(of_taps[way], known_half), tap_labels[known_half]
-            )
-            for name in names
-        }
-        for way in (AS_RECORDED, UNSHEARED)
+    alignment_taps, taps, slides = predictions
+    if not alignment_taps.pins:
+        return {}
+    pins = alignment_taps.pins[AS_RECORDED]
+    identified = np.isfinite(pins).all(axis=(1, 2))
+    poses = alignment_taps.labels[identified]
+    estimator = fit_to_features(
+        compute_pin_features(pins[identified]), {"pose": poses}, make_label_targets(labels, poses)
     )
-    return {
-        "tap": _errors(
-            raw, _select_rows(of_taps[AS_RECORDED], ~known_half), tap_labels[~known_half]
-        ),
-        "sheared": _errors(raw, of_slides[AS_RECORDED], slide_labels),
-        "unsheared": _errors(after, of_slides[UNSHEARED], slide_labels),
-        UNSHEARED_RAW_OFFSET: _errors(raw, of_slides[UNSHEARED], slide_labels),
+    if estimator is None:
+        return {}
+    errors = {
+        "tap": _compute_ridge_errors(estimator, taps, AS_RECORDED),
+        "sheared": _compute_ridge_errors(estimator, slides, AS_RECORDED),
+        "unsheared": _compute_ridge_errors(estimator, slides, UNSHEARED),
     }
+    return {PIN_PLACES: errors}
 
 
-def _count(known_half: np.ndarray, tap_read: np.ndarray, slide_read: np.ndarray) -> Counts:
+def _compute_ridge_errors(
+    estimator: RidgeEstimator, contacts: ContactPredictions, kind: str
+) -> Errors:
+    """Compute errors over the contacts whose pins were identified."""
+    pins = contacts.pins[kind]
+    identified = np.isfinite(pins).all(axis=(1, 2))
+    if not identified.any():
+        return dict.fromkeys(list_target_names(estimator.targets), float("nan"))
+    poses = estimate_poses(estimator, compute_pin_features(pins[identified]))
+    return _compute_mean_errors(poses, contacts.labels[identified])
+
+
+def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Errors:
+    true = {name: get_label(name, labels) for name in poses}
+    return {name: float(error.mean()) for name, error in compute_pose_errors(poses, true).items()}
+
+
+def _compute_recovery(pose_mae: dict[str, Errors]) -> dict[str, float | None]:
+    """Compute the share of the slide's damage that is undone; None if the slide does none."""
+    recovery: dict[str, float | None] = {}
+    for name, tap in pose_mae["tap"].items():
+        sheared, unsheared = pose_mae["sheared"][name], pose_mae["unsheared"][name]
+        damage = sheared - tap
+        recovery[name] = (sheared - unsheared) / damage if damage > 0 else None
+    return recovery
+
+
+def _count_contacts(predictions: _Predictions) -> Counts:
+    alignment_taps, taps, slides = predictions
     return Counts(
-        known_taps=int((known_half & tap_read).sum()),
-        test_taps=int((~known_half & tap_read).sum()),
-        test_poses=int(slide_read.sum()),
-        unread_taps=int((~tap_read).sum()),
-        test_unsure=int((~slide_read).sum()),
+        known_taps=alignment_taps.count_accepted(),
+        test_taps=taps.count_accepted(),
+        test_poses=slides.count_accepted(),
+        unread_taps=alignment_taps.count_rejected() + taps.count_rejected(),
+        test_unsure=slides.count_rejected(),
     )
-
-
-def _score_reader(
-    names: tuple[str, ...],
-    known: np.ndarray,
-    taps: tuple[np.ndarray, dict[str, np.ndarray]],
-    slides: tuple[np.ndarray, dict[str, np.ndarray]],
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Errors by way of a reader that learns from the taps `known` (T,); of taps and slides labels (N, 6) and pins by way
-    (N, P, 2) px. Empty where there are no pins, or too few taps to learn from."""
-    (tap_pose, tap_pins), (slide_pose, slide_pins) = taps, slides
-    if not tap_pins:
-        return {}
-    sure = known & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
-    targets = make_label_targets(names, tap_pose[sure])
-    reader = fit_to_features(
-        compute_pin_features(tap_pins[AS_RECORDED][sure]), {"pose": tap_pose[sure]}, targets
-    )
-    seen = {
-        "tap": (tap_pins[AS_RECORDED][~known], tap_pose[~known]),
-        "sheared": (slide_pins[AS_RECORDED], slide_pose),
-        "unsheared": (slide_pins[UNSHEARED], slide_pose),
-    }
-    if not reader:
-        return {}
-    return {
-        PIN_PLACES: {
-            way: _compute_estimator_errors(reader, pins, labels)
-            for way, (pins, labels) in seen.items()
-        }
-    }
-
-
-def choose_scored_labels(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
-    """The labels (N, 6) that vary and that something was read for. Raises UserError where both x and y vary: an edge leaves one open."""
-    columns = {name: labels[:, column] for name, (_, column) in RECORDED_FIELDS.items()}
-    names = tuple(
-        n
-        for n, reads in LABEL_TARGETS.items()
-        if reads in readings and np.ptp(columns[n]) > MIN_VARIATION
-    )
-    if not names or {"x_mm", "y_mm"} <= set(names):
-        raise UserError(
-            "these labels are not of a straight edge, across which x or y varies: only such can be scored"
-        )
-    return names
-
-
-def align_to_labels(
-    name: str, readings: dict[str, np.ndarray], labels: np.ndarray
-) -> LabelAlignment:
-    """By the taps (N,) that could be read: the sign with the least scatter, and the median offset, of an angle the mean direction."""
-    reads, column = LABEL_TARGETS[name], RECORDED_FIELDS[name][1]
-    read, label = readings[reads], labels[:, column]
-    fine = np.isfinite(read)
-    if not fine.any():
-        raise UserError("no tap could be read: these are not images of the model's sensor")
-    found = []
-    for sign in (1, -1):
-        rest = label[fine] - sign * read[fine]
-        if name.endswith("_deg"):
-            mean = np.mean(np.exp(1j * np.radians(rest)))
-            found.append(
-                (1 - abs(mean), LabelAlignment(reads, sign, float(np.degrees(np.angle(mean)))))
-            )
-        else:
-            found.append((float(np.std(rest)), LabelAlignment(reads, sign, float(np.median(rest)))))
-    return min(found, key=lambda each: each[0])[1]
-
-
-def _read(
-    experiment: Experiment,
-    model: Path,
-    network: Perceiver | None,
-    settings: Recorded,
-    contacts: RecordedContacts,
-    kind: str,
-) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray]]:
-    """Poses by way and quantity, (N,) each, and pins by way, (N, P, 2) px, of networks over pins; NaN where a contact could not be
-    read."""
-    contacts = contacts._replace(
-        split=np.zeros(len(contacts.files), int)
-    )  # all alike: whoever seeks training frames finds them
-    if network is None:
-        frame = (
-            find_sensor_frame(contacts, settings, experiment.sensor)
-            if uses_pins(experiment)
-            else None
-        )
-        network = load_perceiver(model, experiment, True, frame)
-    view = network.view or find_common_view(contacts, network.preprocess)
-    found: dict[str, dict[str, np.ndarray]] = {}
-    pins: dict[str, np.ndarray] = {}
-    size = network.preprocess.size
-    with Progress(f"read {kind}", len(contacts.files), "frames") as progress:
-        for start in range(0, len(contacts.files), BATCH):
-            files = contacts.files[start : start + BATCH]
-            images = np.zeros((BATCH, size, size), np.uint8)
-            for i, file in enumerate(files):
-                try:
-                    images[i] = prepare_frame(network.preprocess, read_image(file), view)
-                except UserError:
-                    continue  # left black, which is not understood
-            answers = network.predict(images)
-            for way, poses in answers.poses.items():
-                for name, values in poses.items():
-                    full = found.setdefault(way, {}).setdefault(
-                        name, np.full(len(contacts.files), np.nan)
-                    )
-                    full[start : start + len(files)] = values[: len(files)]
-            for way, there in answers.pins.items():
-                full = pins.setdefault(
-                    way, np.full((len(contacts.files), *there.shape[1:]), np.nan)
-                )
-                full[start : start + len(files)] = there[: len(files)]
-            progress.advance(len(files))
-    if not found:
-        raise UserError(
-            f"{model} holds no trained PoseNet: what it reads off recordings is what is scored"
-        )
-    return found, pins
-
-
-def _select_rows(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: values[rows] for name, values in poses.items()}
-
-
-def _errors(
-    aligned: dict[str, LabelAlignment], poses: dict[str, np.ndarray], labels: np.ndarray
-) -> dict[str, float]:
-    fine = np.isfinite(next(iter(poses.values())))
-    if not fine.any():
-        return dict.fromkeys(aligned, float("nan"))
-    return _mean_errors(
-        {name: each(_select_rows(poses, fine)) for name, each in aligned.items()}, labels[fine]
-    )
-
-
-def _compute_estimator_errors(
-    reader: RidgeEstimator, pins: np.ndarray, labels: np.ndarray
-) -> dict[str, float]:
-    """Of the contacts whose pins (N, P, 2) px are known."""
-    sure = np.isfinite(pins).all(axis=(1, 2))
-    if not sure.any():
-        return dict.fromkeys(list_target_names(reader.targets), float("nan"))
-    return _mean_errors(estimate_poses(reader, compute_pin_features(pins[sure])), labels[sure])
-
-
-def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
-    true = {name: labels[:, RECORDED_FIELDS[name][1]] for name in found}
-    return {name: float(error.mean()) for name, error in compute_pose_errors(found, true).items()}
-
-
-def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:
-    """None where a slide spoils nothing."""
-    lost = {name: mae["sheared"][name] - mae["tap"][name] for name in mae["tap"]}
-    return {
-        n: (mae["sheared"][n] - mae["unsheared"][n]) / by if by > 0 else None
-        for n, by in lost.items()
-    }

@@ -1,9 +1,11 @@
-"""The slide as a signal: read from both codes, with an uncertainty.
+"""Estimate the slide from both codes, with an uncertainty.
 
-A small network learns mean and deviation of each quantity from the codes of training slides. Its deviations are then stretched until
-the intervals hold 95 % of the validation slides (split conformal: no distribution is assumed), and are tested on others.
+A small network learns mean and deviation of each quantity from the codes of training slides. Its
+deviations are then scaled until the intervals contain 95 % of the validation slides (split
+conformal: no distribution is assumed), and are tested on others.
 
-A slide that has slipped cannot be seen in full: where all the skin that touches slips, what was commanded and what is felt are two things.
+Once all the skin that touches slips, the camera does not show how far the sensor went: the
+commanded slide and the shear of the skin differ.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +16,7 @@ from jaxunshear.evaluation.bootstrap import LEVEL, compute_interval, resample_me
 from jaxunshear.evaluation.probes import fit_gaussian
 from jaxunshear.files import Json
 
-MIN_SLIP_SHARE = (
-    0.99  # share of the touching skin that slips, from which on a slide counts as slipped
-)
+MIN_SLIP_SHARE = 0.99  # share of the touching skin that slips in a slide that counts as slipped
 SEED = 0
 
 Quantities = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
@@ -29,39 +29,49 @@ def estimate_slides(
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
 ) -> list[Json]:
-    """A row a quantity. `codes` (N, F) and `targets` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
-    test poses; `slipped` (M,) which test slides have, where that is known."""
-    names = list(targets[0])
-    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in targets)
-    count = len(calibrating)
-    mean, deviation = fit_gaussian(codes[0], learnt, np.concatenate(codes[1:]), groups)
-    off = np.abs(mean[:count] - calibrating) / deviation[:count]
-    reach = np.quantile(off, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
-    error, width = mean[count:] - true, reach * deviation[count:]
-    parts = {"": np.ones(len(true), bool)}
+    """Estimate the slides of a test, and return a row of errors for each quantity.
+
+    Args:
+        codes: (N, F) of training, validation and test slides.
+        targets: The slides of these three.
+        groups: (N,) poses of training slides.
+        poses: (M,) poses of test slides.
+        slipped: (M,) which test slides have slipped, if that is known.
+    """
+    training_codes, *other_codes = codes
+    training, validation, true = [_stack_quantities(each) for each in targets]
+    count = len(validation)
+    mean, deviation = fit_gaussian(training_codes, training, np.concatenate(other_codes), groups)
+    scores = np.abs(mean[:count] - validation) / deviation[:count]
+    scale = np.quantile(scores, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
+    error, half_width = mean[count:] - true, scale * deviation[count:]
+    parts = {"all": np.ones(len(true), bool)}
     if slipped is not None:
         parts |= {"sticking": ~slipped, "slipped": slipped}
     rows = []
-    for column, name in enumerate(names):
+    for column, name in enumerate(targets[0]):
         for part, inside in parts.items():
             if inside.any():
-                scores = _scores(error[inside, column], width[inside, column], poses[inside])
+                row = {"name": name, "part": part, "slides": int(inside.sum())}
                 rows.append(
-                    {"name": name, "part": part or "all", "slides": int(inside.sum()), **scores}
+                    row | _score(error[inside, column], half_width[inside, column], poses[inside])
                 )
     return rows
 
 
 def is_slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """(N,) bool of numbers of nodes (N,) that stick and that slip."""
+    """Say (N,) which slides have slipped, by the numbers of nodes that stick and that slip."""
     return slips >= MIN_SLIP_SHARE * np.maximum(stuck + slips, 1)
 
 
-def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> Json:
-    covered = (np.abs(error) <= width).astype(np.float64)
-    means = resample_means(
-        {"mae": np.abs(error), "square": error**2, "coverage": covered}, poses, SEED
-    )
+def _stack_quantities(quantities: Quantities) -> np.ndarray:
+    return np.concatenate(list(quantities.values()), axis=1)
+
+
+def _score(error: np.ndarray, half_width: np.ndarray, poses: np.ndarray) -> Json:
+    covered = (np.abs(error) <= half_width).astype(np.float64)
+    scores = {"mae": np.abs(error), "square": error**2, "coverage": covered}
+    means = resample_means(scores, poses, SEED)
     return {
         "mae": float(np.abs(error).mean()),
         "mae interval": compute_interval(means["mae"]),
@@ -69,5 +79,5 @@ def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> Json:
         "rmse interval": compute_interval(np.sqrt(means["square"])),
         "coverage": float(covered.mean()),
         "coverage interval": compute_interval(means["coverage"]),
-        "half_width": float(width.mean()),
+        "half_width": float(half_width.mean()),
     }

@@ -1,7 +1,7 @@
-"""Errors of the edge's angle where it is unambiguous: the nearest edge has one direction there.
+"""Score the edge angle where it is unambiguous: where the nearest edge has one direction.
 
-gathered = mark_smooth(gathered, settings)          # adds the label SMOOTH
-found = score_edge_angles(gathered, poses, seed)     # `pose_smooth` of the results
+scores = mark_smooth(scores, settings)            # adds the label SMOOTH
+part = score_edge_angles(scores, poses, seed)     # `pose_smooth` of the results
 """
 
 import numpy as np
@@ -20,22 +20,23 @@ SMOOTH_NOTE = (
 )
 
 
-def mark_smooth(gathered: CollectedScores, settings: PairedData) -> CollectedScores:
+def mark_smooth(collected: CollectedScores, settings: PairedData) -> CollectedScores:
     """Add the label SMOOTH (N,): whether the nearest edge has one direction."""
-    smooth = has_one_edge(settings.stimuli, gathered.labels["stimulus"], gathered.labels["pose"])
-    return gathered._replace(labels=gathered.labels | {SMOOTH: smooth})
+    labels = collected.labels
+    smooth = has_one_edge(settings.stimuli, labels["stimulus"], labels["pose"])
+    return collected._replace(labels=labels | {SMOOTH: smooth})
 
 
-def score_edge_angles(gathered: CollectedScores, poses: np.ndarray, seed: int) -> PartPoses | None:
-    """Give what `result_tables.build_tables` says of edge angles, of the contacts that are marked SMOOTH.
+def score_edge_angles(collected: CollectedScores, poses: np.ndarray, seed: int) -> PartPoses | None:
+    """Tabulate the errors of edge angles over the contacts that are marked SMOOTH.
 
     `poses` (N,) are the poses that the contacts belong to. None if no contact is marked, or no edge
     angle is predicted.
     """
     angles = {
         name: score
-        for name, score in gathered.scores.items()
+        for name, score in collected.scores.items()
         if name.startswith("pose/") and name.endswith(f"/{EDGE}")
     }
-    inside = gathered.labels.get(SMOOTH)
+    inside = collected.labels.get(SMOOTH)
     return tabulate_part(angles, inside, poses, seed) if angles and inside is not None else None

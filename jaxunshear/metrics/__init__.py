@@ -1,4 +1,4 @@
-"""Measures of images, pins and poses: pure functions on arrays."""
+"""Measures of images, pins and poses, by pure functions of arrays."""
 
 from jaxunshear.metrics.images import count_scales, format_ms_ssim_name, ms_ssim, mse, ssim
 from jaxunshear.metrics.pose_error import compute_pose_errors

@@ -1,9 +1,9 @@
 """Standard scores of disentanglement, by block: pose code and shear code are the blocks.
 
-The scores of the literature ask whether each *number* of a code holds one factor. A pose code of 16
-numbers need not separate x from yaw, so these versions ask whether each *block* holds its own factors.
-MIG: Chen et al. 2018; SAP: Kumar et al. 2018; DCI: Eastwood and Williams 2018; bins and their number as
-in disentanglement_lib (Locatello et al. 2019).
+The scores of the literature measure whether each *number* of a code contains one factor. A pose
+code of 16 numbers need not separate x from yaw, so these versions measure whether each *block*
+contains its own factors. MIG: Chen et al. 2018; SAP: Kumar et al. 2018; DCI: Eastwood and Williams
+2018; bins and their number as in disentanglement_lib (Locatello et al. 2019).
 """
 
 from typing import NamedTuple
@@ -18,46 +18,50 @@ TREES = 100
 
 
 class Blocks(NamedTuple):
-    """Codes of N contacts with their factors; a block owns the factors that it should hold."""
+    """Codes of N contacts with their factors; a block owns the factors that it should contain."""
 
     codes: Float[np.ndarray, "N D"]
     block: Int[np.ndarray, "D"]  # 0 or 1, of each number of the codes
     factors: Float[np.ndarray, "N K"]
-    owner: Int[np.ndarray, "K"]  # the block that should hold each factor
+    owner: Int[np.ndarray, "K"]  # the block that should contain each factor
 
 
 def score_mig(data: Blocks) -> float:
-    """Return the mutual information gap of blocks: 1 if each factor is in its own block alone, 0 if in both.
+    """Compute the mutual information gap of blocks.
 
-    A block knows of a factor what its best number knows, in shares of the factor's entropy.
+    It is 1 if each factor is in its own block alone, 0 if it is in both. The information of a block
+    is that of its best number, in shares of the factor's entropy.
     """
     codes, factors = _discretise(data.codes), _discretise(data.factors)
-    known = np.zeros((2, data.factors.shape[1]))
+    information = np.zeros((2, data.factors.shape[1]))
     for number, block in enumerate(data.block):
-        for k in range(known.shape[1]):
+        for k in range(information.shape[1]):
             shared = mutual_info_score(codes[:, number], factors[:, k])
             entropy = mutual_info_score(factors[:, k], factors[:, k])
-            known[block, k] = max(known[block, k], shared / max(entropy, 1e-12))
-    return _gap(known, data.owner)
+            information[block, k] = max(information[block, k], shared / max(entropy, 1e-12))
+    return _compute_gap(information, data.owner)
 
 
 def score_sap(train: Blocks, test: Blocks) -> float:
-    """Return the separated attribute predictability of blocks, by R2 of a line from the best single number."""
-    known = np.zeros((2, train.factors.shape[1]))
+    """Compute the separated attribute predictability of blocks.
+
+    The predictability of a factor is the R2 of a line from the best single number of a block.
+    """
+    r2 = np.zeros((2, train.factors.shape[1]))
     for number, block in enumerate(train.block):
-        for k in range(known.shape[1]):
+        for k in range(r2.shape[1]):
             slope, offset = np.polyfit(train.codes[:, number], train.factors[:, k], 1)
             truth = test.factors[:, k]
             error = np.mean((slope * test.codes[:, number] + offset - truth) ** 2)
-            known[block, k] = max(known[block, k], 1 - error / max(truth.var(), 1e-12))
-    return _gap(known, train.owner)
+            r2[block, k] = max(r2[block, k], 1 - error / max(truth.var(), 1e-12))
+    return _compute_gap(r2, train.owner)
 
 
 def score_dci(train: Blocks, test: Blocks) -> dict[str, float]:
-    """Return disentanglement, completeness and informativeness of blocks, by extremely randomised trees.
+    """Compute disentanglement, completeness and informativeness by extremely randomised trees.
 
-    Disentanglement: a block serves one kind of factor. Completeness: a factor is served by one block.
-    Informativeness: mean R2 on the test contacts.
+    Disentanglement: a block serves one kind of factor. Completeness: a factor is served by one
+    block. Informativeness: mean R2 on the test contacts.
     """
     importance = np.zeros((2, train.factors.shape[1]))
     r2 = []
@@ -69,25 +73,25 @@ def score_dci(train: Blocks, test: Blocks) -> dict[str, float]:
     kinds = np.stack([importance[:, train.owner == owner].mean(axis=1) for owner in (0, 1)], axis=1)
     weights = kinds.sum(axis=1) / kinds.sum()
     return {
-        "disentanglement": float(np.sum(weights * (1 - _entropy(kinds)))),
-        "completeness": float(np.mean(1 - _entropy(importance.T))),
+        "disentanglement": float(np.sum(weights * (1 - _compute_entropy(kinds)))),
+        "completeness": float(np.mean(1 - _compute_entropy(importance.T))),
         "informativeness": float(np.mean(r2)),
     }
 
 
 def _discretise(values: Float[np.ndarray, "N D"]) -> Int[np.ndarray, "N D"]:
-    """Return the bin of each number, BINS of equal width over its range."""
+    """Discretise each number to BINS of equal width over its range."""
     low, high = values.min(axis=0), values.max(axis=0)
     share = (values - low) / np.where(high > low, high - low, 1)
     return np.minimum((share * BINS).astype(int), BINS - 1)
 
 
-def _gap(known: Float[np.ndarray, "2 K"], owner: Int[np.ndarray, "K"]) -> float:
+def _compute_gap(scores: Float[np.ndarray, "2 K"], owner: Int[np.ndarray, "K"]) -> float:
     columns = np.arange(len(owner))
-    return float(np.mean(known[owner, columns] - known[1 - owner, columns]))
+    return float(np.mean(scores[owner, columns] - scores[1 - owner, columns]))
 
 
-def _entropy(shares: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
-    """Return the entropy of each row, in bits."""
+def _compute_entropy(shares: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
+    """Compute the entropy of each row, in bits."""
     p = shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
     return -np.sum(p * np.log2(np.maximum(p, 1e-12)), axis=1)

@@ -1,11 +1,12 @@
-"""How alike two images are: MS-SSIM, SSIM and mean squared error, one number an image.
+"""Similarity of two images: MS-SSIM, SSIM and mean squared error, one number per image.
 
-MS-SSIM after Wang, Simoncelli and Bovik (2003), with the constants that TensorFlow and pytorch-msssim use: an 11x11
-Gaussian window of 1.5 pixels, applied only where it fits, K = (.01, .03), 2x2 means between scales.
+MS-SSIM is that of Wang, Simoncelli and Bovik (2003), with the constants of TensorFlow and
+pytorch-msssim: an 11x11 Gaussian window of 1.5 pixels, applied only where it fits, K = (.01, .03),
+and 2x2 means between scales.
 
-The choice that is not obvious: windows and means are separable, so each is a product with a small band matrix from the
-left and one from the right. On a CPU two matrix products are faster than a convolution with one channel, and their
-gradient is two more of them.
+Windows and means are separable, so each is a product with a small band matrix from the left and one
+from the right. On a CPU two matrix products are faster than a convolution with one channel, and
+their gradient is two more of them.
 
 >>> ms_ssim(unsheared, tap, scales=count_scales(128))   # (B, 128, 128, 1) in [0, 1] -> (B,)
 """
@@ -24,11 +25,11 @@ WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
 C1, C2 = 0.01**2, 0.03**2  # of a dynamic range of 1
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the scales, finest first
-_NOTHING = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean: 0
+_NEAR_ZERO = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean
 
 
 def count_scales(size: int) -> int:
-    """How many scales of MS-SSIM fit an image of `size` pixels: at most 5, and the window must fit each; 0 below 11."""
+    """Count the scales of MS-SSIM whose window fits images of `size` pixels: 0 to 5."""
     scales = 0
     while scales < len(WEIGHTS) and size >= WINDOW:
         scales, size = scales + 1, -(-size // 2)
@@ -36,20 +37,22 @@ def count_scales(size: int) -> int:
 
 
 def format_ms_ssim_name(scales: int) -> str:
-    """The name a figure is reported under: `ms_ssim` only with all five scales, `ms_ssim@4` and the like otherwise."""
+    """Format the name of a figure: `ms_ssim` with all five scales, else `ms_ssim@4` and so on."""
     return "ms_ssim" if scales == len(WEIGHTS) else f"ms_ssim@{scales}"
 
 
 def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
-    """Multi-scale structural similarity of (B, H, W, 1) images in [0, 1], 1 for equal images.
+    """Compute the multi-scale structural similarity of (B, H, W, 1) images in [0, 1].
 
-    Contrast-structure at all scales but the coarsest, full SSIM there; each is averaged over its image, clamped at 0
-    and raised to its weight. With fewer than five scales the first weights are used, made to sum to 1: another
-    quantity, to be reported under another name (`format_ms_ssim_name`). Images of odd size repeat their last row or column
-    before a 2x2 mean. Values and gradients of finite images are finite; where a clamped factor makes the value 0, so is the
-    gradient. An image with a NaN scores NaN.
+    It is 1 for equal images: the product of contrast-structure at all scales but the coarsest, and
+    of SSIM there, each averaged over its image, clamped at 0 and raised to its weight. With fewer
+    than five scales the first weights are scaled to sum to 1. That is another quantity, with
+    another name (`format_ms_ssim_name`). Images of odd size repeat their last row or column before
+    a 2x2 mean. Values and gradients of finite images are finite; if a clamped factor makes the
+    value 0, the gradient is 0, too. An image with a NaN scores NaN.
 
-    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales that are no integer.
+    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales
+    that are no integer.
     """
     a, b = _check_images(a, b)
     if not isinstance(scales, int | np.integer) or not 1 <= scales <= len(WEIGHTS):
@@ -65,9 +68,9 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
 
 
 def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
-    """Structural similarity (Wang 2004), averaged over the image, of (B, H, W, 1) images in [0, 1]: in [-1, 1].
+    """Compute the mean structural similarity (Wang 2004) of (B, H, W, 1) images in [0, 1].
 
-    Raises `ValueError` as `ms_ssim` does.
+    It lies in [-1, 1]. Raises `ValueError` as `ms_ssim` does.
     """
     a, b = _check_images(a, b)
     if min(a.shape[1:3]) < WINDOW:
@@ -78,13 +81,16 @@ def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
 
 
 def mse(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
-    """Mean squared error of (B, H, W, 1) images in [0, 1]. Raises `ValueError` as `ms_ssim` does."""
+    """Compute the mean squared error of (B, H, W, 1) images in [0, 1].
+
+    Raises `ValueError` as `ms_ssim` does.
+    """
     a, b = _check_images(a, b)
     return jnp.mean(jnp.square(a - b), axis=(1, 2, 3))
 
 
 def _check_images(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
-    """Both as floating point of at least 32 bits."""
+    """Return both as floating point of at least 32 bits."""
     a, b = jnp.asarray(a), jnp.asarray(b)
     if a.shape != b.shape or a.ndim != 4 or a.shape[-1] != 1:
         raise ValueError(
@@ -108,47 +114,56 @@ def _ms_ssim(a: Array, b: Array, scales: int) -> Array:
     value = jnp.ones(a.shape[0], a.dtype)
     *finer, coarsest = weights.tolist()
     for weight in finer:
-        _, contrast = _local(a, b)
+        _, contrast = _compute_local_scores(a, b)
         value = value * _power(contrast, weight)
-        a, b = _both_sides(_halving, a), _both_sides(_halving, b)
-    similarity, _ = _local(a, b)
+        a, b = _multiply_sides(_make_halving, a), _multiply_sides(_make_halving, b)
+    similarity, _ = _compute_local_scores(a, b)
     return value * _power(similarity, coarsest)
 
 
 @jax.jit
 def _ssim(a: Array, b: Array) -> Array:
-    return _local(a[..., 0], b[..., 0])[0]
+    similarity, _ = _compute_local_scores(a[..., 0], b[..., 0])
+    return similarity
 
 
-def _local(a: Array, b: Array) -> tuple[Array, Array]:
-    """SSIM and contrast-structure of (B, H, W) pairs, each averaged over its image -> (B,), (B,)."""
-    # as what is lacking to 1, not as (2 cov + C2) / (var + C2): that cancels in bright flat images, and goes beyond 1
-    mean_a, mean_b, squares, apart = _both_sides(
-        _blur, jnp.stack([a, b, a * a + b * b, jnp.square(a - b)])
+def _compute_local_scores(a: Array, b: Array) -> tuple[Array, Array]:
+    """Compute SSIM and contrast-structure (B,) of (B, H, W) pairs, averaged over each image."""
+    # as what is lacking to 1, not as (2 cov + C2) / (var + C2): that cancels in bright flat images,
+    # and goes beyond 1
+    terms = jnp.stack([a, b, a * a + b * b, jnp.square(a - b)])
+    mean_a, mean_b, squares, difference = _multiply_sides(_make_blur, terms)
+    brightness = mean_a * mean_a + mean_b * mean_b
+    mean_difference = jnp.square(mean_a - mean_b)
+    contrast = 1 - jnp.maximum(difference - mean_difference, 0) / (
+        jnp.maximum(squares - brightness, 0) + C2
     )
-    bright = mean_a * mean_a + mean_b * mean_b
-    off = jnp.square(mean_a - mean_b)
-    contrast = 1 - jnp.maximum(apart - off, 0) / (jnp.maximum(squares - bright, 0) + C2)
-    luminance = 1 - off / (bright + C1)
+    luminance = 1 - mean_difference / (brightness + C1)
     return jnp.mean(luminance * contrast, axis=(1, 2)), jnp.mean(contrast, axis=(1, 2))
 
 
 def _power(x: Array, weight: float) -> Array:
-    """max(x, 0) ** weight, whose gradient at and below 0 is 0 rather than infinite or NaN. A NaN stays one."""
-    nothing = x <= _NOTHING
-    return jnp.where(nothing, 0, jnp.where(nothing, 1, x) ** weight)
+    """Compute max(x, 0) ** weight with a gradient of 0, not infinite or NaN, at and below 0.
+
+    A NaN stays one.
+    """
+    is_zero = x <= _NEAR_ZERO
+    return jnp.where(is_zero, 0, jnp.where(is_zero, 1, x) ** weight)
 
 
-def _both_sides(matrix: Callable[[int], np.ndarray], images: Array) -> Array:
-    """matrix(H) @ image @ matrix(W).T over all leading axes, in full float32 also where the device would use less."""
-    rows = jnp.asarray(matrix(images.shape[-2]), images.dtype)
-    columns = jnp.asarray(matrix(images.shape[-1]), images.dtype)
+def _multiply_sides(make_matrix: Callable[[int], np.ndarray], images: Array) -> Array:
+    """Compute matrix(H) @ image @ matrix(W).T over all leading axes, in full float32.
+
+    A device could otherwise use fewer bits.
+    """
+    rows = jnp.asarray(make_matrix(images.shape[-2]), images.dtype)
+    columns = jnp.asarray(make_matrix(images.shape[-1]), images.dtype)
     right = jnp.matmul(images, columns.T, precision="highest")
     return jnp.matmul(rows, right, precision="highest")
 
 
-def _blur(size: int) -> np.ndarray:
-    """(size - 10, size) band matrix: the Gaussian window at every place where it fits."""
+def _make_blur(size: int) -> np.ndarray:
+    """Make the (size - 10, size) band matrix with the Gaussian window at every place it fits."""
     kernel = np.exp(-0.5 * ((np.arange(WINDOW) - WINDOW // 2) / SIGMA) ** 2)
     kernel /= kernel.sum()
     matrix = np.zeros((size - WINDOW + 1, size))
@@ -157,8 +172,8 @@ def _blur(size: int) -> np.ndarray:
     return matrix
 
 
-def _halving(size: int) -> np.ndarray:
-    """(ceil(size / 2), size): means of neighbouring pairs; a last one without a partner is its own."""
+def _make_halving(size: int) -> np.ndarray:
+    """Make the (ceil(size / 2), size) matrix of means of neighbours; a last one stays alone."""
     matrix = np.zeros((-(-size // 2), size))
     for column in range(size):
         matrix[column // 2, column] = 0.5

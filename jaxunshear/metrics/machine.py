@@ -1,4 +1,4 @@
-"""On what, and with which code and versions, a figure was measured."""
+"""Describe the machine, the code and the versions that a figure was measured with."""
 
 import os
 import platform
@@ -17,7 +17,10 @@ PACKAGES = (
 
 
 def describe_provenance(command: str, *more: str) -> Json:
-    """Return the fields that every result has: its command, code, machine, and versions, those of `more` with them."""
+    """Return the fields that every result has: command, code, machine and versions.
+
+    The versions include those of the packages `more`.
+    """
     return {
         "command": command,
         "source": read_source(),
@@ -27,31 +30,31 @@ def describe_provenance(command: str, *more: str) -> Json:
 
 
 def describe_machine() -> Machine:
-    """Processor, usable cores, memory in GiB, system and JAX device of this machine."""
+    """Describe the processor, usable cores, memory, system and JAX device of this machine."""
     import jax
 
     device = jax.devices()[0]
     return Machine(
-        processor=_processor(),
+        processor=_read_processor(),
         cores=count_cores(),
-        memory_gib=_memory_gib(),
+        memory_gib=_read_memory_gib(),
         system=f"{platform.system()} {platform.machine()}",
         device=f"{device.platform}: {device.device_kind}",
     )
 
 
 def list_versions(*more: str) -> dict[str, str]:
-    """Versions of Python, of each package that shapes the numbers, and of `more`; packages not installed are left out."""
-    found = {"python": platform.python_version()}
+    """List the versions of Python, of PACKAGES and of `more`, if they are installed."""
+    versions = {"python": platform.python_version()}
     for package in (*PACKAGES, *more):
         try:
-            found[package] = metadata.version(package)
+            versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
-def _processor() -> str:
+def _read_processor() -> str:
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -61,8 +64,8 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _memory_gib() -> int:
-    """0 where the system does not say."""
+def _read_memory_gib() -> int:
+    """Read the size of the memory; 0 if the system does not report it."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)
     except (ValueError, OSError, AttributeError):

@@ -1,6 +1,7 @@
-"""Pin error: how far the pins seen in an image stand from where they should.
+"""Pin error: the distance of the pins in an image from their true positions.
 
-Similarity of images is blind to a grid shifted by a full pitch; centroids matched one to one are not.
+Similarity of images does not change if the lattice is shifted by a full pitch; the distance of
+centroids that are matched one to one does.
 """
 
 from typing import NamedTuple
@@ -13,32 +14,35 @@ from jaxunshear.perception.pin_detection import find_pins
 
 
 class PinMatch(NamedTuple):
-    """Pins matched one to one: distances (K,) of the pairs, how many true pins were missed, how many found are extra."""
+    """Detected pins that are matched to true ones, one to one."""
 
-    error_px: np.ndarray
-    missed: int
-    extra: int
+    error_px: np.ndarray  # (K,) distances of the matches
+    missed: int  # true pins without a match
+    extra: int  # detected pins without a match
 
 
 def match_pins(
-    found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float
+    detected: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float
 ) -> PinMatch:
-    """Found pins to true pins, px, one to one with the least sum of squares; none beyond `limit_px`."""
-    if len(found) == 0 or len(true) == 0:
-        return PinMatch(np.zeros(0), len(true), len(found))
-    distance = np.linalg.norm(np.asarray(found)[:, None] - np.asarray(true)[None], axis=-1)
-    # Beyond the limit all are equally bad: a far outlier must not bend the pairs of the others.
+    """Match detected to true pins, px, within `limit_px`, by the least sum of squares."""
+    if len(detected) == 0 or len(true) == 0:
+        return PinMatch(np.zeros(0), len(true), len(detected))
+    distance = np.linalg.norm(np.asarray(detected)[:, None] - np.asarray(true)[None], axis=-1)
+    # All distances beyond the limit cost the same: an outlier must not change the other matches.
     rows, columns = linear_sum_assignment(np.minimum(distance, 2 * limit_px) ** 2)
     error = distance[rows, columns]
     error = error[error <= limit_px]
-    return PinMatch(error, len(true) - len(error), len(found) - len(error))
+    return PinMatch(error, len(true) - len(error), len(detected) - len(error))
 
 
 def measure_pin_error(
     images: UInt8[np.ndarray, "B S S"], true_px: Float[np.ndarray, "B P 2"], limit_px: float
 ) -> dict[str, float]:
-    """`rms_px`, the root mean square distance of the pins found in images, white from half of full scale on, from true pins px as
-    (column, row), matched within `limit_px`, NaN where none matched; `missed_per_image` and `extra_per_image`.
+    """Measure the distances of the pins that are detected in images from true ones.
+
+    `rms_px` is the root mean square distance of pins, px as (column, row), that match within
+    `limit_px`, NaN if none does; `missed_per_image` and `extra_per_image` count those without a
+    match. Pixels from half of full scale on are white.
     """
     matches = [
         match_pins(find_pins(image), true, limit_px)

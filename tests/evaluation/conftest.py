@@ -17,7 +17,10 @@ from jaxunshear.training.trainer import get_compile_options
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
-    """The folder of a run with all networks at 32 px; of the two PoseNets, one learnt poses from twice the lateral range."""
+    """Write the folder of a run with all networks at 32 px.
+
+    Of the two PoseNets, one learnt poses from twice the lateral range.
+    """
     folder = tmp_path_factory.mktemp("run")
     net = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
     pose_net = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)

@@ -61,9 +61,13 @@ def test_rows_give_which_image_was_drawn(drawn):
         "DS(z_p,z_s of another)": jnp.asarray(sheared[::-1]),
         "DS(z_p,z_s)": jnp.asarray(sheared),
     }
-    big = lambda x: jnp.repeat(jnp.repeat(x, 4, axis=1), 4, axis=2)  # noqa: E731  MS-SSIM wants more pixels
-    own, other = (big(jnp.asarray(images)) for images in (sheared, sheared[::-1]))
-    scores = score_cells(jax.tree.map(big, perfect), big(tap), own, other)
+
+    def enlarge(images):  # MS-SSIM needs more pixels
+        return jnp.repeat(jnp.repeat(jnp.asarray(images), 4, axis=1), 4, axis=2)
+
+    scores = score_cells(
+        jax.tree.map(enlarge, perfect), enlarge(tap), enlarge(sheared), enlarge(sheared[::-1])
+    )
     rows = {
         row["name"]: row
         for row in build_rows({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))

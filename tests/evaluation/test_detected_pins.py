@@ -1,4 +1,4 @@
-"""Pins found in simulated images: which pairs are scored, what is said of them, and what is compared with what."""
+"""Pins detected in simulated images: which pairs are scored, and what is compared with what."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,8 +19,8 @@ from jaxunshear.evaluation.detected_pins import (
     detect_pairs,
     iterate_batches,
 )
-from jaxunshear.evaluation.evaluate import build_results
 from jaxunshear.evaluation.network_outputs import make_pin_run
+from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
@@ -40,7 +40,7 @@ def drawn(pins):
 
 
 class Reader:
-    """Three taps at rest, and slides that move all pins alike; the images of `black` slides show nothing."""
+    """Three taps at rest, and slides that move all pins alike; `black` slides show nothing."""
 
     def __init__(self, black=()):
         self.black = list(black)

@@ -1,4 +1,4 @@
-"""From arrays to results.json with networks and data made up here: an oracle, and networks that do nothing."""
+"""From arrays to results.json with an oracle, networks that do nothing, and made-up data."""
 
 import io
 import json
@@ -9,10 +9,11 @@ import pytest
 from jaxunshear.config.data import PairedData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.evaluation.evaluate import build_results, encode_montage, encode_scores
 from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
-from jaxunshear.evaluation.score_collection import BATCH, FIELDS, collect_scores
+from jaxunshear.evaluation.score_collection import BATCH, FIELDS, Scorer, collect_scores
+from jaxunshear.evaluation.score_files import encode_montage, encode_scores
+from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.evaluation.unambiguous_edges import mark_smooth
 
 SIZE, PITCH = 128, 8
@@ -60,7 +61,10 @@ def batches(full, size):
 
 
 def oracle(full, sizes=None, step=4):
-    """Networks that unshear perfectly (disentangled) or not at all (entangled), and pose errors known by kind."""
+    """Make networks that unshear perfectly (disentangled) or not at all (entangled).
+
+    Pose errors are known by kind.
+    """
     wrong = {"tap": 0.0, "sheared": 4.0, "entangled": 4.0, "disentangled": 1.0}
     place = [0]
 
@@ -84,7 +88,7 @@ def oracle(full, sizes=None, step=4):
 @pytest.fixture(scope="module")
 def gathered():
     full = contacts()
-    return collect_scores(oracle(full), batches(full, 4), total=9, keep=7, targets=TARGETS)
+    return collect_scores(Scorer(oracle(full), TARGETS), batches(full, 4), total=9, keep=7)
 
 
 @pytest.fixture(scope="module")
@@ -215,20 +219,20 @@ def test_measurements_of_results_have_the_bars(results):
 
 def test_batches_of_any_size_gather_the_same(gathered):
     full, sizes = contacts(), []
-    other = collect_scores(
-        oracle(full, sizes, 9), batches(full, 9), total=9, keep=7, targets=TARGETS
-    )
+    scorer = Scorer(oracle(full, sizes, 9), TARGETS)
+    other = collect_scores(scorer, batches(full, 9), total=9, keep=7)
     assert sizes == [(BATCH, BATCH)]
     for name in gathered.scores:
         np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
-    np.testing.assert_array_equal(gathered.kept, other.kept_rows)
+    np.testing.assert_array_equal(gathered.kept_rows, other.kept_rows)
     for kind in KINDS:
         np.testing.assert_array_equal(gathered.images[kind], other.images[kind])
 
 
 def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
     full, sizes = contacts(), []
-    found = collect_scores(oracle(full, sizes), batches(full, 4), total=9, keep=3, targets=TARGETS)
+    scorer = Scorer(oracle(full, sizes), TARGETS)
+    found = collect_scores(scorer, batches(full, 4), total=9, keep=3)
     assert sizes == [(BATCH, BATCH)] * 3
     assert all(len(value) == 9 for value in found.scores.values())
     assert found.kept_rows.tolist() == [0, 4, 8]

@@ -66,7 +66,7 @@ EXPERIMENT = Experiment(
 
 
 def simulate(sensor, names, scenes):
-    """Pins that move by x and y of the pose and by the slide as the sensor feels it, each its own way. Long slides slip."""
+    """Move pins by x and y of the pose and by the slide in the sensor frame. Long slides slip."""
     rng = np.random.default_rng(0)
     slide = rotate_2d(scenes.move, -np.radians(scenes.pose[:, 2]))
     given = np.concatenate([scenes.pose[:, :2] / 5, 3 * slide / 2.5], axis=1)
@@ -186,7 +186,7 @@ def test_independence_says_whether_it_would_have_found_a_leak(found):
 
 
 def test_a_planted_leak_is_found_by_the_test_of_independence():
-    """Nothing in the code, and a hundredth of its spread planted: p is large without the leak, and small with it."""
+    """A hundredth of the spread of a random code is planted: p is small with it alone."""
     rng = np.random.default_rng(5)
     code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
     test = probe_data.ProbeSplit(
@@ -319,7 +319,10 @@ def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
 
 
 def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
-    """End to end on the toy: partners come with the batches, what DS draws is compared with images, and z_s says the slide."""
+    """Partners come with the batches, reconstructions are compared with images, z_s says the slide.
+
+    End to end on the toy.
+    """
     losses = {"counterfactual": 1.0, "code_agreement": 0.1, "slide": 1.0}
     training = Training(epochs=1, batch=8, crop_px=8, losses={**Training.losses, **losses})
     net = UnshearNet(size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, apart=True)

@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.evaluation.kernel_ridge import FEWEST, answers, fitted
+from jaxunshear.evaluation import kernel_ridge
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     PIXELS,
@@ -85,14 +85,14 @@ def test_a_linear_pose_is_recovered_exactly(reader):
 
 def test_what_is_not_linear_is_learnt_by_a_gaussian():
     x = np.random.default_rng(0).uniform(-1, 1, (400, 2))
-    ridge = fitted(x, np.sin(4 * x))
+    ridge = kernel_ridge.fit(x, np.sin(4 * x))
     assert ridge.model.kernel == "rbf"
-    assert np.abs(answers(ridge, 0.9 * x) - np.sin(3.6 * x)).max() < 0.02
+    assert np.abs(kernel_ridge.predict(ridge, 0.9 * x) - np.sin(3.6 * x)).max() < 0.02
 
 
 def test_equal_examples_give_their_mean():
-    ridge = fitted(np.ones((20, 3)), np.arange(20.0)[:, None])
-    np.testing.assert_allclose(answers(ridge, np.ones((2, 3))), 9.5, rtol=1e-5)
+    ridge = kernel_ridge.fit(np.ones((20, 3)), np.arange(20.0)[:, None])
+    np.testing.assert_allclose(kernel_ridge.predict(ridge, np.ones((2, 3))), 9.5, rtol=1e-5)
 
 
 def test_the_same_taps_give_the_same_bits(reader):
@@ -101,7 +101,7 @@ def test_the_same_taps_give_the_same_bits(reader):
 
 
 def test_of_many_taps_some_are_learnt_from_and_of_too_few_nothing():
-    assert fit_estimator(PIN_PLACES, Taps(FEWEST - 1), TARGETS) is None
+    assert fit_estimator(PIN_PLACES, Taps(kernel_ridge.MIN_EXAMPLES - 1), TARGETS) is None
     assert fit_estimator(PIN_PLACES, Taps(20), ()) is None
     assert fit_estimator(PIN_PLACES, Taps(200), TARGETS, max_taps=30).taps == 30
 

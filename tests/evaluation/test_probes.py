@@ -55,7 +55,7 @@ def test_nothing_is_found_where_nothing_is(probe, codes):
 
 
 def plant_leak(rng, count):
-    """Return codes (N, 16) full of a pose, with two numbers of a slide in directions of 1 % of the spread."""
+    """Make codes (N, 16) of a pose, with a slide in two directions of 1 % of the spread."""
     pose, slide = rng.uniform(-1, 1, (count, 3)), rng.uniform(-1, 1, (count, 2))
     bends = np.concatenate([pose, np.sin(3 * pose), pose**2, pose[:, :1] * pose[:, 1:]], axis=1)
     mix = np.random.default_rng(7)
@@ -63,7 +63,7 @@ def plant_leak(rng, count):
 
 
 def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
-    """The probe of version 0.2.0 scaled number by number and stopped early for five quantities at once."""
+    """The probe of version 0.2.0 scaled each number, and stopped early for five quantities."""
     rng = np.random.default_rng(0)
     codes, slide = plant_leak(rng, COUNT)
     hidden = rng.uniform(-1, 1, (COUNT, 3))  # quantities that no code holds

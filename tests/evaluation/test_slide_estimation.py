@@ -10,7 +10,7 @@ COUNTS = (1500, 600, 900)
 
 
 def made(count):
-    """Codes that give a slide the less surely the larger their second number; the slide, and whether it has slipped."""
+    """Make codes whose noise grows with their last number, their slides, and which have slipped."""
     slide = RNG.uniform(-2.5, 2.5, (count, 2))
     doubt = RNG.uniform(0, 1, (count, 1))
     codes = np.concatenate(

@@ -1,6 +1,5 @@
-"""The stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
+"""The stage on files: networks on disk and a stand-in data set in, results and montage out."""
 
-import importlib
 import json
 import shutil
 from dataclasses import replace
@@ -12,6 +11,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation import simulated_evaluation
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.files import read_json, write_json
@@ -22,7 +22,6 @@ from jaxunshear.training import examples
 from jaxunshear.training.data_origin import describe_origin
 
 SIZE, COUNT = 32, 6
-STAGE = importlib.import_module("jaxunshear.evaluation.evaluate")  # the module, not its function
 
 
 class Reader:
@@ -76,11 +75,13 @@ class Reader:
 
 
 def _opens(monkeypatch, count):
-    for module in (STAGE, examples):
+    for module in (simulated_evaluation, examples):
         monkeypatch.setattr(
             module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
         )
-    monkeypatch.setattr(STAGE, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata)
+    monkeypatch.setattr(
+        simulated_evaluation, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata
+    )
 
 
 @pytest.fixture

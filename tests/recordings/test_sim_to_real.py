@@ -22,9 +22,10 @@ from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.serialization import to_json
 from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import sim_to_real
+from jaxunshear.evaluation import contact_predictions
+from jaxunshear.evaluation.label_alignment import align_to_labels, choose_scored_labels
 from jaxunshear.evaluation.other_recordings import format_table
-from jaxunshear.evaluation.sim_to_real import align_to_labels, choose_scored_labels, score_transfer
+from jaxunshear.evaluation.sim_to_real import UNSHEARED_RAW_OFFSET, score_transfer
 from jaxunshear.files import write_json
 from jaxunshear.inference.perceiver import (
     AS_RECORDED,
@@ -117,10 +118,10 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             for start in range(0, len(here), size):
                 yield here[np.minimum(np.arange(start, start + size), len(here) - 1)], float(slid)
 
-    asked = batches(sim_to_real.BATCH)
+    asked = batches(contact_predictions.BATCH)
 
     def values(seen):
-        assert len(seen.values) == sim_to_real.BATCH
+        assert len(seen.values) == contact_predictions.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):
@@ -152,7 +153,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
     assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
-    assert mae[sim_to_real.UNSHEARED_RAW_OFFSET] == pytest.approx(
+    assert mae[UNSHEARED_RAW_OFFSET] == pytest.approx(
         {"y_mm": 0.8, "z_mm": 0, "Rz_deg": 5}, abs=1e-3
     )
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.evaluation.evaluate import build_results, encode_montage
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.score_collection import CollectedScores
+from jaxunshear.evaluation.score_files import encode_montage
+from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.serialization import to_builtins
 
 VOID = {"meta", "img", "br"}

@@ -10,10 +10,15 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import recorded_evaluation
-from jaxunshear.evaluation.evaluate import encode_montage
 from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.recorded_results import build_results
+from jaxunshear.evaluation.recorded_scores import (
+    RecordedScores,
+    RecordedTest,
+    convert_montage_labels,
+)
 from jaxunshear.evaluation.score_collection import CollectedScores
+from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
 from jaxunshear.results.record_files import convert_record
@@ -121,11 +126,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     )
     targets = make_label_targets((), poses(np.random.default_rng(2), 200))
     readers = (reader if slides else None, reader if taps else None)
-    test = recorded_evaluation.RecordedTest(*readers, bool(slides and pairing), "same session")
+    test = RecordedTest(*readers, bool(slides and pairing), "same session")
     results = round_values(
-        to_builtins(
-            recorded_evaluation.build_results(experiment, stored, targets, slides, taps, test)
-        )
+        to_builtins(build_results(experiment, stored, targets, RecordedScores(slides, taps), test))
         | {
             "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
             "time_s": {"posenet": 341.0, "evaluate": 20.0},
@@ -143,7 +146,7 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     (folder / "results.json").write_text(json.dumps(results))
     if slides and pairing:
         (folder / "montage.npz").write_bytes(
-            encode_montage(("recorded",), recorded_evaluation.convert_montage_labels(slides))
+            encode_montage(("recorded",), convert_montage_labels(slides))
         )
     (folder / "posenet").mkdir()
     line = {
