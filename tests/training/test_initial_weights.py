@@ -20,9 +20,9 @@ from jaxunshear.models import unshearnet
 from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.initial_weights import (
     InitialWeights,
-    replace_weights,
     check_unseen,
     list_training_digests,
+    replace_weights,
     start_folder,
 )
 from jaxunshear.training.tasks import make_unshear_task

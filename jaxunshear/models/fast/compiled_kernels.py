@@ -3,7 +3,8 @@
 These are the gradients of convolution kernels, the layers next to the image, and the normalisation.
 The first training on a machine compiles them, in about 10 s, with the C++ compiler ($CXX, or c++)
 and the headers that JAX brings, and keeps them in the cache folder. Without a compiler, or with
-CXX=none, `conv.py`, `image_layers.py` and `norm.py` take XLA's forms, which are as exact, and slower.
+CXX=none, `conv.py`, `image_layers.py` and `norm.py` take XLA's forms, which are as exact, and
+slower.
 """
 
 import contextlib
@@ -179,7 +180,7 @@ def _convert_shape(shape: tuple[int, ...], source: str, target: str) -> tuple[in
 
 
 def _compute_band_shape(x: Array, source: str) -> tuple[int, ...]:
-    """Compute the shape of sums over bands of rows, of BAND floats at most if rows can be halved."""
+    """Compute the shape of sums over bands of rows, of BAND floats at most if possible."""
     b, rows, columns, channels = _convert_shape(x.shape, source, "plain")
     bands = 1
     while rows % (2 * bands) == 0 and rows // bands * columns * channels > BAND:

@@ -85,7 +85,10 @@ def _input_gradient(dy: Array, w: Array, border: int) -> Array:
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
-    """Compute dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
+    """Compute a kernel's gradient dw (k, k, C, N).
+
+    dw[i, j] is the sum over images and places of x[place + (i, j)] dy[place].
+    """
     if compiled_kernels.get_form() == "counted":
         return _convolve_gradient(x, dy)
     compute = _multiply_gradient

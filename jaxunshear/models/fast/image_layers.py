@@ -9,9 +9,9 @@ They are the convolution of the first layer, and the transposed one of the last 
 
 One channel would leave most of a vector unused. In XLA they are products of 6x6 *windows* of the
 image with blocks, which takes 2.25 times the multiplications. Compiled forms (compiled_kernels.py),
-which training takes if there are any, do without that. `gather`, `scatter` and `outer` are the three
-derivatives of one sum, sum image[2i-1+k, 2j-1+l] kernel[k, l, c] blocks[i, j, c], so each is a
-gradient of the others.
+which training takes if there are any, do without that. `gather`, `scatter` and `outer` are the
+three derivatives of one sum, sum image[2i-1+k, 2j-1+l] kernel[k, l, c] blocks[i, j, c], so each is
+a gradient of the others.
 """
 
 from collections.abc import Callable

@@ -15,7 +15,7 @@ from jaxunshear.models.layers import INIT, MOMENTUM
 
 
 class NormRelu(nn.Module):
-    """Batch normalisation and ReLU, see `norm_relu`, with the variable names of Flax's BatchNorm."""
+    """Batch normalisation and ReLU, see `norm_relu`, with variables as in Flax's BatchNorm."""
 
     source: str = "plain"
     target: str = "plain"

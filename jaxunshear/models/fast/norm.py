@@ -1,6 +1,7 @@
 """Batch normalisation and ReLU in one, from one layout of an image to another.
 
->>> y, mean, variance = norm_relu(x, scale, bias, "plain", "blocks")    # (B, H, W, C) -> (B, H/2+1, W/2+1, 4 C)
+>>> # x (B, H, W, C) -> y (B, H/2+1, W/2+1, 4 C)
+>>> y, mean, variance = norm_relu(x, scale, bias, "plain", "blocks")
 
 *plain* is (B, H, W, C); *padded* has a pixel of zeros on all four sides; *blocks* are the padded
 image's bordered blocks (conv.py). The normalisation has its own gradient, and computes the variance
@@ -240,15 +241,15 @@ def _widen(channels: Array, source: str) -> Array:
 
 
 def _sum_inside(images: Array, x: Array, source: str) -> Array:
-    """Sum `images`, (B, pixels, channels) in the layout of x, over images and pixels inside: (C,)."""
+    """Sum `images` (B, pixels, channels), in the layout of x, over images and pixels inside."""
     return _sum_pixels(jnp.sum(images, 0), x, source)
 
 
 def _sum_both_over_images(a: Array, b: Array) -> tuple[Array, Array]:
     """Sum both arrays over their first axis in one pass.
 
-    Two sums would write ReLU's masked gradient out and read it twice. Images are summed in groups of
-    at most GROUP: longer strides through memory are slow.
+    Two sums would write ReLU's masked gradient out and read it twice. Images are summed in groups
+    of at most GROUP: longer strides through memory are slow.
     """
     group = max(size for size in range(1, GROUP + 1) if len(a) % size == 0)
     a = a.reshape(-1, group, *a.shape[1:])
