@@ -37,7 +37,10 @@ class NormRelu(nn.Module):
 
 
 class First(nn.Module):
-    """4x4 convolution of stride 2 from the image (B, S, S, C) to the blocks (B, S/4+1, S/4+1, 4 width)."""
+    """4x4 convolution of stride 2 from the image (B, S, S, C).
+
+    The output is blocks (B, S/4+1, S/4+1, 4 width).
+    """
 
     width: int
 
