@@ -179,13 +179,13 @@ def reconstruct(
         return Reconstruction(
             canonical, z_p, disagreement=disagreement, same_pose=same_pose_canonical
         )
+    pose_codes, shear_codes = [code for code, _ in codes], [code for _, code in codes]
     if net.apart:  # DS does not teach the codes
-        codes = jax.lax.stop_gradient(codes)
-    fixed_z_p, fixed_z_s = codes[0]
-    sheared = decode_sheared(net, variables, fixed_z_p, fixed_z_s)
+        pose_codes, shear_codes = jax.lax.stop_gradient((pose_codes, shear_codes))
+    sheared = decode_sheared(net, variables, pose_codes[0], shear_codes[0])
     counterfactual = None
     if same_slide is not None:
-        counterfactual = decode_sheared(net, variables, fixed_z_p, codes[1][1])
+        counterfactual = decode_sheared(net, variables, pose_codes[0], shear_codes[1])
     return Reconstruction(
         canonical, z_p, sheared, counterfactual, disagreement, z_s, same_pose_canonical
     )

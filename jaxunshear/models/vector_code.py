@@ -23,8 +23,8 @@ class VectorCode(nn.Module):
         z = nn.Dense(self.width, dtype=x.dtype, kernel_init=INIT)(x.reshape(x.shape[0], -1))
         if not self.normalise:
             return z[:, None, None]
-        # No loss limits the size of a pose code. Without normalisation it grows until DS, which does
-        # not teach it, cannot make out the shear code beside it.
+        # No loss limits the size of a pose code. Without normalisation it grows until DS, which
+        # does not teach it, cannot make out the shear code beside it.
         return nn.LayerNorm(dtype=z.dtype, use_scale=False, use_bias=False)(z)[:, None, None]
 
 

@@ -183,11 +183,11 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 
         @jax.jit
         def step(params, state, task=task, variables=variables, optimiser=optimiser):
-            def loss(params):
+            def compute_loss(params):
                 terms, _ = task.terms(variables | {"params": params}, given, KEY)
                 return sum(jnp.mean(term) for term in terms.values())
 
-            value, slope = jax.value_and_grad(loss)(params)
+            value, slope = jax.value_and_grad(compute_loss)(params)
             updates, state = optimiser.update(slope, state)
             return optax.apply_updates(params, updates), state, value
 

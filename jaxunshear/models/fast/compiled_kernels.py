@@ -1,9 +1,10 @@
-"""What a training on a CPU takes in a form that is compiled for the processor at hand (`compiled/`): gradients of kernels, the layers
-next to the image, and the normalisation.
+"""Kernels in C++ (`compiled/`) for training on a CPU, compiled for its processor.
 
-The first training on a machine compiles them, in about 10 s, with the C++ compiler ($CXX, or c++) and the headers that JAX brings, and
-keeps them in the cache folder. Without a compiler, or with CXX=none, `conv.py`, `outermost.py` and `norm.py` take XLA's forms, which are as
-exact, and slower.
+These are the gradients of convolution kernels, the layers next to the image, and the normalisation.
+The first training on a machine compiles them, in about 10 s, with the C++ compiler ($CXX, or c++)
+and the headers that JAX brings, and keeps them in the cache folder. Without a compiler, or with
+CXX=none, `conv.py`, `image_layers.py` and `norm.py` take XLA's forms, which are as exact, and
+slower.
 """
 
 import contextlib
@@ -43,11 +44,9 @@ SYMBOLS = (
 )
 NAMES = {symbol: f"jaxunshear_{symbol}" for symbol in SYMBOLS}
 LAYOUTS = ("plain", "padded", "blocks")  # in the order of layouts.h
-GROUPS, SPREAD = (
-    8,
-    8,
-)  # of images at most; floats read, at least, for one of the sums that they hold apart
-BAND = 16384  # floats at most, of which moments and slopes are summed at once
+GROUPS = 8  # groups of images with a sum of their own, at most
+SPREAD = 8  # floats read, at least, for each float of these sums
+BAND = 16384  # floats, at most, of which moments and slopes are summed at once
 WIDEST = 16  # floats of a vector, at most
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-w")
 SECONDS = 300  # that compiling may take
@@ -57,8 +56,11 @@ _form = contextvars.ContextVar("form", default="compiled")
 
 @contextlib.contextmanager
 def use_form(name: str) -> Iterator[None]:
-    """What is traced herein takes this form: "compiled", the default; "xla", that of machines without a compiler; "counted", of which XLA
-    counts the operations, slow on a CPU."""
+    """Use a form in what is traced within this context.
+
+    Forms are "compiled", the default; "xla", that of machines without a compiler; and "counted",
+    whose operations XLA can count, slow on a CPU.
+    """
     token = _form.set(name)
     try:
         yield
@@ -67,18 +69,24 @@ def use_form(name: str) -> Iterator[None]:
 
 
 def get_form() -> str:
-    """The form to trace."""
+    """Return the form to trace."""
     return _form.get()
 
 
 def can_compute_gradient(x: Array, dy: Array) -> bool:
-    """Whether `kernel_gradient` takes these arrays, here: of float32, one of them with a vector of channels, on a CPU with a compiler."""
-    floats = x.dtype == dy.dtype == jnp.float32
-    return floats and max(x.shape[-1], dy.shape[-1]) >= WIDEST and is_available()
+    """Return whether `kernel_gradient` takes these arrays on this machine.
+
+    They must be float32, one of them with a full vector of channels.
+    """
+    are_floats = x.dtype == dy.dtype == jnp.float32
+    return are_floats and max(x.shape[-1], dy.shape[-1]) >= WIDEST and is_available()
 
 
 def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
-    """dw (k, k, C, N) of `conv.conv_valid`, of x (B, H, W, C) and dy (B, H-k+1, W-k+1, N). Where `can_compute_gradient` says so."""
+    """Compute dw (k, k, C, N) of `conv.conv_valid`, for x (B, H, W, C), dy (B, H-k+1, W-k+1, N).
+
+    `can_compute_gradient` must be true.
+    """
     c, n = x.shape[-1], dy.shape[-1]
     if max(c, n) < WIDEST:
         raise ValueError(f"{c} and {n} channels: the larger must be at least {WIDEST}")
@@ -93,10 +101,19 @@ def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
 
 
 def can_compute_image(image: Array | jax.ShapeDtypeStruct, w: Array) -> bool:
-    """Whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...), here: of float32, one channel and full vectors."""
-    square, one = image.shape[1] == image.shape[2] and image.shape[1] % 4 == 0, image.shape[3] == 1
-    floats = image.dtype == w.dtype == jnp.float32
-    return square and one and floats and w.shape[2] * w.shape[3] % WIDEST == 0 and is_available()
+    """Return whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...).
+
+    They must be float32, with one channel in the image and full vectors in the kernel.
+    """
+    _, height, width, channels = image.shape
+    return (
+        height == width
+        and height % 4 == 0
+        and channels == 1
+        and image.dtype == w.dtype == jnp.float32
+        and w.shape[2] * w.shape[3] % WIDEST == 0
+        and is_available()
+    )
 
 
 def gather(image: Array, kernel: Array) -> Array:
@@ -114,37 +131,35 @@ def outer(image: Array, blocks: Array) -> Array:
 
 
 def can_normalise(x: Array, *more: Array, source: str) -> bool:
-    """Whether the four passes of `norm.py` take these arrays, here: float32, full vectors of channels, on a CPU with a compiler."""
-    floats = all(array.dtype == jnp.float32 for array in (x, *more))
-    return (
-        floats and x.shape[-1] // (4 if source == "blocks" else 1) % WIDEST == 0 and is_available()
-    )
+    """Return whether the four passes of `norm.py` take these arrays on this machine.
+
+    They must be float32, with full vectors of channels.
+    """
+    are_floats = all(array.dtype == jnp.float32 for array in (x, *more))
+    channels = x.shape[-1] // 4 if source == "blocks" else x.shape[-1]
+    return are_floats and channels % WIDEST == 0 and is_available()
 
 
 def moments(x: Array, *, source: str) -> tuple[Array, Array]:
-    """Of bands of rows, then of all: a band stays in the cache for the deviations from its own mean."""
-    parts = _call("Moments", _bands(x, source), x, source=source)
+    """Compute mean and variance of bands of rows, then of all.
+
+    A band stays in the cache for the deviations from its own mean.
+    """
+    parts = _call("Moments", _compute_band_shape(x, source), x, source=source)
     mean = jnp.mean(parts[:, 0], 0)
     return mean, jnp.mean(parts[:, 1] + (parts[:, 0] - mean[None]) ** 2, 0)
 
 
 def affine_relu(x: Array, factor: Array, shift: Array, *, source: str, target: str) -> Array:
-    return _call(
-        "AffineRelu",
-        _shape(x.shape, source, target),
-        x,
-        factor,
-        shift,
-        source=source,
-        target=target,
-    )
+    shape = _convert_shape(x.shape, source, target)
+    return _call("AffineRelu", shape, x, factor, shift, source=source, target=target)
 
 
 def slopes(
     x: Array, dy: Array, factor: Array, shift: Array, mean: Array, *, source: str, target: str
 ) -> tuple[Array, Array]:
-    given = (x, dy, factor, shift, mean)
-    sums = jnp.sum(_call("Slopes", _bands(x, source), *given, source=source, target=target), 0)
+    shape, arrays = _compute_band_shape(x, source), (x, dy, factor, shift, mean)
+    sums = jnp.sum(_call("Slopes", shape, *arrays, source=source, target=target), 0)
     return sums[0], sums[1]
 
 
@@ -152,8 +167,8 @@ def gradient(x: Array, *more: Array, source: str, target: str) -> Array:
     return _call("Gradient", x.shape, x, *more, source=source, target=target)
 
 
-def _shape(shape: tuple[int, ...], source: str, target: str) -> tuple[int, ...]:
-    """Of an image in another layout."""
+def _convert_shape(shape: tuple[int, ...], source: str, target: str) -> tuple[int, ...]:
+    """Compute the shape of an image in another layout."""
     b, h, w, c = shape
     rows, columns, channels = (2 * h - 2, 2 * w - 2, c // 4) if source == "blocks" else (h, w, c)
     blocks = (b, rows // 2 + 1, columns // 2 + 1, 4 * channels)
@@ -164,28 +179,31 @@ def _shape(shape: tuple[int, ...], source: str, target: str) -> tuple[int, ...]:
     }[target]
 
 
-def _bands(x: Array, source: str) -> tuple[int, int, int]:
-    """Shape of what is summed over bands of rows, of BAND floats at most where rows can be halved."""
-    b, rows, columns, channels = _shape(x.shape, source, "plain")
+def _compute_band_shape(x: Array, source: str) -> tuple[int, ...]:
+    """Compute the shape of sums over bands of rows, of BAND floats at most if possible."""
+    b, rows, columns, channels = _convert_shape(x.shape, source, "plain")
     bands = 1
     while rows % (2 * bands) == 0 and rows // bands * columns * channels > BAND:
         bands *= 2
     return b * bands, 2, channels
 
 
-def _call(name: str, shape: tuple[int, ...], *arrays: Array, **attributes: int | str) -> Array:
+def _call(symbol: str, shape: tuple[int, ...], *arrays: Array, **attributes: int | str) -> Array:
     numbers = {
-        key: np.int64(LAYOUTS.index(v) if isinstance(v, str) else v)
-        for key, v in attributes.items()
+        name: np.int64(LAYOUTS.index(value) if isinstance(value, str) else value)
+        for name, value in attributes.items()
     }
     call = jax.ffi.ffi_call(
-        NAMES[name], jax.ShapeDtypeStruct(shape, jnp.float32), vmap_method="sequential"
+        NAMES[symbol], jax.ShapeDtypeStruct(shape, jnp.float32), vmap_method="sequential"
     )
     return call(*arrays, **numbers)
 
 
 def is_available() -> bool:
-    """Whether JAX is on a CPU and the compiled form is there; the first call of a process searches for it, or makes it."""
+    """Return whether JAX is on a CPU and there is a compiled form of the kernels.
+
+    The first call of a process finds it in the cache, or compiles it.
+    """
     if get_form() != "compiled":
         return False
     with _once:
@@ -198,14 +216,14 @@ def _load() -> bool:
         compiler = shlex.split(os.environ.get("CXX", "")) or ["c++"]
         if not shutil.which(compiler[0]):
             return False
-        library = _library(compiler)
+        library = _load_library(compiler)
         for symbol, name in NAMES.items():
             jax.ffi.register_ffi_target(
                 name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu"
             )
     except (subprocess.SubprocessError, OSError, ValueError, RuntimeError) as error:
-        said = (getattr(error, "stderr", None) or b"").decode(errors="replace").splitlines()
-        reason = next((line for line in said if "error" in line), get_first_line(error))
+        output = (getattr(error, "stderr", None) or b"").decode(errors="replace").splitlines()
+        reason = next((line for line in output if "error" in line), get_first_line(error))
         warnings.warn(
             f"training takes its slower form (CXX=none: without this note): {reason}",
             Note,
@@ -215,21 +233,29 @@ def _load() -> bool:
     return True
 
 
-def _library(compiler: list[str]) -> ctypes.CDLL:
-    """For this source, compiler, processor, user and JAX, from the cache folder where it is there and complete."""
-    macros = _run(
-        [*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
-    )  # identify compiler and processor
-    reported = "\n".join(
-        [*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]
-    ).encode()
-    key = hashlib.sha256(
-        b"".join(source.read_bytes() for source in SOURCES) + reported + macros
-    ).hexdigest()[:16]
-    path = cache_folder().absolute() / f"compiled-{key}.so"
-    with contextlib.suppress(OSError):  # not there
+def _load_library(compiler: list[str]) -> ctypes.CDLL:
+    """Load the kernels from the cache folder, or compile them into it if they are not intact there.
+
+    They are for this source, compiler, processor, user and JAX.
+    """
+    path = cache_folder().absolute() / f"compiled-{_compute_key(compiler)}.so"
+    with contextlib.suppress(OSError):  # there is no such file
         if _is_intact(path):
             return ctypes.CDLL(str(path))
+    _compile(compiler, path)
+    return ctypes.CDLL(str(path))
+
+
+def _compute_key(compiler: list[str]) -> str:
+    # these macros identify compiler and processor
+    macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])
+    user = str(getattr(os, "getuid", str)())
+    settings = "\n".join([*compiler, *FLAGS, jaxlib.__version__, user]).encode()
+    source = b"".join(path.read_bytes() for path in SOURCES)
+    return hashlib.sha256(source + settings + macros).hexdigest()[:16]
+
+
+def _compile(compiler: list[str], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{uuid.uuid4().hex}.so")
     try:
@@ -242,11 +268,13 @@ def _library(compiler: list[str]) -> ctypes.CDLL:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
-    return ctypes.CDLL(str(path))
 
 
 def _is_intact(path: Path) -> bool:
-    """Whether it ends with the SHA-256 of what precedes, which loaders do not read: a damaged one would compute something else."""
+    """Return whether a library ends with the SHA-256 of its content, which loaders do not read.
+
+    A damaged library would compute something else.
+    """
     data = path.read_bytes()
     return hashlib.sha256(data[:-32]).digest() == data[-32:]
 

@@ -1,19 +1,23 @@
 """Convolutions whose gradients are as fast as their forward pass.
 
-XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad` derives from them
-at a few per cent of it (strided and transposed ones above all). Two rewritings cure that, on every backend exactly:
+XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad`
+derives from them at a few per cent of it (strided and transposed ones above all). Two exact
+rewritings avoid that on every backend:
 
-1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU) is
-   compiled for the processor (native.py), or matrix products over a few images at a time where there is no compiler.
-2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
-   the channels. The transposed convolution writes blocks instead of reading them. Those next to the image have a module of
-   their own (outermost.py).
+1. `conv_valid` has its own gradients. That of its input is again a forward convolution. That of its
+   kernel, on a CPU, is compiled for the processor (compiled_kernels.py); without a compiler it is
+   matrix products over a few images at a time.
+2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2
+   block of pixels into the channels. The transposed convolution writes blocks instead of reading
+   them. Convolutions next to the image have a module of their own (image_layers.py).
 
->>> y = conv_valid(to_blocks(pad(x, 1)), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
->>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
+>>> # (B, H, W, C), w (4, 4, C, N) -> (B, H/2, W/2, N)
+>>> y = conv_valid(to_blocks(pad(x, 1)), down_kernel(w))
+>>> # (B, H, W, C), w (4, 4, C, N) -> bordered blocks (B, H+1, W+1, 4N)
+>>> z = conv_valid(pad(x, 1), up_kernel(w))
 
-*Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
-lies outside the image and must be zero (`norm.make_inside_mask`).
+*Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the
+outermost blocks lies outside the image and must be zero (`norm.make_inside_mask`).
 """
 
 from functools import partial
@@ -25,26 +29,28 @@ from jax import Array, lax
 
 from jaxunshear.models.fast import compiled_kernels
 
-SLICE = (
-    1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
-)
+# pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
+SLICE = 1100
 _NHWC = ("NHWC", "HWIO", "NHWC")
 
 
 def pad(x: Array, pixels: int) -> Array:
-    """(B, H, W, C) with `pixels` zeros on all four sides."""
+    """Pad (B, H, W, C) with `pixels` zeros on all four sides."""
     return jnp.pad(x, ((0, 0), (pixels, pixels), (pixels, pixels), (0, 0)))
 
 
 def to_blocks(x: Array) -> Array:
-    """Space to depth: (B, 2 H, 2 W, C) -> (B, H, W, 4 C), channels ordered (row in block, column in block, channel)."""
+    """Move space to depth: (B, 2 H, 2 W, C) -> (B, H, W, 4 C).
+
+    Channels are ordered (row in block, column in block, channel).
+    """
     b, h, w, c = x.shape
     x = x.reshape(b, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5)
     return x.reshape(b, h // 2, w // 2, 4 * c)
 
 
 def from_blocks(x: Array) -> Array:
-    """Depth to space, the inverse of `to_blocks`."""
+    """Move depth to space, the inverse of `to_blocks`."""
     b, h, w, c = x.shape
     x = x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5)
     return x.reshape(b, 2 * h, 2 * w, c // 4)
@@ -52,11 +58,10 @@ def from_blocks(x: Array) -> Array:
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))
 def conv_valid(x: Array, w: Array, border: int = 0) -> Array:
-    """Convolution (as networks say; a correlation) without padding: x (B, H, W, C), w (k, k, C, N) -> (B, H-k+1,
-    W-k+1, N).
+    """Convolve x (B, H, W, C) with w (k, k, C, N) without padding, to (B, H-k+1, W-k+1, N).
 
-    The outermost `border` < k pixels of x must be zeros that depend on nothing (padding): their gradient is left out, given as
-    zero.
+    As in all networks, this is a correlation. The outermost `border` < k pixels of x must be zeros
+    that depend on nothing (padding): their gradient is not computed but zero.
     """
     return lax.conv_general_dilated(x, w, (1, 1), "VALID", dimension_numbers=_NHWC)
 
@@ -74,23 +79,23 @@ conv_valid.defvjp(_forward, _backward)
 
 
 def _input_gradient(dy: Array, w: Array, border: int) -> Array:
-    turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
-    return pad(conv_valid(pad(dy, w.shape[0] - 1 - border), turned), border)
+    flipped = jnp.flip(w, (0, 1)).swapaxes(2, 3)
+    return pad(conv_valid(pad(dy, w.shape[0] - 1 - border), flipped), border)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
-    """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
+    """Compute a kernel's gradient dw (k, k, C, N).
+
+    dw[i, j] is the sum over images and places of x[place + (i, j)] dy[place].
+    """
     if compiled_kernels.get_form() == "counted":
-        return _gradient_as_convolution(x, dy)
-    here = (
-        compiled_kernels.kernel_gradient
-        if compiled_kernels.can_compute_gradient(x, dy)
-        else _gradient_in_slices
-    )
-    return lax.platform_dependent(
-        x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution
-    )
+        return _convolve_gradient(x, dy)
+    compute = _multiply_gradient
+    if compiled_kernels.can_compute_gradient(x, dy):
+        compute = compiled_kernels.kernel_gradient
+    on_cpu = partial(compute, k=k, border=border)
+    return lax.platform_dependent(x, dy, cpu=on_cpu, default=_convolve_gradient)
 
 
 def _kernel_gradient_forward(
@@ -102,7 +107,10 @@ def _kernel_gradient_forward(
 def _kernel_gradient_backward(
     k: int, border: int, saved: tuple[Array, Array], change: Array
 ) -> tuple[Array, Array]:
-    """Both are convolutions again: the sum of change * dw is that of conv_valid(x, change) * dy."""
+    """Compute both gradients as convolutions.
+
+    The sum of change * dw is that of conv_valid(x, change) * dy.
+    """
     x, dy = saved
     return _input_gradient(dy, change, border), conv_valid(x, change, border)
 
@@ -110,18 +118,19 @@ def _kernel_gradient_backward(
 _kernel_gradient.defvjp(_kernel_gradient_forward, _kernel_gradient_backward)
 
 
-def _gradient_as_convolution(x: Array, dy: Array) -> Array:
-    """The images as channels, the output's gradient as kernel."""
+def _convolve_gradient(x: Array, dy: Array) -> Array:
+    """Compute a kernel's gradient with the images as channels and dy as the kernel."""
     return lax.conv_general_dilated(
         x, dy, (1, 1), "VALID", dimension_numbers=("CHWN", "IHWO", "HWNC")
     )
 
 
-def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
-    """Matrix products, one for each shift (i, j), over a few images at a time: all shifts read them from the cache.
+def _multiply_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
+    """Compute a kernel's gradient by matrix products, one for each shift (i, j).
 
-    The smaller array stays, the larger one is shifted: x, or dy where x without its border is the smaller. The one with more
-    channels is the right factor, whose rows are contiguous.
+    The products go over a few images at a time, so all shifts read them from the cache. The smaller
+    array stays, the larger one is shifted: x, or dy if x without its border is the smaller. The one
+    with more channels is the right factor, whose rows are contiguous.
     """
     c, n = x.shape[-1], dy.shape[-1]
     images, h, w = dy.shape[:3]
@@ -157,14 +166,20 @@ def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
 
 
 def down_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 convolution -> (2, 2, 4C, N) between the blocks of its padded input and its output."""
+    """Rearrange the kernel (4, 4, C, N) of a stride-2 convolution to (2, 2, 4C, N).
+
+    The new kernel leads from the blocks of the padded input to the output.
+    """
     c, n = w.shape[2:]
     return w.reshape(2, 2, 2, 2, c, n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 4 * c, n)
 
 
 def up_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 transposed convolution (Flax's 'SAME') -> (2, 2, C, 4N) from its padded input to the
-    bordered blocks of its output."""
+    """Rearrange the kernel (4, 4, C, N) of a stride-2 transposed convolution to (2, 2, C, 4N).
+
+    The convolution is Flax's 'SAME'. The new kernel leads from the padded input to the bordered
+    blocks of the output.
+    """
     c, n = w.shape[2:]
     w = w.reshape(2, 2, 2, 2, c, n)[:, ::-1, :, ::-1]
     return w.transpose(0, 2, 4, 1, 3, 5).reshape(2, 2, c, 4 * n)

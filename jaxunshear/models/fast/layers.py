@@ -1,5 +1,7 @@
-"""The layers of `models/layers.py` as a CPU computes them fast: of the same names, parameters, precision and values to rounding. Arrays
-between them are in the layout that the next one reads ("plain", "padded", "blocks": norm.py).
+"""The layers of `models/layers.py` as a CPU computes them fast.
+
+They have the same names, parameters and precision, and the same values to rounding. Arrays between
+them are in the layout that the next one reads ("plain", "padded", "blocks": norm.py).
 """
 
 import flax.linen as nn
@@ -13,7 +15,7 @@ from jaxunshear.models.layers import INIT, MOMENTUM
 
 
 class NormRelu(nn.Module):
-    """Batch normalisation and ReLU; see `norm_relu`. Its variables are named as Flax's BatchNorm names them."""
+    """Batch normalisation and ReLU, see `norm_relu`, with variables as in Flax's BatchNorm."""
 
     source: str = "plain"
     target: str = "plain"
@@ -35,20 +37,25 @@ class NormRelu(nn.Module):
 
 
 class First(nn.Module):
-    """4x4 convolution of stride 2 from the image (B, S, S, C) to the blocks (B, S/4+1, S/4+1, 4 width)."""
+    """4x4 convolution of stride 2 from the image (B, S, S, C).
+
+    The output is blocks (B, S/4+1, S/4+1, 4 width).
+    """
 
     width: int
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu("blocks", "blocks", name="norm")(
-            image_layers.apply_first(x, w, compiled=train), train
-        )
+        blocks = image_layers.apply_first(x, w, compiled=train)
+        return NormRelu("blocks", "blocks", name="norm")(blocks, train)
 
 
 class Down(nn.Module):
-    """4x4 convolution of stride 2 from blocks (B, H/2+1, W/2+1, 4 C) of (H, W) to (H/2, W/2), in layout `target`."""
+    """4x4 convolution of stride 2 from blocks (B, H/2+1, W/2+1, 4 C) of (H, W) to (H/2, W/2).
+
+    The output is in layout `target`.
+    """
 
     width: int
     target: str = "blocks"
@@ -73,7 +80,10 @@ class Same(nn.Module):
 
 
 class Up(nn.Module):
-    """4x4 transposed convolution of stride 2 from a padded array (B, H+2, W+2, C) to (2H, 2W), in layout `target`."""
+    """4x4 transposed convolution of stride 2 from a padded array (B, H+2, W+2, C) to (2H, 2W).
+
+    The output is in layout `target`.
+    """
 
     width: int
     target: str = "padded"
@@ -87,8 +97,11 @@ class Up(nn.Module):
 
 
 class Last(nn.Module):
-    """4x4 transposed convolution of stride 2, with bias, from blocks (B, H+1, W+1, 4 C) to the image (B, 4H,
-    4W, 1), which is in float32 or wider: the bias' gradient is a sum over all pixels, more than bfloat16 can count."""
+    """4x4 transposed convolution of stride 2, with bias, from blocks to the image.
+
+    Blocks are (B, H+1, W+1, 4 C). The image (B, 4H, 4W, 1) is in float32 or wider: the gradient of
+    the bias is a sum over all pixels, more than bfloat16 can count.
+    """
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:

@@ -1,4 +1,7 @@
-"""The networks over images, of fast layers: twins of those in `unshearnet.py`, `unet.py` and `posenet.py`, of the same parameters."""
+"""The networks over images with fast layers.
+
+They have the same parameters as those in `unshearnet.py`, `unet.py` and `posenet.py`.
+"""
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -51,7 +54,7 @@ class UNet(nn.Module):
         for width in reversed(widths[:-1]):
             x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop())], -1)
         x, skipped = Up(first, "blocks")(x, train), arrays.pop()
-        return Last()(_joined_blocks(x, skipped), train)
+        return Last()(_join_blocks(x, skipped), train)
 
 
 class PoseNet(nn.Module):
@@ -72,13 +75,13 @@ class PoseNet(nn.Module):
         return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def _joined_blocks(a: Array, b: Array) -> Array:
-    """Bordered blocks (B, H, W, 4 C) and (B, H, W, 4 D) -> (B, H, W, 4 (C + D)): joined pixel by pixel."""
+def _join_blocks(a: Array, b: Array) -> Array:
+    """Join bordered blocks (B, H, W, 4 C) and (B, H, W, 4 D) pixel by pixel."""
     parts = [x.reshape(*x.shape[:3], 4, -1) for x in (a, b)]
     return jnp.concatenate(parts, -1).reshape(*a.shape[:3], -1)
 
 
 def _halve(x: Array) -> Array:
-    """2x2 max pooling (whose windowed form has a slow gradient in XLA's CPU backend)."""
+    """Apply 2x2 max pooling, whose windowed form has a slow gradient in XLA's CPU backend."""
     b, h, w, c = x.shape
     return conv.to_blocks(x).reshape(b, h // 2, w // 2, 4, c).max(3)

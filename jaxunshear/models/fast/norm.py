@@ -1,16 +1,18 @@
 """Batch normalisation and ReLU in one, from one layout of an image to another.
 
->>> y, mean, variance = norm_relu(x, scale, bias, "plain", "blocks")    # (B, H, W, C) -> (B, H/2+1, W/2+1, 4 C)
+>>> # x (B, H, W, C) -> y (B, H/2+1, W/2+1, 4 C)
+>>> y, mean, variance = norm_relu(x, scale, bias, "plain", "blocks")
 
-*plain* is (B, H, W, C); *padded* has a pixel of zeros on all four sides; *blocks* are the padded image's bordered blocks (conv.py).
-It is written out, with its own gradient: the variance as the mean squared deviation (never negative), in float32 or wider. Its four
-passes over pixels, `moments`, `affine_relu`, `slopes` and `gradient`, are compiled for the processor where `native.py` can,
-which spares the passes that only rearrange; elsewhere they are XLA's.
+*plain* is (B, H, W, C); *padded* has a pixel of zeros on all four sides; *blocks* are the padded
+image's bordered blocks (conv.py). The normalisation has its own gradient, and computes the variance
+as the mean squared deviation (never negative), in float32 or wider. Its four passes over pixels,
+`moments`, `affine_relu`, `slopes` and `gradient`, are compiled for the processor if
+`compiled_kernels.py` can do so, which saves the passes that only rearrange; else they are XLA's.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,57 +23,73 @@ from jaxunshear.models.fast import compiled_kernels, conv
 from jaxunshear.models.layers import EPSILON
 
 GROUP = 8  # images summed at once
-_Saved = tuple[Array, Array, Array, Array, Array]
+
+
+class Normalised(NamedTuple):
+    """What batch normalisation returns: the output, and mean and variance (C,) of the batch."""
+
+    y: Array
+    mean: Array
+    variance: Array
+
+
+class Saved(NamedTuple):
+    """What the gradient needs: the inputs, and mean and variance (C,) of the batch."""
+
+    x: Array
+    scale: Array
+    bias: Array
+    mean: Array
+    variance: Array
 
 
 def convert_layout(x: Array, source: str, target: str) -> Array:
-    """An image in another layout."""
+    """Convert an image to another layout."""
     if source == target:
         return x
-    padded = (
-        conv.pad(x, 1) if source == "plain" else conv.from_blocks(x) if source == "blocks" else x
-    )
+    padded = x
+    if source == "plain":
+        padded = conv.pad(x, 1)
+    elif source == "blocks":
+        padded = conv.from_blocks(x)
     if target == "plain":
         return padded[:, 1:-1, 1:-1]
     return conv.to_blocks(padded) if target == "blocks" else padded
 
 
 def make_inside_mask(height: int, width: int) -> np.ndarray:
-    """(height, width, 4) 0/1: which of the 2x2 pixels of each bordered block lie inside the image."""
-    rows, columns = (np.ones((n, 2)) for n in (height, width))
+    """Mark the pixels of each 2x2 bordered block inside the image by 1, (height, width, 4)."""
+    rows, columns = np.ones((height, 2)), np.ones((width, 2))
     for lines in (rows, columns):
         lines[0, 0] = lines[-1, 1] = 0
     return (rows[:, None, :, None] * columns[None, :, None, :]).reshape(height, width, 4)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(3, 4))
-def norm_relu(
-    x: Array, scale: Array, bias: Array, source: str, target: str
-) -> tuple[Array, Array, Array]:
-    """ReLU(batch norm(x)) in layout `target`, and the batch's mean and variance (C,) that it used.
+def norm_relu(x: Array, scale: Array, bias: Array, source: str, target: str) -> Normalised:
+    """Compute ReLU(batch norm(x)) in layout `target`, with the batch's mean and variance.
 
-    x is in layout `source`, "plain" or "blocks": only pixels inside count, what lies outside comes out as zero. The gradient runs
-    through the first output; mean and variance are for the running statistics.
+    x is in layout `source`, "plain" or "blocks". Only pixels inside count; what lies outside is
+    zero in the output. The gradient runs through `y`; mean and variance are for the running
+    statistics.
     """
     return _forward(x, scale, bias, source, target)[0]
 
 
 def _forward(
     x: Array, scale: Array, bias: Array, source: str, target: str
-) -> tuple[tuple[Array, Array, Array], _Saved]:
+) -> tuple[Normalised, Saved]:
     mean, variance = _moments(x, source=source)
-    factor, shift = _line(scale, bias, mean, variance)
+    factor, shift = _compute_line(scale, bias, mean, variance)
     y = _affine_relu(x, factor, shift, source=source, target=target)
-    return (y, mean, variance), (x, scale, bias, mean, variance)
+    return Normalised(y, mean, variance), Saved(x, scale, bias, mean, variance)
 
 
-def _backward(
-    source: str, target: str, saved: _Saved, cotangents: tuple[Array, Array, Array]
-) -> tuple[Array, Array, Array]:
+def _backward(source: str, target: str, saved: Saved, cotangents: Normalised) -> tuple[Array, ...]:
     x, scale, bias, mean, variance = saved
-    dy, count = cotangents[0], _count(x, source)
+    dy, count = cotangents.y, _count_pixels(x, source)
     inverse = lax.rsqrt(variance + EPSILON)
-    factor, shift = _line(scale, bias, mean, variance)
+    factor, shift = _compute_line(scale, bias, mean, variance)
     d_bias, d_scale = _slopes(x, dy, factor, shift, mean, source=source, target=target)
     d_scale = d_scale * inverse
     constant, tilt = factor * d_bias / count, factor * inverse * d_scale / count
@@ -85,53 +103,56 @@ norm_relu.defvjp(_forward, _backward)
 def affine_relu(
     x: Array, scale: Array, bias: Array, mean: Array, variance: Array, source: str, target: str
 ) -> Array:
-    """ReLU(batch norm) with given statistics (C,), zero outside the image, in layout `target`."""
-    return _affine_relu_by_xla(x, *_line(scale, bias, mean, variance), source=source, target=target)
+    """Compute ReLU(batch norm(x)) with these statistics (C,), zero outside, in layout `target`."""
+    factor, shift = _compute_line(scale, bias, mean, variance)
+    return _affine_relu_by_xla(x, factor, shift, source=source, target=target)
 
 
-def _line(scale: Array, bias: Array, mean: Array, variance: Array) -> tuple[Array, Array]:
-    """Batch norm(x) = factor x + shift."""
+def _compute_line(scale: Array, bias: Array, mean: Array, variance: Array) -> tuple[Array, Array]:
+    """Compute factor and shift, with batch norm(x) = factor x + shift."""
     factor = scale * lax.rsqrt(variance + EPSILON)
     return factor, bias - mean * factor
 
 
-# Below, large arrays are (images, pixels, channels). What keeps each pass near the speed of a copy in XLA's CPU backend: sums go
-# over the images first, a long contiguous loop; what lies outside is zeroed by a mask as large as one image; vectors are
-# widened to blocks by a matrix product, whose result stands in memory where a tiled one would be an index calculation for every number.
-# ReLU's mask is computed again from x instead of being kept.
+# Below, large arrays are (images, pixels, channels). Each pass is near the speed of a copy in XLA's
+# CPU backend for these reasons: sums go over the images first, a long contiguous loop; what lies
+# outside is zeroed by a mask as large as one image; vectors are widened to blocks by a matrix
+# product, whose result stays in memory, while a tiled one would be an index calculation for every
+# number. ReLU's mask is computed again from x instead of being kept.
 
 
 def _moments_by_xla(x: Array, *, source: str) -> tuple[Array, Array]:
-    """Mean and mean squared deviation of the pixels inside, (C,) each."""
-    images, count = _images(x), _count(x, source)
-    mean = _sums(images, x, source) / count
-    return mean, _sums((images - _wide(mean, source)) ** 2, x, source) / count
+    """Compute mean and mean squared deviation of the pixels inside, (C,) each."""
+    images, count = _flatten_pixels(x), _count_pixels(x, source)
+    mean = _sum_inside(images, x, source) / count
+    return mean, _sum_inside((images - _widen(mean, source)) ** 2, x, source) / count
 
 
 def _affine_relu_by_xla(
     x: Array, factor: Array, shift: Array, *, source: str, target: str
 ) -> Array:
-    """max(factor x + shift, 0)."""
-    y = jax.nn.relu(_images(x) * _wide(factor, source) + _wide(shift, source))
-    return convert_layout(_inside(y, x, source).reshape(x.shape).astype(x.dtype), source, target)
+    """Compute max(factor x + shift, 0), zero outside the image."""
+    y = jax.nn.relu(_flatten_pixels(x) * _widen(factor, source) + _widen(shift, source))
+    y = _zero_outside(y, x, source).reshape(x.shape).astype(x.dtype)
+    return convert_layout(y, source, target)
 
 
 def _mask_gradient(
     x: Array, dy: Array, factor: Array, shift: Array, source: str, target: str
 ) -> Array:
-    """The gradient dy that ReLU lets through, as `_images`."""
-    active = _images(x) * _wide(factor, source) + _wide(shift, source) > 0
-    return jnp.where(active, _images(convert_layout(dy, target, source)), 0)
+    """Compute the gradient dy that ReLU lets through, (B, pixels, channels)."""
+    is_active = _flatten_pixels(x) * _widen(factor, source) + _widen(shift, source) > 0
+    return jnp.where(is_active, _flatten_pixels(convert_layout(dy, target, source)), 0)
 
 
 def _slopes_by_xla(
     x: Array, dy: Array, factor: Array, shift: Array, mean: Array, *, source: str, target: str
 ) -> tuple[Array, Array]:
-    """Sums of the gradient that passes, and of its product with x - mean, (C,) each."""
+    """Sum the gradient that passes, and its product with x - mean, (C,) each."""
     passed = _mask_gradient(x, dy, factor, shift, source, target)
-    both = _both_over_images(passed, passed * (_images(x) - _wide(mean, source)))
-    d_bias, d_scale = (_over_pixels(numbers, x, source) for numbers in both)
-    return d_bias, d_scale
+    product = passed * (_flatten_pixels(x) - _widen(mean, source))
+    image_sum, product_sum = _sum_both_over_images(passed, product)
+    return _sum_pixels(image_sum, x, source), _sum_pixels(product_sum, x, source)
 
 
 def _gradient_by_xla(
@@ -146,58 +167,64 @@ def _gradient_by_xla(
     source: str,
     target: str,
 ) -> Array:
-    """factor * (the gradient that passes) - constant - (x - mean) * tilt, in layout `source`."""
-    wide = partial(_wide, source=source)
-    line = wide(constant) + (_images(x) - wide(mean)) * wide(tilt)
-    dx = _inside(
-        _mask_gradient(x, dy, factor, shift, source, target) * wide(factor) - line, x, source
-    )
+    """Compute factor * (the gradient that passes) - constant - (x - mean) * tilt.
+
+    It has as many parameters as the compiled form, whose arguments are these arrays.
+    """
+    widen = partial(_widen, source=source)
+    line = widen(constant) + (_flatten_pixels(x) - widen(mean)) * widen(tilt)
+    passed = _mask_gradient(x, dy, factor, shift, source, target)
+    dx = _zero_outside(passed * widen(factor) - line, x, source)
     return dx.reshape(x.shape).astype(x.dtype)
 
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
-def _choose_compiled(
-    by_xla: Callable[..., Answer], run: Callable[..., Answer]
-) -> Callable[..., Answer]:
-    """`run` where `native.py` can, `by_xla` elsewhere; the derivatives are those of `by_xla` in any case."""
+def _make_pass(
+    by_xla: Callable[..., Result], run_compiled: Callable[..., Result]
+) -> Callable[..., Result]:
+    """Make a pass that runs compiled code if it can, else `by_xla`, whose derivatives it has."""
 
-    def choose(x: Array, *more: Array, **layouts: str) -> Answer:
-        here = partial(by_xla, **layouts)
+    def run(x: Array, *more: Array, **layouts: str) -> Result:
+        plain = partial(by_xla, **layouts)
         if not compiled_kernels.can_normalise(x, *more, source=layouts["source"]):
-            return here(x, *more)
-        both = jax.custom_vjp(
-            lambda *given: lax.platform_dependent(*given, cpu=partial(run, **layouts), default=here)
+            return plain(x, *more)
+        on_cpu = partial(run_compiled, **layouts)
+        either = jax.custom_vjp(
+            lambda *arrays: lax.platform_dependent(*arrays, cpu=on_cpu, default=plain)
         )
-        both.defvjp(
-            lambda *given: (both(*given), given),
-            lambda given, change: jax.vjp(here, *given)[1](change),
+        either.defvjp(
+            lambda *arrays: (either(*arrays), arrays),
+            lambda arrays, cotangent: jax.vjp(plain, *arrays)[1](cotangent),
         )
-        return both(x, *more)
+        return either(x, *more)
 
-    return choose
-
-
-_moments = _choose_compiled(_moments_by_xla, compiled_kernels.moments)
-_affine_relu = _choose_compiled(_affine_relu_by_xla, compiled_kernels.affine_relu)
-_slopes = _choose_compiled(_slopes_by_xla, compiled_kernels.slopes)
-_gradient = _choose_compiled(_gradient_by_xla, compiled_kernels.gradient)
+    return run
 
 
-def _images(x: Array) -> Array:
+_moments = _make_pass(_moments_by_xla, compiled_kernels.moments)
+_affine_relu = _make_pass(_affine_relu_by_xla, compiled_kernels.affine_relu)
+_slopes = _make_pass(_slopes_by_xla, compiled_kernels.slopes)
+_gradient = _make_pass(_gradient_by_xla, compiled_kernels.gradient)
+
+
+def _flatten_pixels(x: Array) -> Array:
     b, h, w, c = x.shape
     return x.reshape(b, h * w, c).astype(np.promote_types(x.dtype, np.float32))
 
 
-def _count(x: Array, source: str) -> int:
-    """Pixels of all images, without those outside."""
+def _count_pixels(x: Array, source: str) -> int:
+    """Count the pixels of all images, without those outside."""
     b, h, w, _ = x.shape
     return b * 4 * (h - 1) * (w - 1) if source == "blocks" else b * h * w
 
 
-def _inside(numbers: Array, x: Array, source: str) -> Array:
-    """Numbers (..., H W, 4 C) of bordered blocks x (B, H, W, 4 C) with zeros outside the image; others as they are."""
+def _zero_outside(numbers: Array, x: Array, source: str) -> Array:
+    """Zero numbers (..., H W, 4 C) of bordered blocks x (B, H, W, 4 C) outside the image.
+
+    Numbers in other layouts are returned unchanged.
+    """
     if source != "blocks":
         return numbers
     _, h, w, c = x.shape
@@ -205,38 +232,41 @@ def _inside(numbers: Array, x: Array, source: str) -> Array:
     return numbers * jnp.asarray(mask[None] if numbers.ndim == 3 else mask, numbers.dtype)
 
 
-def _wide(channels: Array, source: str) -> Array:
-    """(1, 1, C), or (1, 1, 4 C) for blocks."""
-    return (_exact(channels, _four_times(channels)) if source == "blocks" else channels)[None, None]
+def _widen(channels: Array, source: str) -> Array:
+    """Widen numbers (C,) to (1, 1, C), or to (1, 1, 4 C) for blocks."""
+    if source == "blocks":
+        four_times = jnp.asarray(np.tile(np.eye(len(channels)), 4), channels.dtype)
+        channels = _multiply_exactly(channels, four_times)
+    return channels[None, None]
 
 
-def _sums(images: Array, x: Array, source: str) -> Array:
-    """Sums over images and pixels inside, (C,): of `images` (B, H W, C) or (B, H W, 4 C), which has the layout of x."""
-    return _over_pixels(jnp.sum(images, 0), x, source)
+def _sum_inside(images: Array, x: Array, source: str) -> Array:
+    """Sum `images` (B, pixels, channels), in the layout of x, over images and pixels inside."""
+    return _sum_pixels(jnp.sum(images, 0), x, source)
 
 
-def _both_over_images(a: Array, b: Array) -> tuple[Array, Array]:
-    """Sums over the first axis of both, in one pass: two sums would write ReLU's masked gradient out and read it twice. In groups of
-    at most GROUP images: longer strides through memory are slow."""
+def _sum_both_over_images(a: Array, b: Array) -> tuple[Array, Array]:
+    """Sum both arrays over their first axis in one pass.
+
+    Two sums would write ReLU's masked gradient out and read it twice. Images are summed in groups
+    of at most GROUP: longer strides through memory are slow.
+    """
     group = max(size for size in range(1, GROUP + 1) if len(a) % size == 0)
-    a, b = (numbers.reshape(-1, group, *numbers.shape[1:]) for numbers in (a, b))
+    a = a.reshape(-1, group, *a.shape[1:])
+    b = b.reshape(-1, group, *b.shape[1:])
     zero = jnp.zeros((), a.dtype)
     sums = lax.reduce((a, b), (zero, zero), lambda x, y: (x[0] + y[0], x[1] + y[1]), (1,))
     return sums[0].sum(0), sums[1].sum(0)
 
 
-def _over_pixels(numbers: Array, x: Array, source: str) -> Array:
-    """Sums over pixels inside, (C,): of (H W, C) or (H W, 4 C), which has the layout of an image of x."""
-    numbers = _inside(numbers, x, source)
-    # two rows of ones: a product with a vector would be fused with all that comes before, into one slow loop
-    columns = _exact(jnp.ones((2, len(numbers)), numbers.dtype), numbers)[0]
+def _sum_pixels(numbers: Array, x: Array, source: str) -> Array:
+    """Sum numbers (pixels, channels), in the layout of an image of x, over pixels inside: (C,)."""
+    numbers = _zero_outside(numbers, x, source)
+    # two rows of ones: XLA would fuse a product with a vector with all before it, in one slow loop
+    columns = _multiply_exactly(jnp.ones((2, len(numbers)), numbers.dtype), numbers)[0]
     return columns.reshape(4, -1).sum(0) if source == "blocks" else columns
 
 
-def _four_times(channels: Array) -> Array:
-    return jnp.asarray(np.tile(np.eye(len(channels)), 4), channels.dtype)
-
-
-def _exact(a: Array, b: Array) -> Array:
-    """Matrix product in full precision, also where products are rounded by default (GPU)."""
+def _multiply_exactly(a: Array, b: Array) -> Array:
+    """Multiply matrices in full precision, also on GPUs, which round products by default."""
     return jnp.matmul(a, b, precision="highest")
