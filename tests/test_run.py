@@ -316,7 +316,7 @@ def stage(tmp_path, monkeypatch, clock):
     folder = tmp_path / "small" / "posenet"
 
     def act(seconds, ending):
-        def train(experiment, network, run_dir, data):
+        def train(current_run, network):
             if ending == "refuse":
                 raise UserError("there is no data set")
             if (folder / "summary.json").exists():
