@@ -30,6 +30,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         *ROOT.glob("jaxunshear/weights/*/README.md"),
         *ROOT.glob("data_specs/*/README.md"),
         ROOT / "jaxunshear/api.py",
+        ROOT / "jaxunshear/config/losses.py",
+        *ROOT.glob("jaxunshear/training/*_losses.py"),
     ):
         name = path.relative_to(ROOT).as_posix()
         if path.suffix == ".md":  # the card of a model or of a data set is a page

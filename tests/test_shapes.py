@@ -27,7 +27,7 @@ def test_ranks_letters_and_kinds_are_checked():
 def test_arrays_of_numpy_are_checked_too():
     place = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), -1).reshape(-1, 2)
     assert make_lattice(place).rest.shape == (25, 2)
-    with pytest.raises(TypeCheckError, match="parameter 'place'"):
+    with pytest.raises(TypeCheckError, match="parameter 'rest'"):
         make_lattice(np.zeros((25, 3)))
 
 

@@ -194,6 +194,7 @@ class Recorded:
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
+    # kept out of training: poses at "random", a "block" of poses that are close, or a "folder"
     split: SplitMethod = "random"
     test: float = 0.1  # share of the poses for test, if no folder is
     validation: float = 0.1  # likewise, to choose the best checkpoint

@@ -22,7 +22,7 @@ class Sensor:
     silicone gel; the motions of pins depend on their ratio alone.
     """
 
-    name: str = "tactip331"
+    name: str = "tactip331"  # as `jaxunshear sensors` lists it
     # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon
     layout: Literal["rings", "hexagonal"] = "rings"
     rings: int = 10  # of pins, around the one at the apex

@@ -15,7 +15,7 @@ from jaxunshear.perception import grey
 from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.perception.preprocess import (
     View,
-    _reframe,
+    _frame_pins,
     binarise,
     combine_views,
     crop_frame,
@@ -400,4 +400,4 @@ def test_dots_on_a_shallow_arc_are_not_taken_for_a_dome_of_a_hundred_thousand_pi
     for left in range(20, 980, 24):
         top = round(500 + 3 * ((left - 500) / 480) ** 2)
         image[top : top + 7, left : left + 7] = 255
-    assert _reframe(image / 255, 0.36) == (0, 0, 1000, 1000)
+    assert _frame_pins(image / 255, 0.36) == (0, 0, 1000, 1000)
