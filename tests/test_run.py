@@ -139,7 +139,7 @@ def test_leakage_of_networks_over_images(finished, command):
     assert (
         found == json.loads((finished / "leakage.json").read_text()) and found["exchanged"] is None
     )
-    assert len(found["rows"]) == 8 and found["slides"] == {"learnt": 36, "tested": 12}
+    assert len(found["rows"]) == 16 and found["slides"] == {"learnt": 36, "tested": 12}
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
 
