@@ -12,7 +12,7 @@ INTERVALS_OVER = "test poses of one training"
 
 
 def number_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
-    """Number the poses (N,) of contacts, by their stimulus (N,) and its pose (N,)."""
+    """Count up the poses (N,) of contacts, by their stimulus (N,) and its pose (N,)."""
     pairs = np.stack([stimulus, pose_id], axis=1)
     return np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
 

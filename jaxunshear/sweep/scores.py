@@ -132,7 +132,7 @@ def _get_contact_settings(rows: Mapping[int, RowScores], test: str) -> dict[str,
 
 
 def number_contact_poses(rows: Mapping[int, RowScores], test: str) -> np.ndarray:
-    """Number the poses of all stimuli and return that of each contact, (N,)."""
+    """Count up the poses of all stimuli and return the number of each contact, (N,)."""
     labels = _get_labels(rows, test)
     return number_poses(labels["stimulus"], labels["pose_id"])
 

@@ -155,7 +155,7 @@ def _slopes_by_xla(
     return _sum_pixels(image_sum, x, source), _sum_pixels(product_sum, x, source)
 
 
-def _gradient_by_xla(
+def _gradient_by_xla(  # noqa: PLR0913, the arguments of the compiled kernel
     x: Array,
     dy: Array,
     factor: Array,
