@@ -25,7 +25,7 @@ import parted
 from jaxunshear.config.experiment import PIN_TRAINING
 from jaxunshear.config.sweep import Sweep
 
-FIELDS = ("train_pins.losses.tap", "train_pins.losses.consistency")
+FIELDS = ("train_pins.losses.tap_identity", "train_pins.losses.consistency")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}
 SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
 

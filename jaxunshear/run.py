@@ -194,7 +194,7 @@ def _train(run: _Run, network: str) -> bool:
     task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     extra = max(1, training.batch // 2)  # examples a step, in addition to the pairs
-    if "tap" in training.losses:
+    if "tap_identity" in training.losses:
         batches = add_taps(batches, open_taps(experiment, run.data), extra, seed)
     if "consistency" in training.losses:
         batches = add_same_pose_slides(batches, all_examples, extra, seed)

@@ -166,7 +166,7 @@ def get_training_data(experiment: Experiment, network: str) -> PairedData | Pose
 def takes_taps(experiment: Experiment) -> bool:
     """Return whether a network of a simulated experiment learns from the taps of `pose`."""
     return any(
-        name in TAP_NETWORKS or "tap" in get_training(experiment, name).losses
+        name in TAP_NETWORKS or "tap_identity" in get_training(experiment, name).losses
         for name in list_trained_networks(experiment)
     )
 

@@ -108,8 +108,8 @@ LOSSES: dict[str, LossSpec] = {
             requires=("codes",),
         ),
         LossSpec(
-            "tap",
-            f"{PAIR_LOSSES}:compute_tap_term",
+            "tap_identity",
+            f"{PAIR_LOSSES}:compute_tap_identity_term",
             modalities=("pins",),
             requires=("simulated", "still pins"),
             is_validated=False,

@@ -1,6 +1,7 @@
-"""Read a data set through grain, in batches that depend on the seed and the step alone.
+"""Read a data set in batches that depend on the seed and the step alone.
 
-Training batches are shuffled, shifted and paired anew.
+Training batches are shuffled, and paired anew: each slide with any tap at its pose. Images are
+shifted by processes of grain, if `shift` is above zero.
 
     paired = open_set(experiment.paired, data_dir, experiment.sensor)
     steps = paired.train_batches(batch=16, seed=0, shift=0.015)(start_step=0)

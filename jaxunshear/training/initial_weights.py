@@ -64,8 +64,8 @@ def list_training_digests(experiment: Experiment, network: str, start: Path | No
             get_training_data(experiment, each)
             for each in list_required_networks(experiment, network)
         ]
-        if "tap" in get_training(experiment, network).losses:
-            sets.append(require_simulated(experiment, "the loss tap")[1])
+        if "tap_identity" in get_training(experiment, network).losses:
+            sets.append(require_simulated(experiment, "the loss tap_identity")[1])
         digests = {compute_fingerprint(each, experiment.sensor) for each in sets}
     return sorted(digests.union(read_object(start / "model.json")["data"] if start else ()))
 

@@ -103,7 +103,7 @@ def compute_slide_term(inputs: PairInputs) -> Array:
     return losses.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)
 
 
-def compute_tap_term(inputs: PairInputs) -> Array:
+def compute_tap_identity_term(inputs: PairInputs) -> Array:
     """Compare taps without a slide with what unshearing makes of them."""
     taps = inputs.batch[TAPS]
     unsheared = _get(inputs.unshear_noisy)(taps, 2)

@@ -47,9 +47,9 @@ def make_pin_unshear_task(
     """Make the task of PinUnshear, of batches {"canonical_pins", "sheared_pins"} (B, P, 2) px.
 
     Where poses share slides {"other_pins", "swapped_pins"} come with them, see `data.factorial`;
-    elsewhere the pose code of a slide is to agree with its tap's. The loss "tap" needs {"tap_pins"}
-    (T, P, 2) px, "consistency" {"one_pins", "another_pins"} (A, P, 2) px. Raises UserError where a
-    loss lacks its teacher.
+    elsewhere the pose code of a slide is to agree with its tap's. The loss "tap_identity" needs
+    {"tap_pins"} (T, P, 2) px, "consistency" {"one_pins", "another_pins"} (A, P, 2) px. Raises
+    UserError where a loss lacks its teacher.
     """
 
     def decode(variables: Variables, batch: Batch, key: Array | None = None) -> Reconstruction:

@@ -10,7 +10,7 @@ from jax import Array
 
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.config import networks
-from jaxunshear.config.losses import LOSSES, LossSpec, Role, get_loss
+from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_loss
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.errors import UserError
@@ -182,11 +182,14 @@ def make_pair_task(
 def _check_teacher(supervision: Supervision) -> None:
     if supervision.teacher is None:
         raise UserError(
-            "losses.pose_label: a PoseNet is needed to read the pose: train one first, "
-            "or leave it out"
+            f"losses.{' and '.join(SUPERVISION)}: a PoseNet is needed to read the pose: "
+            "train one first, or leave them out"
         )
     if not supervision.targets:
-        raise UserError("losses.pose_label: no pose targets are known: give them, or leave it out")
+        raise UserError(
+            f"losses.{' and '.join(SUPERVISION)}: no pose targets are known: "
+            "give them, or leave them out"
+        )
 
 
 def _has_parts(outputs: Reconstruction, spec: LossSpec) -> bool:

@@ -244,16 +244,17 @@ def test_what_codes_of_images_that_are_apart_take():
     [
         ("--train.paired_share 0", "use a share above 0"),
         ("--unshear.input pins --train_pins.paired_share 1.1", "use a share above 0"),
-        ("--train.losses.tap 1", "is for networks over pins"),
+        ("--train.losses.tap_identity 1", "is for networks over pins"),
         ("--train.losses.consistency 1", "is for networks over pins"),
         ("--train.paired_share 0.1", "is for networks over pins"),
         (
             "--unshear.input pins --paired.slides 1 --train_pins.losses.consistency 1",
             "takes two slides to a pose",
         ),
-        ("--unshear.input pins --train_pins.losses.tap -1", "must not be below zero"),
+        ("--unshear.input pins --train_pins.losses.tap_identity -1", "must not be below zero"),
         (
-            "--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.losses.tap 1",
+            "--unshear.input pins --targets edge_mm --pins.turned 1 "
+            "--train_pins.losses.tap_identity 1",
             "pins as they are",
         ),
         (
@@ -266,7 +267,8 @@ def test_what_codes_of_images_that_are_apart_take():
 def test_fewer_pairs_within_their_limits(words, line):
     networks = "--networks disentangled,posenet"
     assert line in refusal(f"{networks} {words}")
-    few = f"{networks} --unshear.input pins --train_pins.losses.tap 1 --train_pins.paired_share 0.1"
+    few = f"{networks} --unshear.input pins --train_pins.losses.tap_identity 1"
+    few += " --train_pins.paired_share 0.1"
     validate(override_fields(PLAIN, few.split()))
 
 
@@ -274,7 +276,7 @@ def test_taps_of_a_tested_pose_teach_no_network():
     pins = "--networks disentangled --unshear.input pins"
     words = f"{pins} --train_pins.losses.pose_label 0 --pose.seed 0"
     validate(override_fields(PLAIN, words.split()))
-    assert refusal(f"{words} --train_pins.losses.tap 1").startswith("--pose.seed 0")
+    assert refusal(f"{words} --train_pins.losses.tap_identity 1").startswith("--pose.seed 0")
 
 
 def test_exchanged_codes_take_slides_that_poses_share():

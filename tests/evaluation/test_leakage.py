@@ -295,7 +295,7 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
             "supervised": 1.0,
             "reconstruction": 1.0,
             "slide": 1.0,
-            "tap": 0.5,
+            "tap_identity": 0.5,
             "consistency": 0.5,
         },
     )
@@ -303,8 +303,8 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
     place = tmp_path / "toy" / "disentangled"
     (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
-    assert last["train"]["tap"] > 0 and last["train"]["consistency"] > 0
-    assert not {"tap", "consistency"} & set(last["validation"])
+    assert last["train"]["tap_identity"] > 0 and last["train"]["consistency"] > 0
+    assert not {"tap_identity", "consistency"} & set(last["validation"])
     full = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
     model = json.loads((place / "model.json").read_text())
     assert model["epoch_images"] == full["epoch_images"]

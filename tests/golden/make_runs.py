@@ -69,7 +69,12 @@ FIELDS = {
     "weight": "weights of pairs",
     "sure": "known pins",
 }
-LOSSES = {"pose_label": "pose", "pose_tap": "pose", "rendered_pose": "rendered"}
+LOSSES = {
+    "tap_identity": "tap",
+    "pose_label": "pose",
+    "pose_tap": "pose",
+    "rendered_pose": "rendered",
+}
 SCORES = {
     "pose_mae": "pose errors",
     "ms_ssim": "MS-SSIM",

@@ -141,14 +141,14 @@ def test_the_only_slide_of_a_pose_is_its_own_other():
 
 def test_a_network_that_learns_taps_needs_their_set():
     """Their set is made without a PoseNet, too."""
-    taught = override_fields(OVER_PINS, ["--train_pins.losses.tap", "0.5"])
+    taught = override_fields(OVER_PINS, ["--train_pins.losses.tap_identity", "0.5"])
     assert set(list_sets(OVER_PINS)) == {"tactip_paired"}
     assert set(list_sets(taught)) == {"tactip_paired", "tactip_pose"}
 
 
 def test_no_posenet_is_another_for_fewer_pairs():
     few = override_fields(
-        OVER_PINS, ["--train_pins.losses.tap", "0.5", "--train_pins.paired_share", "0.1"]
+        OVER_PINS, ["--train_pins.losses.tap_identity", "0.5", "--train_pins.paired_share", "0.1"]
     )
     assert get_training(few, "posenet") == get_training(OVER_PINS, "posenet")
     assert get_training(few, "disentangled") != get_training(OVER_PINS, "disentangled")

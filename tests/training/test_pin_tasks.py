@@ -70,11 +70,12 @@ def test_every_part_is_taught_by_its_own_losses():
 
 def test_taps_without_a_slide_come_out_as_they_went_in():
     net = PinUnshear(**SMALL)
-    task = make_pin_unshear_task(net, name_losses(tap=0.5), REST, 1.0)
+    task = make_pin_unshear_task(net, name_losses(tap_identity=0.5), REST, 1.0)
     variables, taps = task.init(KEY), batch(3)["canonical_pins"][:2]
-    assert task.weights["tap"] == 0.5 and "tap" not in task.validate(variables, batch())
+    assert task.weights["tap_identity"] == 0.5
+    assert "tap_identity" not in task.validate(variables, batch())
 
-    def term(params, name="tap"):
+    def term(params, name="tap_identity"):
         return task.terms(variables | {"params": params}, batch() | {TAPS: taps}, KEY)[0][name]
 
     np.testing.assert_allclose(
