@@ -2,9 +2,9 @@
 
     rows = bench_input()
 
-Steps whose batches are drawn and read as in training are compared with steps whose batch is in
-memory. Both take turns, some steps at a time. Examples are noise; as many as a training set has lie
-in memory, as those of a stored set do.
+It compares steps that read each batch from a data set, as training does, with steps whose batch is
+already in memory. Both take turns, a few steps at a time. The data set has random examples, as many
+as a training has.
 """
 
 import itertools

@@ -2,11 +2,11 @@
 
     rows = bench_train(size=128, batch=32)
 
-The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in
-between: `share` is the rate of the convolutions' multiplications over that of the product. Compile
-time is separate. Without the extras `torch` and `onnx` there are only our rows. If parts of the
-training are compiled for the processor (`models/fast/compiled_kernels.py`), training without them
-has a row of its own.
+The programs take turns, a few steps at a time. Between the turns a 2048 x 2048 float32 matrix
+product is timed. `share` divides the multiplications per second of the convolutions by those of
+this product. Compile time is separate. The rows of PyTorch and ONNX Runtime need the extras `torch`
+and `onnx`. One more row times training without the compiled kernels
+(`models/fast/compiled_kernels.py`), if there are any.
 """
 
 import statistics

@@ -1,11 +1,11 @@
-"""Measures operations and seconds of the same work with and without a part that it may not need.
+"""Measures what a part costs that some settings do not need, in operations and seconds.
 
     rows = bench_needs(size=128)
 
-Each case is compiled with and without the part. `operations` are those of the compiled program, as
-XLA counts them, with kernels' gradients as convolutions (of other forms it counts none, or one turn
-of a loop). A part that is not needed must be gone from the program, not merely unused. Both
-programs take turns in being timed.
+Each case compiles two programs, with and without the part. `operations` is XLA's count for the
+compiled program. XLA cannot count our faster forms of the kernels' gradients, so these are computed
+as convolutions here. A part that is not needed must not be in the program at all. The two programs
+are timed in turns.
 """
 
 import time

@@ -2,8 +2,9 @@
 
     rows = bench_pin_networks()
 
-E is dense, or convolves (`pins.convolved`). From the sheared pins of a frame the unsheared pins and
-their pose are computed. Pins are noise about those of the TacTip. Plain and fast layers take turns.
+The encoder E has dense layers, or convolutions (`pins.convolved`). For a frame the networks compute
+the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins are
+those of the TacTip with random motions. Plain and fast layers take turns.
 """
 
 import time

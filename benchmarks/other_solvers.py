@@ -42,11 +42,11 @@ GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
 
 
-def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
+def _multiply(matrix: jax.Array, force: jax.Array) -> jax.Array:
     return (force.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
 
 
-def _length(
+def _compute_length(
     w: jax.Array, miss: jax.Array, force: jax.Array, factor: jax.Array | float
 ) -> jax.Array:
     """Compute the simulator's length (B,) mm of a miss of the forces.
@@ -54,11 +54,11 @@ def _length(
     It has the motion of the skin that the miss causes, and `factor` times the miss.
     """
     touching = jnp.maximum(jnp.sum(force[..., -1] > 0, axis=-1), 1)
-    squared = _times(w, miss) ** 2 + (factor * miss) ** 2
+    squared = _multiply(w, miss) ** 2 + (factor * miss) ** 2
     return jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
 
 
-def _largest_eigenvalue(w: jax.Array) -> jax.Array:
+def _compute_largest_eigenvalue(w: jax.Array) -> jax.Array:
     """Of w, by the power method; a little above."""
 
     def step(_: jax.Array, v: jax.Array) -> jax.Array:
@@ -106,7 +106,7 @@ class _Accelerated(NamedTuple):
     momentum: jax.Array  # (B,)
 
 
-def _gradient(accelerate: bool) -> Solver:
+def _make_gradient_solver(accelerate: bool) -> Solver:
     def solve(
         increment: Increment,
         inverse: jax.Array,
@@ -116,12 +116,12 @@ def _gradient(accelerate: bool) -> Solver:
     ) -> SolverResult:
         _check_untilted(increment.frame)
         w, offset, friction = increment.w, increment.offset, increment.friction
-        largest = _largest_eigenvalue(w)
+        largest = _compute_largest_eigenvalue(w)
 
         def step(state: _Accelerated) -> tuple[_Accelerated, jax.Array]:
             z, ahead, momentum = state
-            after = project(ahead - (_times(w, ahead) + offset) / largest, friction)
-            error = _length(w, after - ahead, after, largest)
+            after = project(ahead - (_multiply(w, ahead) + offset) / largest, friction)
+            error = _compute_length(w, after - ahead, after, largest)
             if not accelerate:
                 return _Accelerated(after, after, momentum), error
             against = jnp.sum((ahead - after) * (after - z), axis=(1, 2)) > 0
@@ -139,7 +139,7 @@ def _gradient(accelerate: bool) -> Solver:
     return solve
 
 
-projected_gradient, accelerated = _gradient(False), _gradient(True)
+projected_gradient, accelerated = _make_gradient_solver(False), _make_gradient_solver(True)
 
 
 def solve_anderson(
@@ -159,7 +159,7 @@ def solve_anderson(
 
     def move(v: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         z = project(v, friction)
-        x = _times(inverse, RHO * (2 * z - v) - offset)
+        x = _multiply(inverse, RHO * (2 * z - v) - offset)
         return OVER_RELAXATION * (x - z), z, x
 
     def step(state: _Walk) -> tuple[_Walk, jax.Array]:
@@ -181,7 +181,7 @@ def solve_anderson(
         back = jnp.einsum("bm,bmi->bi", share, ways + pulls).reshape(v.shape)
         after = jnp.where(worse, plain, v + pull - back)
         touching = jnp.maximum(jnp.sum(z[..., -1] > 0, axis=-1), 1)
-        squared = _times(w, x - z) ** 2 + (RHO * (z - z_before)) ** 2
+        squared = _multiply(w, x - z) ** 2 + (RHO * (z - z_before)) ** 2
         error = jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
         held = jnp.where(worse[:, 0, 0], before, norm)
         return (after, v + pull, ways, pulls, (v, pull), held, z, number + 1), error
@@ -221,7 +221,7 @@ def solve_newton(
     identity = jnp.eye(nodes * unknowns, dtype=offset.dtype)
 
     def step(force: jax.Array) -> tuple[jax.Array, jax.Array]:
-        inner = force - _times(w, force) - offset
+        inner = force - _multiply(w, force) - offset
         miss = force - project(inner, friction)
 
         def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -232,8 +232,8 @@ def solve_newton(
 
         change = jax.lax.map(one, (slopes_of(inner, friction), miss))
         after = force - change
-        miss = after - project(after - _times(w, after) - offset, friction)
-        return after, _length(w, miss, after, 1.0)
+        miss = after - project(after - _multiply(w, after) - offset, friction)
+        return after, _compute_length(w, miss, after, 1.0)
 
     force, error, spent = _iterate(
         step, jnp.zeros_like(offset), tolerance, min(limit, NEWTON_LIMIT), 1

@@ -14,7 +14,8 @@ from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, P
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.recorded_contacts import identify_sensor, read_contacts
+from jaxunshear.data.recorded_contacts import read_contacts
+from jaxunshear.data.recorded_probes import identify_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_text
 

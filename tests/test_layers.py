@@ -135,7 +135,7 @@ def test_files_and_functions_are_short():
     """And nothing in the package patches another part of it."""
     for module, path in FILES.items():
         text = path.read_text()
-        assert text.count("\n") <= 400 and "unittest" not in text, module
+        assert text.count("\n") < 373 and "unittest" not in text, module
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef):
                 assert node.end_lineno - node.lineno < 66, (module, node.name)

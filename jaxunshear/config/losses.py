@@ -18,7 +18,7 @@ from typing import Any, Literal, NoReturn
 from jaxunshear.errors import UserError
 
 Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss does
-Modality = Literal["images", "pins"]
+InputKind = Literal["images", "pins"]
 Requirement = Literal["codes", "shared slides", "two slides", "simulated", "still pins"]
 
 PAIR_LOSSES = "jaxunshear.training.pair_losses"
@@ -53,7 +53,7 @@ class LossSpec:
     name: str
     compute: Callable[..., Any] | str  # a function, or where it is, as `module:function`
     role: Role = "unshears"
-    modalities: tuple[Modality, ...] = ("images", "pins")
+    modalities: tuple[InputKind, ...] = ("images", "pins")
     # of `Reconstruction`; a network that does not compute them leaves the loss out
     parts: tuple[str, ...] = ()
     # of a batch, in addition to both sides of the pairs: "labels" of poses, "slide_labels", "other"
@@ -138,7 +138,7 @@ def register_loss(
     name: str,
     *,
     role: Role = "unshears",
-    modalities: tuple[Modality, ...] = ("images", "pins"),
+    modalities: tuple[InputKind, ...] = ("images", "pins"),
     parts: tuple[str, ...] = (),
     fields: tuple[str, ...] = (),
     requires: tuple[Requirement, ...] = (),

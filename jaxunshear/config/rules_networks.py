@@ -10,7 +10,7 @@ from jaxunshear.config.experiment import (
     uses_pins,
 )
 from jaxunshear.config.image import Preprocess
-from jaxunshear.config.losses import EXCHANGE, Modality, Requirement, Role, get_loss
+from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER
 from jaxunshear.config.targets import parse_target
 from jaxunshear.config.training import Training, uses_code_exchange
@@ -132,7 +132,7 @@ def _make_batch_rule(training: Training, group: str, examples: int) -> Rule:
 
 
 def _list_loss_rules(
-    experiment: Experiment, group: str, role: Role, modality: Modality
+    experiment: Experiment, group: str, role: Role, modality: InputKind
 ) -> Iterator[Rule]:
     """Yield the rules that the losses of a group exist, suit its networks, and have their needs."""
     for name in getattr(experiment, group).losses:
@@ -153,31 +153,31 @@ def _list_loss_rules(
             yield Rule(check(experiment, modality), field, remedy)
 
 
-def _has_codes(experiment: Experiment, modality: Modality) -> bool:
+def _has_codes(experiment: Experiment, modality: InputKind) -> bool:
     if modality == "pins":
         return experiment.pins.shear_code > 0 and not experiment.pins.turned
     return experiment.unshear.apart and not uses_pins(experiment)
 
 
-def _shares_slides(experiment: Experiment, modality: Modality) -> bool:
+def _shares_slides(experiment: Experiment, modality: InputKind) -> bool:
     paired = experiment.paired
     return isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
 
 
-def _has_two_slides(experiment: Experiment, modality: Modality) -> bool:
+def _has_two_slides(experiment: Experiment, modality: InputKind) -> bool:
     return isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1
 
 
-def _is_simulated(experiment: Experiment, modality: Modality) -> bool:
+def _is_simulated(experiment: Experiment, modality: InputKind) -> bool:
     return get_recorded(experiment) is None
 
 
-def _has_still_pins(experiment: Experiment, modality: Modality) -> bool:
+def _has_still_pins(experiment: Experiment, modality: InputKind) -> bool:
     return not experiment.pins.turned
 
 
 # what a loss can require: whether an experiment has it, and what to do if not
-REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, Modality], bool], str]] = {
+REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, InputKind], bool], str]] = {
     "codes": (
         _has_codes,
         "takes codes that are apart: set unshear.apart; "

@@ -20,12 +20,8 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits
-from jaxunshear.data.recorded_contacts import (
-    LARGEST_PX,
-    RecordedContacts,
-    find_common_view,
-    select_probes,
-)
+from jaxunshear.data.recorded_contacts import RecordedContacts
+from jaxunshear.data.recorded_probes import LARGEST_PX, find_common_view, select_probes
 from jaxunshear.data.recordings import Recordings, read_image
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError

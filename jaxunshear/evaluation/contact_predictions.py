@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
-from jaxunshear.data.recorded_contacts import RecordedContacts, find_common_view
+from jaxunshear.data.recorded_contacts import RecordedContacts
+from jaxunshear.data.recorded_probes import find_common_view
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.inference.perceiver import AS_RECORDED, Perceiver

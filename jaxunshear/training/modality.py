@@ -20,7 +20,7 @@ Batch = Json
 class Modality(NamedTuple):
     """Fields of a batch, and how outputs are made and compared."""
 
-    name: names.Modality
+    name: names.InputKind
     canonical: str  # the field of the taps
     sheared: str  # of the slides
     other: str  # of other poses after other slides

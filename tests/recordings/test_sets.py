@@ -17,7 +17,8 @@ from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import preprocessing
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
-from jaxunshear.data.recorded_contacts import identify_sensor, read_contacts
+from jaxunshear.data.recorded_contacts import read_contacts
+from jaxunshear.data.recorded_probes import identify_sensor
 from jaxunshear.data.recorded_set import open_recorded
 from jaxunshear.errors import UserError
 
