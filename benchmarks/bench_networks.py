@@ -27,6 +27,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.config.training import Training
+from jaxunshear.environment import FAST, PLAIN
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import UNSHEARED
@@ -34,6 +35,7 @@ from jaxunshear.inference.perception import make_forward
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.layer_choice import use_layers
 from jaxunshear.progress import Progress
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import SIZE, make_matrix_product, time_call
@@ -121,14 +123,14 @@ def _make_training_sides(size: int, batch: int) -> Sides:
     net, training = _make_network(size, batch), Training(batch=batch)
     canonical, sheared = make_noise_images(batch, size)
 
-    def ours(form: str) -> Work:
+    def ours(layers: str, form: str) -> Work:
         step, first = make_timed_step(make_unshear_task(net, training), training)
         state = [first]
         program = jax.jit(step, donate_argnums=0)
         inputs = jax.device_put({"canonical": canonical, "sheared": sheared})
 
         def work() -> None:
-            with compiled_kernels.use_form(form):
+            with use_layers(layers), compiled_kernels.use_form(form):
                 state[0], metrics = program(state[0], inputs)
             jax.block_until_ready(metrics)
 
@@ -145,9 +147,10 @@ def _make_training_sides(size: int, batch: int) -> Sides:
         ]
         return lambda: float(step(*inputs)) and None
 
-    yield "jaxunshear", lambda: ours("compiled")
+    yield "jaxunshear", lambda: ours(FAST, "compiled")
     if compiled_kernels.is_available():
-        yield "jaxunshear, XLA alone", lambda: ours("xla")
+        yield "jaxunshear, XLA alone", lambda: ours(FAST, "xla")
+    yield "jaxunshear, plain layers", lambda: ours(PLAIN, "xla")
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 
@@ -156,11 +159,16 @@ def _make_inference_sides(size: int, batch: int) -> Sides:
     net = _make_network(size, batch)
     _, sheared = make_noise_images(batch, size)
 
-    def ours() -> Work:
+    def ours(layers: str) -> Work:
         variables = init_variables(partial(unshearnet.init, net))
         run = jit_for_inference(partial(unshearnet.unshear, net), variables)
         inputs = np.asarray(sheared, np.float32) / 255
-        return lambda: np.asarray(run(inputs)) is None
+
+        def work() -> None:
+            with use_layers(layers):
+                np.asarray(run(inputs))
+
+        return work
 
     def theirs(compiled: bool) -> Work:
         torch, _ = _import_torch_networks()
@@ -176,7 +184,8 @@ def _make_inference_sides(size: int, batch: int) -> Sides:
 
         return work
 
-    yield "jaxunshear", ours
+    yield "jaxunshear", lambda: ours(FAST)
+    yield "jaxunshear, plain layers", lambda: ours(PLAIN)
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 
