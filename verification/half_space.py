@@ -17,14 +17,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.simulator.admm import RHO, SolverOptions
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
-from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
-from jaxunshear.simulator.friction import (
-    advance_increment,
-    compute_increment_offset,
+from jaxunshear.simulator.admm import Solver
+from jaxunshear.simulator.contact_problem import (
+    ContactProblem,
+    Skin,
+    System,
     make_undeformed_skins,
 )
+from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
+from jaxunshear.simulator.friction import advance_increment, make_increment
+from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.mesh import make_half_space_mesh
 from jaxunshear.simulator.obstacle import Obstacles
 from jaxunshear.simulator.systems import ScaledSystem
@@ -192,11 +194,11 @@ def _follow_increments(
 ) -> _Increments:
     flat = Obstacles(jnp.full((1, 5, 5), -10.0, poses.dtype))
     problem = ContactProblem(system, flat, jnp.zeros(poses.shape[1], jnp.int32), friction)
-    options = SolverOptions(tolerance, LIMIT)
+    solver = Solver(tolerance, LIMIT)
 
     def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Increments]:
-        offset = compute_increment_offset(problem, skin, pose, skin.displacement)
-        after, quality = advance_increment(problem, skin, pose, options)
+        offset = make_increment(problem, skin, pose, skin.displacement).offset
+        after, quality = advance_increment(problem, skin, pose, solver)
         slip_and_gap = offset + after.displacement
         # where nothing moves the skin is left as it is
         moved = jnp.any(pose != skin.pose, axis=-1)[:, None, None]

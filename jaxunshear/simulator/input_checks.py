@@ -6,20 +6,11 @@ from jaxunshear.config.reach import compute_max_contact_depth_mm
 from jaxunshear.config.sensor import Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.contact_results import Skins
-from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
 from jaxunshear.simulator.scene import Scenes
 from jaxunshear.simulator.scheduler import MIN_LEG_MM
 
 SAME_POINT = 1e-6  # mm or degrees by which a path may begin beside its skin
-
-
-def get_level(name_or_level: str | Level) -> Level:
-    if isinstance(name_or_level, Level):
-        return name_or_level
-    if name_or_level not in LEVELS:
-        raise UserError(f"level '{name_or_level}' is unknown: use one of {', '.join(LEVELS)}")
-    return LEVELS[name_or_level]
 
 
 def check_batch(batch: int) -> None:

@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxunshear.simulator.node_state import count_node_states
 
 from jaxunshear.simulator.admm import BETWEEN_CHECKS, RHO, SolverOptions, project
 from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
 from jaxunshear.simulator.frame import compute_level_frame
 from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
-from jaxunshear.simulator.node_state import count_node_states
 from jaxunshear.simulator.obstacle import Obstacles
 from verification.half_space import HalfSpace, make_press_poses, trace_forces
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth

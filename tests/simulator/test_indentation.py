@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from jaxunshear.simulator.indentation import compute_indentation
 
 from jaxunshear.config.sensor import TACTIP_331, get_sensor
-from jaxunshear.simulator.indentation import compute_indentation
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes
