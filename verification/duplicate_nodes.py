@@ -18,8 +18,7 @@ from jaxunshear.simulator.friction import follow_path
 from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.obstacle import sample_obstacles
-from jaxunshear.simulator.paths import Paths
-from jaxunshear.simulator.scheduler import cut_increments
+from jaxunshear.simulator.paths import Paths, cut_increments
 
 
 def solve_with_duplicates(

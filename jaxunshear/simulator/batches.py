@@ -28,14 +28,13 @@ from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.friction import follow_path
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
 from jaxunshear.simulator.level import STRONG_FRICTION
-from jaxunshear.simulator.paths import TILT_X, YAW, Paths
+from jaxunshear.simulator.paths import TILT_X, YAW, Paths, cut_increments
 from jaxunshear.simulator.scheduler import (
     BATCHES,
     PATH_LENGTHS,
     ContactBatch,
     Simulation,
     compute_gaps,
-    cut_increments,
     make_plan,
     pad_count,
 )

@@ -32,18 +32,16 @@ from jaxtyping import Float
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import dome as domes
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
-from jaxunshear.simulator.contact_results import Skins
+from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
 from jaxunshear.simulator.increment import RHO
-from jaxunshear.simulator.input_checks import check_batch, check_paths, check_start
+from jaxunshear.simulator.input_checks import check_batch, check_paths
 from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.obstacle import Obstacles
-from jaxunshear.simulator.paths import TURNS, Paths
+from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
 from jaxunshear.simulator.scheduler import (
     Simulation,
     Stimuli,
-    cut_increments,
     find_reachable_nodes,
 )
 
@@ -52,9 +50,10 @@ TOUCHING_SHARE = 0.75  # of the nodes within reach: about as many as ever touch 
 
 
 class ScaledCompliance(NamedTuple):
+    """A compliance divided by the mean diagonal of w, on which the pins do not depend."""
+
     w: Array  # (3N, 3N)
     g: Array  # (3P, 3N)
-    scale: Array  # () mean diagonal of w, by which both are divided
 
 
 class Compliances(NamedTuple):
@@ -89,7 +88,7 @@ class Compliances(NamedTuple):
 
             w, g = interpolate(self.w, self.w_slope), interpolate(self.g, self.g_slope)
         scale = jax.lax.stop_gradient(jnp.trace(w) / len(w))
-        return ScaledCompliance(w / scale, g / scale, scale)
+        return ScaledCompliance(w / scale, g / scale)
 
 
 @jax.tree_util.register_dataclass
@@ -105,7 +104,6 @@ class PinModel:
     obstacles: Obstacles
     obstacle_index: Array  # (B,)
     shares: Array  # (B, T + 1, K) of the way points in each pose of the path
-    force_n: Array  # (B, N, 3) at the first point
     # nodes of a scene that touch at once, probably
     max_touching: int = field(metadata={"static": True})
 
@@ -143,14 +141,12 @@ def make_pin_model(
     paths: Paths,
     level: str | Level = "auto",
     ratios: tuple[float, ...] = (),
-    start: Skins | None = None,
 ) -> PinModel:
     """Make a model of the sensor on these paths. Call under `jax.enable_x64(True)`.
 
     The paths are cut into increments as at `level`. The compliance is known at the sensor's own
     ratio of skin to gel modulus, and nearby to first order; or at rising `ratios`, and in between
-    by interpolation in the logarithm. With `start`, each path continues from its first point with
-    that skin.
+    by interpolation in the logarithm.
     """
     simulation = Simulation(sensor, stimuli, get_level(level))
     check_paths(sensor, len(stimuli), paths)
@@ -159,11 +155,6 @@ def make_pin_model(
     sensor_ratio = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
     rest = domes.load_dome(sensor)
     reachable, usual = (find_reachable_nodes(simulation, paths, wide) for wide in (True, False))
-    force = np.zeros((len(paths), *rest.nodes.shape))
-    if start is not None:
-        check_start(paths, start, len(rest.nodes))
-        reachable |= np.any(start.force_n != 0, axis=-1)
-        force = start.force_n
     index = np.flatnonzero(reachable.any(axis=0))
     index = index if len(index) else np.arange(1)
     return PinModel(
@@ -175,7 +166,6 @@ def make_pin_model(
         obstacles=simulation.obstacles,
         obstacle_index=jnp.asarray(paths.stimulus, jnp.int32),
         shares=jnp.asarray(compute_path_shares(paths, simulation.level, sensor.dome_radius_mm)),
-        force_n=jnp.asarray(force[:, index]),
         max_touching=int(TOUCHING_SHARE * usual.sum(axis=1).max(initial=0)) + 1,
     )
 
@@ -229,7 +219,7 @@ def simulate_pins(
     path = jnp.einsum(
         "btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None]
     )
-    w, g, scale = model.compliances.interpolate(model.log_ratio if log_ratio is None else log_ratio)
+    w, g = model.compliances.interpolate(model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
     problem = ContactProblem(
         System(w, inverse, w, model.nodes, model.centre_mm),
@@ -239,9 +229,7 @@ def simulate_pins(
         tilted=True,
         max_touching=model.max_touching,
     )
-    force = model.force_n * scale
-    displacement = (force.reshape(len(force), -1) @ w).reshape(force.shape)
-    skin = Skin(force, jnp.zeros_like(force), displacement, path[0])
+    skin = make_undeformed_skins(problem.system, path[0])
     state = compute_pin_state(problem, g.T, path, skin)
     return PinPositions(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
 
@@ -251,7 +239,6 @@ def compute_pin_gradient(
     stimuli: Stimuli,
     paths: Paths,
     level: str | Level = "auto",
-    start: Skins | None = None,
     batch: int = 16,
 ) -> PinGradient:
     """Compute the pins of B scenes and their derivatives by everything, in float64."""
@@ -261,9 +248,8 @@ def compute_pin_gradient(
     parts = []
     with jax.enable_x64(True):
         for first in range(0, len(paths), batch):
-            rows = np.arange(first, min(first + batch, len(paths)))
-            part, before = paths.take(rows), None if start is None else start.take(rows)
-            model = make_pin_model(sensor, stimuli, part, level, start=before)
+            part = paths.take(np.arange(first, min(first + batch, len(paths))))
+            model = make_pin_model(sensor, stimuli, part, level)
             points, friction = jnp.asarray(part.points), jnp.asarray(part.friction)
             parts.append(jax.device_get(_differentiate_pins(model, points, friction)))
     merged = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)

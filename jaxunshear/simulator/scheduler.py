@@ -29,14 +29,14 @@ from jaxunshear.simulator.frame import (
     transform_to_level,
 )
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.level import STRONG_FRICTION, Level
+from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.obstacle import (
     Obstacles,
     compute_surface_drop,
     interpolate_distance,
     sample_obstacles,
 )
-from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths
+from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths, cut_increments
 from jaxunshear.simulator.stimuli import Stimulus
 
 Stimuli = tuple[str | Outline | Stimulus, ...]
@@ -49,7 +49,6 @@ WIDE_MARGINS = (1.1, 3.0)  # REACHED_SHARE and MARGIN_MM, where those were not e
 # and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
-MIN_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
@@ -57,8 +56,6 @@ MIN_SPLIT = 24  # scenes in a batch that is worth splitting
 MIN_SPLIT_SAVING = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 MIN_ROWS = 12  # a matrix product with fewer rows than this takes as long as one with this many
-# an increment at strong friction: a node that touches sticks where the increment began
-STRONG_PRESS_MM = 1.0
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
@@ -89,43 +86,6 @@ class ContactBatch(NamedTuple):
     steps: int  # increments of the longest path
     friction: bool  # False: pressures only
     tilted: bool
-
-
-def cut_increments(
-    paths: Paths, level: Level, radius_mm: float
-) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
-    """Cut the paths into poses, angles in rad, each padded by staying at its end.
-
-    The numbers of increments come second. Twists count as motion at `radius_mm` / 4 of the axis,
-    tilts at the dome's radius.
-    """
-    points = paths.radians
-    change = np.diff(points, axis=1)
-    pressed = np.abs(change[..., DEPTH])
-    along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
-    along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
-    pressed = np.where(pressed < MIN_LEG_MM, 0, pressed)
-    along = np.where(along < MIN_LEG_MM, 0, along)
-    strong = (paths.friction > STRONG_FRICTION)[:, None]
-    press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
-    press = np.ceil(pressed / press_mm - 1e-9)
-    slide = np.ceil(along / level.slide_mm - 1e-9)
-    if "steps" not in level.omit:
-        press = np.maximum(press, level.press * (pressed > 0))
-        slide = np.maximum(slide, level.slide * (along > 0))
-    count = np.maximum(press, slide).astype(int)  # (B, K - 1)
-    ends = np.cumsum(count, axis=1)
-    total = ends[:, -1]
-    number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
-    # of every increment; past the end: K - 1
-    leg = np.sum(number[None, :, None] > ends[:, None, :], axis=-1)
-    rows = np.arange(len(points))[:, None]
-    inside = np.minimum(leg, count.shape[1] - 1)
-    before = ends[rows, inside] - count[rows, inside]
-    share = np.clip((number - before) / np.maximum(count[rows, inside], 1), 0, 1)[..., None]
-    share = np.where((leg < count.shape[1])[..., None], share, 1.0)
-    poses = points[rows, inside] + share * change[rows, inside]
-    return np.concatenate([points[:, :1], poses], axis=1), total
 
 
 class _PlacedNodes(NamedTuple):
