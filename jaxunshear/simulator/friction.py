@@ -143,13 +143,15 @@ def make_increment(
         problem.obstacle_index,
         transform_to_target(system.nodes[None] + displacement),
     )
-    offset = jnp.minimum(rest_height - pose[:, DEPTH, None] + drop, MAX_GAP_MM)[..., None]
-    if skin.force.shape[-1] > 1:
+    height = jnp.minimum(rest_height - pose[:, DEPTH, None] + drop, MAX_GAP_MM)
+    if skin.force.shape[-1] == 1:
+        offset = height[..., None]
+    else:
         level_before = transform_to_level(problem.compute_frame(skin.pose), place, system.centre_mm)
         before = rotate_in_plane(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
         slip = rotate_in_plane(-pose[:, YAW], transform_to_target(place) - before)
         moved = rotate(frame, skin.displacement)
-        offset = jnp.concatenate([slip - moved[..., :2], offset], axis=-1)
+        offset = jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1)
     return Increment(
         system.w, system.inverse, frame, offset, problem.friction, problem.max_touching
     )

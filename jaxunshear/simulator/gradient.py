@@ -1,10 +1,4 @@
-"""Derivatives of the pins by way points, friction and the ratio of the moduli.
-
-    gradient = compute_pin_gradient(TACTIP_331, ("disk",), paths)
-    gradient.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point
-    gradient.at_switch  # (B,) there a derivative is one-sided
-
-To put pins into a loss of your own:
+"""Pins as a differentiable function of way points, friction and the ratio of the moduli.
 
     with jax.enable_x64(True):
         model = make_pin_model(TACTIP_331, ("disk",), paths)
@@ -17,7 +11,8 @@ To put pins into a loss of your own:
 
 All derivatives are those of the converged contact (see `implicit`), along a path whose increments
 are cut as for the model's paths. They do not see the kinks of a sampled obstacle's distance, whose
-slope changes by about 1 % at its grid lines.
+slope changes by about 1 % at its grid lines. No scene depends on another, so a tangent may move all
+scenes at once, and tangents under `jax.vmap` share each increment's matrix.
 """
 
 from dataclasses import dataclass, field, replace
@@ -35,7 +30,7 @@ from jaxunshear.simulator import dome as domes
 from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
 from jaxunshear.simulator.increment import RHO
-from jaxunshear.simulator.input_checks import check_batch, check_paths
+from jaxunshear.simulator.input_checks import check_paths
 from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.obstacle import Obstacles
 from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
@@ -109,30 +104,28 @@ class PinModel:
 
 
 class PinPositions(NamedTuple):
-    pins: Array  # (B, P, 3) mm in the sensor frame
-    margin_mm: Array  # (B,) to the nearest switch
-    residual_mm: Array  # (B,) of the worst increment
+    """Pins of B scenes, and how far their derivatives can be trusted.
 
-
-class PinGradient(NamedTuple):
-    """Derivatives of B scenes' pins (numpy, mm in the sensor frame).
-
-    They are exact for changes that move no node past a switch: between touching and parting, or
-    stick and slip. `margin_mm` is how far the nearest one was in any increment: in mm of a node's
-    gap or slip, or of the displacement that the missing force would give to its node. A finite
-    difference agrees as long as its step moves the skin by less. `at_switch` means below SWITCH_MM:
-    the derivative is then the one of the side on which the node was found, and a step to the other
-    side has another. Two cases are always one-sided: friction 0 answers to more friction only, and
-    infinite friction to no change at all.
+    Derivatives are exact for changes that move no node past a switch: between touching and parting,
+    or stick and slip. `margin_mm` is how far the nearest one was in any increment: in mm of a
+    node's gap or slip, or of the displacement that the missing force would give to its node. A
+    finite difference agrees as long as its step moves the skin by less. Two cases are always
+    one-sided: friction 0 answers to more friction only, and infinite friction to no change at all.
     """
 
-    pins: np.ndarray  # (B, P, 3)
-    d_points: np.ndarray  # (B, P, 3, K, 6) per mm and per degree of the way points
-    d_friction: np.ndarray  # (B, P, 3)
-    d_log_ratio: np.ndarray  # (B, P, 3) by log(skin modulus : gel modulus)
-    margin_mm: np.ndarray  # (B,)
-    at_switch: np.ndarray  # (B,) bool
-    converged: np.ndarray  # (B,) bool; where it is not, the derivatives say nothing
+    pins: Array  # (B, P, 3) mm in the sensor frame
+    margin_mm: Array  # (B,)
+    residual_mm: Array  # (B,) of the worst increment
+
+    @property
+    def at_switch(self) -> Array:
+        """(B,) whether the derivative is that of the side on which rounding put a node."""
+        return self.margin_mm < SWITCH_MM
+
+    @property
+    def converged(self) -> Array:
+        """(B,) whether the derivatives say anything."""
+        return self.residual_mm <= GOAL_MM[self.residual_mm.dtype.name]
 
 
 def make_pin_model(
@@ -232,70 +225,3 @@ def simulate_pins(
     skin = make_undeformed_skins(problem.system, path[0])
     state = compute_pin_state(problem, g.T, path, skin)
     return PinPositions(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
-
-
-def compute_pin_gradient(
-    sensor: Sensor,
-    stimuli: Stimuli,
-    paths: Paths,
-    level: str | Level = "auto",
-    batch: int = 16,
-) -> PinGradient:
-    """Compute the pins of B scenes and their derivatives by everything, in float64."""
-    check_batch(batch)
-    if not len(paths):
-        raise UserError("paths: no scene is given, so there is nothing to differentiate")
-    parts = []
-    with jax.enable_x64(True):
-        for first in range(0, len(paths), batch):
-            part = paths.take(np.arange(first, min(first + batch, len(paths))))
-            model = make_pin_model(sensor, stimuli, part, level)
-            points, friction = jnp.asarray(part.points), jnp.asarray(part.friction)
-            parts.append(jax.device_get(_differentiate_pins(model, points, friction)))
-    merged = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    positions = merged.positions
-    return PinGradient(
-        positions.pins,
-        merged.by_points,
-        merged.by_friction,
-        merged.by_ratio,
-        positions.margin_mm,
-        positions.margin_mm < SWITCH_MM,
-        positions.residual_mm <= GOAL_MM["float64"],
-    )
-
-
-class _PinDerivatives(NamedTuple):
-    positions: PinPositions
-    by_points: Array  # (B, P, 3, K, 6)
-    by_friction: Array  # (B, P, 3)
-    by_ratio: Array  # (B, P, 3)
-
-
-@jax.jit
-def _differentiate_pins(model: PinModel, points: Array, friction: Array) -> _PinDerivatives:
-    """Differentiate the pins with one tangent for all scenes at once.
-
-    No scene depends on another, and all tangents share each increment's matrix.
-    """
-    count, ways = points.shape[0], points.shape[1] * 6
-    tangents = (
-        jnp.broadcast_to(
-            jnp.eye(ways + 2, ways).reshape(-1, 1, points.shape[1], 6), (ways + 2, *points.shape)
-        ),
-        jnp.zeros((ways + 2, count)).at[ways].set(1.0),
-        jnp.zeros(ways + 2).at[ways + 1].set(1.0),
-    )
-
-    def simulate(*inputs: Array) -> tuple[Array, PinPositions]:
-        positions = simulate_pins(model, *inputs)
-        return positions.pins, positions
-
-    def push(*tangent: Array) -> tuple[PinPositions, Array]:
-        inputs = (points, friction, model.log_ratio)
-        _, slope, positions = jax.jvp(simulate, inputs, tangent, has_aux=True)
-        return positions, slope
-
-    positions, slopes = jax.vmap(push, out_axes=(None, -1))(*tangents)
-    by_points = slopes[..., :ways].reshape(*slopes.shape[:-1], *points.shape[1:])
-    return _PinDerivatives(positions, by_points, slopes[..., ways], slopes[..., ways + 1])

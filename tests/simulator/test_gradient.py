@@ -1,6 +1,7 @@
 """Derivatives of the pins against central differences, a closed form, and exact zeros."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +13,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.gradient import (
     SWITCH_MM,
+    PinPositions,
     compute_path_shares,
-    compute_pin_gradient,
     make_pin_model,
     simulate_pins,
 )
@@ -55,9 +56,47 @@ def paths():
     return Paths(np.zeros(count, int), FRICTION, points)
 
 
+class Gradient(NamedTuple):
+    positions: PinPositions
+    d_points: np.ndarray  # (B, P, 3, K, 6)
+    d_friction: np.ndarray  # (B, P, 3)
+    d_log_ratio: np.ndarray  # (B, P, 3)
+
+
+@jax.jit
+def push_tangents(model, points, friction):
+    """Differentiate by one tangent for all scenes at once."""
+    count, ways = len(points), points[0].size
+    tangents = (
+        jnp.broadcast_to(
+            jnp.eye(ways + 2, ways).reshape(-1, 1, *points.shape[1:]), (ways + 2, *points.shape)
+        ),
+        jnp.zeros((ways + 2, count)).at[ways].set(1.0),
+        jnp.zeros(ways + 2).at[ways + 1].set(1.0),
+    )
+
+    def push(*tangent):
+        def simulate(*inputs):
+            positions = simulate_pins(model, *inputs)
+            return positions.pins, positions
+
+        inputs = (points, friction, model.log_ratio)
+        return jax.jvp(simulate, inputs, tangent, has_aux=True)[1:]
+
+    slopes, positions = jax.vmap(push, out_axes=(-1, None))(*tangents)
+    by_points = slopes[..., :ways].reshape(*slopes.shape[:-1], *points.shape[1:])
+    return Gradient(positions, by_points, slopes[..., ways], slopes[..., ways + 1])
+
+
+def differentiate(model, paths):
+    with jax.enable_x64(True):
+        points, friction = jnp.asarray(paths.points), jnp.asarray(paths.friction)
+        return jax.device_get(push_tangents(model, points, friction))
+
+
 @pytest.fixture(scope="module")
-def found(paths):
-    return compute_pin_gradient(SMALL, DISK, paths)
+def found(model, paths):
+    return differentiate(model, paths)
 
 
 def make_model(paths, sensor=SMALL, **options):
@@ -99,13 +138,15 @@ def check_agreement(derivative, expected, rel=1e-3):
 
 
 def test_scenes_hold_every_state_and_no_switch(paths, found):
-    assert found.converged.all() and not found.at_switch.any()
-    assert np.all(found.margin_mm > 5 * STEP)  # else the differences below would prove nothing
+    assert found.positions.converged.all() and not found.positions.at_switch.any()
+    assert np.all(
+        found.positions.margin_mm > 5 * STEP
+    )  # else the differences below would prove nothing
     with jax.enable_x64(True):
         contacts, _ = follow(SMALL, DISK, paths, "reference")
     assert contacts.stuck_nodes.sum() > 9 and contacts.slipping_nodes.sum() > 20
     # finer increments
-    assert np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02
+    assert np.sqrt(np.mean(np.sum((contacts.pins - found.positions.pins) ** 2, -1))) < 0.02
 
 
 def test_way_points_together(paths, model, found):
@@ -143,19 +184,21 @@ def test_moduli(paths, model, found):
     for h in (step, -step):
         other = replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5)
         sides.append(simulate_at(make_model(paths, other), paths.points, FRICTION))
-    smooth = found.margin_mm > 1e-4
+    smooth = found.positions.margin_mm > 1e-4
     assert smooth.any()
     check_agreement(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
 
 
 def test_more_nodes_may_touch_than_foreseen(paths, model, found):
     few = replace(model, max_touching=2)
-    np.testing.assert_allclose(simulate_at(few, paths.points, FRICTION), found.pins, atol=1e-9)
+    np.testing.assert_allclose(
+        simulate_at(few, paths.points, FRICTION), found.positions.pins, atol=1e-9
+    )
 
 
 @pytest.mark.long
 def test_backwards_equals_forwards_under_vmap(paths, model, found):
-    weights = np.random.default_rng(0).normal(size=found.pins.shape)
+    weights = np.random.default_rng(0).normal(size=found.positions.pins.shape)
     close = {"rtol": 1e-6, "atol": 1e-8}
 
     def compute_loss(model, *x):
@@ -188,21 +231,23 @@ def special():
 
 
 @pytest.fixture(scope="module")
-def special_found(special):
-    return compute_pin_gradient(SMALL, DISK, special)
+def special_model(special):
+    return make_model(special)
 
 
 @pytest.fixture(scope="module")
-def special_model(special):
-    return make_model(special)
+def special_found(special, special_model):
+    return differentiate(special_model, special)
 
 
 def test_no_contact_has_no_derivative(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
-    assert special_found.converged.all() and not special_found.at_switch[:2].any()
+    assert (
+        special_found.positions.converged.all() and not special_found.positions.at_switch[:2].any()
+    )
     # the apex' gap after the first of three increments
-    assert special_found.margin_mm[1] == pytest.approx(0.01 / 3)
+    assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
 
 
 def test_pure_stick_does_not_depend_on_friction(special, special_found, special_model):
@@ -213,13 +258,15 @@ def test_pure_stick_does_not_depend_on_friction(special, special_found, special_
     expected = compute_difference(special_model, points, friction, d_points=direction)
     check_agreement(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
     # 5 sticks as infinity does
-    np.testing.assert_allclose(special_found.pins[2], special_found.pins[3], atol=1e-9)
+    np.testing.assert_allclose(
+        special_found.positions.pins[2], special_found.positions.pins[3], atol=1e-9
+    )
 
 
 def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model):
     """The dome just comes to the surface: less depth changes nothing, more depth does."""
-    assert list(special_found.at_switch) == [False] * 4 + [True]
-    assert special_found.margin_mm[4] < SWITCH_MM
+    assert list(special_found.positions.at_switch) == [False] * 4 + [True]
+    assert special_found.positions.margin_mm[4] < SWITCH_MM
 
     def simulate_deeper(change):
         points = special.points.copy()
@@ -289,10 +336,3 @@ def test_half_space_in_stick_and_in_slip(half_space):
     assert unmoved == 0
     assert weighed == pytest.approx(compute_hertz_load(half_space, radius), rel=0.03)
     assert not np.any(by_slide - np.diag(np.diag(by_slide)))  # no scene knows of another
-
-
-def test_no_scenes_and_no_batches_are_refused(paths):
-    with pytest.raises(UserError, match="no scene"):
-        compute_pin_gradient(SMALL, DISK, paths.take(np.arange(0)))
-    with pytest.raises(UserError, match="batch = 0"):
-        compute_pin_gradient(SMALL, DISK, paths, batch=0)
