@@ -99,6 +99,9 @@ class Sensor:
             "dome_radius_mm",
             "must exceed skin_mm + pin_length_mm",
         )
+        yield from self._list_place_rules()
+
+    def _list_place_rules(self) -> Iterator[Rule]:
         places = self.place_pins()
         is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
         yield Rule(

@@ -123,7 +123,7 @@ class PinPositions(NamedTuple):
         return self.margin_mm < SWITCH_MM
 
     @property
-    def converged(self) -> Array:
+    def is_solved(self) -> Array:
         """(B,) whether the derivatives say anything."""
         return self.residual_mm <= GOAL_MM[self.residual_mm.dtype.name]
 
@@ -147,8 +147,8 @@ def make_pin_model(
         raise UserError(f"ratios {ratios}: give rising numbers above zero")
     sensor_ratio = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
     rest = domes.load_dome(sensor)
-    reachable, usual = (find_reachable_nodes(simulation, paths, wide) for wide in (True, False))
-    index = np.flatnonzero(reachable.any(axis=0))
+    usual = find_reachable_nodes(simulation, paths, wide=False)
+    index = np.flatnonzero(find_reachable_nodes(simulation, paths, wide=True).any(axis=0))
     index = index if len(index) else np.arange(1)
     return PinModel(
         log_ratio=jnp.asarray(np.log(sensor_ratio)),

@@ -16,7 +16,7 @@ SAME_POINT = 1e-6  # mm or degrees by which a path may begin beside its skin
 
 def _refuse_scenes(bad: np.ndarray, describe: Callable[[int], str]) -> None:
     """Refuse the first of the scenes that are `bad`; further axes are points and columns."""
-    rows = np.flatnonzero(bad.reshape(len(bad), -1).any(axis=1))
+    rows = np.flatnonzero(bad.any(axis=tuple(range(1, bad.ndim))))
     if len(rows):
         raise UserError(f"scene {rows[0]}: {describe(rows[0])}")
 

@@ -110,21 +110,6 @@ class DiskElements(NamedTuple):
     layer: np.ndarray  # (E,) -1 in the core
 
 
-class _PointIndex:
-    """Points by number, each place once."""
-
-    def __init__(self) -> None:
-        self.points: list[np.ndarray] = []
-        self._numbers: dict[tuple[float, float], int] = {}
-
-    def add(self, point: np.ndarray) -> int:
-        key = (round(point[0], 7) + 0.0, round(point[1], 7) + 0.0)
-        if key not in self._numbers:
-            self._numbers[key] = len(self.points)
-            self.points.append(point)
-        return self._numbers[key]
-
-
 @dataclass(frozen=True)
 class QuarterDisk:
     """A quarter disk: a core of `core` x `core` elements, then layers of 2 x `core` elements.
@@ -139,23 +124,24 @@ class QuarterDisk:
     crowding: float = 0.0
 
     def make_elements(self) -> DiskElements:
-        index = _PointIndex()
         # the corners and mid-sides of an element, as shares of it
         offsets = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)]
-        elements, layers = [], []
+        corners, layers = [], []
         for i in range(self.core):
             for j in range(self.core):
-                corners = [self._place_in_core(i + a, j + b) for a, b in offsets]
-                elements.append([index.add(point) for point in corners])
+                corners += [self._place_in_core(i + a, j + b) for a, b in offsets]
                 layers.append(-1)
-        shares = self._compute_shares()
-        for layer, (inner, outer) in enumerate(pairwise(shares)):
+        for layer, (inner, outer) in enumerate(pairwise(self._compute_shares())):
             share = {0: inner, 0.5: 0.5 * (inner + outer), 1: outer}
             for t in range(2 * self.core):
-                corners = [self._place_in_layer(t + b, share[a]) for a, b in offsets]
-                elements.append([index.add(point) for point in corners])
+                corners += [self._place_in_layer(t + b, share[a]) for a, b in offsets]
                 layers.append(layer)
-        return DiskElements(np.array(index.points), np.array(elements), np.array(layers))
+        # each place once, numbered as they first occur
+        rounded = np.round(corners, 7) + 0.0
+        _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        elements = np.argsort(order)[number.ravel()].reshape(-1, 8)
+        return DiskElements(np.array(corners)[first[order]], elements, np.array(layers))
 
     def _compute_shares(self) -> np.ndarray:
         """Compute where layers end, between the core (0) and the last radius (1), or beyond it."""

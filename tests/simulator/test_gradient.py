@@ -138,7 +138,7 @@ def check_agreement(derivative, expected, rel=1e-3):
 
 
 def test_scenes_hold_every_state_and_no_switch(paths, found):
-    assert found.positions.converged.all() and not found.positions.at_switch.any()
+    assert found.positions.is_solved.all() and not found.positions.at_switch.any()
     assert np.all(
         found.positions.margin_mm > 5 * STEP
     )  # else the differences below would prove nothing
@@ -244,7 +244,7 @@ def test_no_contact_has_no_derivative(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
     assert (
-        special_found.positions.converged.all() and not special_found.positions.at_switch[:2].any()
+        special_found.positions.is_solved.all() and not special_found.positions.at_switch[:2].any()
     )
     # the apex' gap after the first of three increments
     assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
