@@ -168,3 +168,5 @@ def test_a_layout_that_no_file_has_registered_is_refused_and_a_name_is_taken_onc
     del sensor.LAYOUTS["square"]
     with pytest.raises(UserError, match=r"sensor\.layout square: is unknown: use one of rings"):
         validate(experiment)
+    with pytest.raises(UserError, match="layout 'square' is unknown"):
+        describe_set(experiment.paired, experiment.sensor)

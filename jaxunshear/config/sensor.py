@@ -57,17 +57,15 @@ class Sensor:
     def place_pins(self) -> np.ndarray:
         """Place the pins on the flattened dome: (P, 2) mm of arc from the apex.
 
-        Pins in rings are ordered ring by ring, each counter-clockwise from +x.
+        Pins in rings are ordered ring by ring, each counter-clockwise from +x. Raises UserError for
+        an unknown layout.
         """
+        if self.layout not in LAYOUTS:
+            raise UserError(f"sensor '{self.name}': layout '{self.layout}' {_explain_layouts()}")
         return np.asarray(LAYOUTS[self.layout](self), float)
 
     def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            self.layout in LAYOUTS,
-            "layout",
-            f"is unknown: use one of {', '.join(LAYOUTS)}, or name the experiment file that "
-            "registers it",
-        )
+        yield Rule(self.layout in LAYOUTS, "layout", _explain_layouts())
         yield Rule(1 <= self.rings <= 50, "rings", "use 1 to 50")
         for field in (
             "pin_spacing_mm",
@@ -146,6 +144,11 @@ LAYOUTS: dict[str, LayoutFunction] = {"rings": place_in_rings, "hexagonal": plac
 RING_LAYOUTS = tuple(LAYOUTS)
 
 
+def _explain_layouts() -> str:
+    names = ", ".join(LAYOUTS)
+    return f"is unknown: use one of {names}, or name the experiment file that registers it"
+
+
 def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
     """Register a function as a marker layout that a sensor can name.
 
@@ -154,8 +157,9 @@ def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
     """
 
     def register(place_pins: LayoutFunction) -> LayoutFunction:
-        files = [layout.__code__.co_filename for layout in (LAYOUTS.get(name),) if layout]
-        if files and files != [place_pins.__code__.co_filename]:  # a file may be read twice
+        file = place_pins.__code__.co_filename
+        # a file may be read twice
+        if name in LAYOUTS and LAYOUTS[name].__code__.co_filename != file:
             raise UserError(f"layout '{name}' is there already: choose another name")
         LAYOUTS[name] = place_pins
         return place_pins
