@@ -25,7 +25,7 @@ from jaxunshear.simulator import simulate as simulator
 from jaxunshear.simulator import systems
 from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.dome import load_shared_dome
-from jaxunshear.simulator.level import LEVELS, Level, without_omissions
+from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.scene import Scenes
 from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
@@ -77,7 +77,7 @@ def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> 
             )
     for batch in batches:
         full = {
-            "unabridged": without_omissions(LEVELS["auto"]),
+            "unabridged": replace(LEVELS["auto"], omit=()),
             "default": LEVELS["default"],
             "reference": LEVELS["reference"],
         }

@@ -1,7 +1,7 @@
 """How exactly a contact is solved, and what is left out of it, by the name of a level."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from jaxunshear.errors import UserError
@@ -65,8 +65,3 @@ def get_level(name_or_level: str | Level) -> Level:
     if name_or_level not in LEVELS:
         raise UserError(f"level '{name_or_level}' is unknown: use one of {', '.join(LEVELS)}")
     return LEVELS[name_or_level]
-
-
-def without_omissions(level: Level) -> Level:
-    """Return the level with nothing left out."""
-    return replace(level, omit=())

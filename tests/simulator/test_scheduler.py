@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.level import LEVELS, without_omissions
+from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.obstacle import REACH_MM, interpolate_distance, sample_obstacles
 from jaxunshear.simulator.paths import Paths, cut_increments, make_paths
 from jaxunshear.simulator.scene import make_scenes, sample_poses, sample_slides
@@ -49,7 +49,7 @@ def test_grouping_costs_less_than_slices():
 
     auto = AUTO.level
     ungrouped = replace(auto, omit=tuple(name for name in auto.omit if name != "grouping"))
-    whole = without_omissions(auto)
+    whole = replace(auto, omit=())
     assert compute_work(auto) < 0.5 * compute_work(ungrouped) < 0.5 * compute_work(whole)
     parts, nodes = make_plan(replace(AUTO, level=whole), sample_paths()), len(AUTO.dome.nodes)
     assert [(len(part.nodes), part.friction) for part in parts] == [(nodes, True)] * 4
@@ -78,7 +78,7 @@ def test_increments_follow_the_way_points():
     np.testing.assert_allclose(path[0, 8], [1.5, 2, 0, 2.5, 0, 0])
     np.testing.assert_allclose(path[0, 13:], np.broadcast_to([3, 4, 0, 2.5, 0, 0], (4, 6)))
     np.testing.assert_allclose(path[2, 16, 2], np.pi / 2)
-    assert cut_increments(paths, without_omissions(level), 20.0)[1].tolist() == [13, 2, 16]
+    assert cut_increments(paths, replace(level, omit=()), 20.0)[1].tolist() == [13, 2, 16]
 
 
 def test_strong_friction_is_pressed_by_short_increments():
