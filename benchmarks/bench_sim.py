@@ -24,7 +24,8 @@ from jaxunshear.progress import Progress
 from jaxunshear.simulator import simulate as simulator
 from jaxunshear.simulator import systems
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.level import LEVELS, Level, without_omissions
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.scene import Scenes
 from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
@@ -76,7 +77,7 @@ def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> 
             )
     for batch in batches:
         full = {
-            "unabridged": without_omissions(LEVELS["auto"]),
+            "unabridged": replace(LEVELS["auto"], omit=()),
             "default": LEVELS["default"],
             "reference": LEVELS["reference"],
         }
@@ -170,13 +171,13 @@ def measure_setting(sensor: Sensor, setting: Setting, kind: str, effort: Effort)
     pins = _solve_truth(sensor, setting, kind, effort)[: len(compared)]
     contacts: list[Contacts] = []
     meshed = sensor if setting.mesh_mm is None else set_ring_spacing(sensor, setting.mesh_mm)
-    level = replace(setting.level_settings, solver=OTHER_SOLVERS[setting.solver])
+    level = replace(setting.level_settings, method=OTHER_SOLVERS[setting.solver])
 
     def work() -> None:
         systems.build_system.cache_clear()
         contacts[:] = [simulator.simulate(meshed, NAMES, scenes, level, setting.batch, retry=False)]
 
-    systems.load_shared_dome(meshed)
+    load_shared_dome(meshed)
     jax.clear_caches()
     product = make_matrix_product()
     try:

@@ -1,7 +1,6 @@
 """Other solvers of an increment, to be measured beside the simulator's own ADMM.
 
-All have the signature of `admm.solve_increment`, but for its relaxation. They are for contacts
-without tilt, and stop on the same kind of length:
+All are an `admm.Method`, for contacts without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
 - `solve_anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its
@@ -18,13 +17,11 @@ import jax.numpy as jnp
 from jaxunshear.simulator.admm import (
     BETWEEN_CHECKS,
     OVER_RELAXATION,
-    RHO,
-    Increment,
-    Solver,
+    Method,
     SolverResult,
     SolverStart,
-    project,
 )
+from jaxunshear.simulator.increment import RHO, Increment, project
 
 State = TypeVar("State")
 _Walk = tuple[
@@ -106,10 +103,9 @@ class _Accelerated(NamedTuple):
     momentum: jax.Array  # (B,)
 
 
-def _make_gradient_solver(accelerate: bool) -> Solver:
+def _make_gradient_solver(accelerate: bool) -> Method:
     def solve(
         increment: Increment,
-        inverse: jax.Array,
         start: SolverStart,
         tolerance: jax.Array,
         limit: int,
@@ -144,7 +140,6 @@ projected_gradient, accelerated = _make_gradient_solver(False), _make_gradient_s
 
 def solve_anderson(
     increment: Increment,
-    inverse: jax.Array,
     start: SolverStart,
     tolerance: jax.Array,
     limit: int,
@@ -159,7 +154,7 @@ def solve_anderson(
 
     def move(v: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         z = project(v, friction)
-        x = _multiply(inverse, RHO * (2 * z - v) - offset)
+        x = _multiply(increment.inverse, RHO * (2 * z - v) - offset)
         return OVER_RELAXATION * (x - z), z, x
 
     def step(state: _Walk) -> tuple[_Walk, jax.Array]:
@@ -207,7 +202,6 @@ def solve_anderson(
 
 def solve_newton(
     increment: Increment,
-    inverse: jax.Array,
     start: SolverStart,
     tolerance: jax.Array,
     limit: int,
@@ -246,7 +240,7 @@ def _check_untilted(frame: jax.Array | None) -> None:
         raise NotImplementedError("these solvers are for contacts without tilt")
 
 
-OTHER_SOLVERS: dict[str, Solver | None] = {
+OTHER_SOLVERS: dict[str, Method | None] = {
     "admm": None,
     "admm with anderson": solve_anderson,
     "accelerated projected gradient": accelerated,

@@ -10,17 +10,25 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.config import losses
+from jaxunshear.config import losses, sensor
+from jaxunshear.config.configs import describe_set
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.rules import validate
 from jaxunshear.errors import UserError
+from jaxunshear.perception.lattice import compute_rings
+from jaxunshear.simulator.pin_layout import compute_pin_tips
+from jaxunshear.simulator.scene import Scenes
+from jaxunshear.simulator.simulate import simulate
+from jaxunshear.sweep.grid import Row
+from jaxunshear.sweep.plan import make_data_task
+from jaxunshear.sweep.tasks import read_order
 from jaxunshear.training.tasks import make_unshear_task
 from tests.training import small
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-LOSS, STIMULUS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+LOSS, STIMULUS, FUNCTION, LAYOUT = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture
@@ -28,6 +36,8 @@ def experiment_file(tmp_path, monkeypatch):
     """Write a file beside tiny.py, and forget afterwards what it registers."""
     shutil.copy(ROOT / "experiments" / "tiny.py", tmp_path)
     monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
+    monkeypatch.setattr(sensor, "LAYOUTS", dict(sensor.LAYOUTS))
+    monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(sys.modules["jaxunshear.training.tasks"], "LOSSES", losses.LOSSES)
 
     def write(text):
@@ -101,3 +111,62 @@ def test_an_outline_of_an_experiment_file_is_a_stimulus(experiment_file):
     validate(experiment)
     (kite,) = experiment.unseen
     assert kite.name == "kite" and kite.extent_mm == 25
+
+
+def test_a_function_of_an_experiment_file_is_a_stimulus(experiment_file):
+    experiment = load_experiment(experiment_file(FUNCTION))
+    validate(experiment)
+    (oval,) = experiment.unseen
+    np.testing.assert_allclose(np.abs(oval.points).max(axis=0), [18, 12], atol=0.05)
+
+
+def test_a_layout_of_an_experiment_file_is_simulated(experiment_file):
+    path = experiment_file(LAYOUT)
+    experiment = load_experiment(path)
+    validate(experiment)
+    assert losses.list_registering_files() == [str(path)]
+    tiny = load_experiment(path.with_name("tiny.py"))
+    assert override_fields(tiny, ["--sensor.layout", "square"]).sensor.pins == 317
+    small = replace(experiment.sensor, rings=3, dome_radius_mm=8.0)
+    scene = Scenes(np.zeros(1, int), np.array([[-4, 0, 0, 1.0]]), np.zeros((1, 2)), np.ones(1))
+    contacts = simulate(small, ("disk",), scene)
+    assert contacts.converged.all() and contacts.pins.shape == (1, 29, 3) == (1, small.pins, 3)
+    lift = (contacts.pins[0] - compute_pin_tips(small))[:, 2]
+    assert (
+        lift.argmax() == np.argmin(np.linalg.norm(small.place_pins(), axis=-1)) and lift.max() > 0
+    )
+    assert compute_rings(small).max() == 3
+    assert describe_set(experiment.paired, small) != describe_set(tiny.paired, tiny.sensor)
+
+
+def test_the_process_of_a_data_set_knows_the_layout(experiment_file, tmp_path):
+    path = experiment_file(LAYOUT)
+    row = Row("", "", load_experiment(path))
+    task = make_data_task(tmp_path, [row], tmp_path)
+    assert read_order(task.folder).files == [str(path)]
+
+
+@pytest.mark.parametrize(
+    ("layout", "message"),
+    [
+        ("return np.full((3, 2), np.nan)", r"layout = square: must place pins"),
+        ("return np.array([[40.0, 0.0]])", "go past the dome's rim"),
+    ],
+)
+def test_a_layout_that_cannot_be_is_refused(experiment_file, layout, message):
+    body = LAYOUT.replace("    line = np.arange", f"    {layout}\n    line = np.arange")
+    experiment = load_experiment(experiment_file(body))
+    with pytest.raises(UserError, match=message):
+        sensor.check_sensor(experiment.sensor)
+
+
+def test_a_layout_that_no_file_has_registered_is_refused_and_a_name_is_taken_once(experiment_file):
+    experiment = load_experiment(experiment_file(LAYOUT))
+    load_experiment(experiment_file(LAYOUT))
+    with pytest.raises(UserError, match="layout 'rings' is there already"):
+        load_experiment(experiment_file(LAYOUT.replace('out("square")', 'out("rings")')))
+    del sensor.LAYOUTS["square"]
+    with pytest.raises(UserError, match=r"sensor\.layout square: is unknown: use one of rings"):
+        validate(experiment)
+    with pytest.raises(UserError, match="layout 'square' is unknown"):
+        describe_set(experiment.paired, experiment.sensor)

@@ -7,8 +7,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.input_checks import get_level
-from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.paths import Paths
 from jaxunshear.simulator.simulate import follow
 from jaxunshear.simulator.stimuli import SHAPES as PLANAR

@@ -5,17 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.admm import RHO, SolverOptions
-from jaxunshear.simulator.contact_problem import ContactProblem, System
+from jaxunshear.simulator.admm import Solver
+from jaxunshear.simulator.contact_problem import (
+    ContactProblem,
+    System,
+    count_node_states,
+    make_undeformed_skins,
+)
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.friction import follow_path
+from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.level import Level
-from jaxunshear.simulator.node_state import count_node_states
-from jaxunshear.simulator.obstacle import sample_distances
-from jaxunshear.simulator.paths import Paths
-from jaxunshear.simulator.scheduler import cut_increments
-from jaxunshear.simulator.stimuli import get_stimulus
-from jaxunshear.simulator.systems import load_shared_dome
+from jaxunshear.simulator.obstacle import sample_obstacles
+from jaxunshear.simulator.paths import Paths, cut_increments
 
 
 def solve_with_duplicates(
@@ -37,14 +40,15 @@ def solve_with_duplicates(
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)
-        obstacles = sample_distances((get_stimulus("disk"),))
+        obstacles = sample_obstacles(("disk",))
+        problem = ContactProblem(system, obstacles, jnp.zeros(1, jnp.int32), mu)
         skin, quality = follow_path(
-            ContactProblem(system, obstacles, jnp.zeros(1, jnp.int32), mu),
+            problem,
             path[1:],
             make_undeformed_skins(system, path[0]),
-            SolverOptions(level.tolerance, level.limit),
+            Solver(level.tolerance, level.limit),
         )
-        skin, quality, counts = jax.device_get((skin, quality, count_node_states(skin, mu)))
+        skin, quality, counts = jax.device_get((skin, quality, count_node_states(problem, skin)))
     force = skin.force[0].astype(np.float64) / scale
     pins = full.pins + (full.g[:, columns] @ force.ravel()).reshape(-1, 3)
     converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()

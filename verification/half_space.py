@@ -17,15 +17,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.simulator.admm import RHO, SolverOptions
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
-from jaxunshear.simulator.elasticity import Compliance, compute_isotropic_stiffness, condense
-from jaxunshear.simulator.friction import (
-    advance_increment,
-    compute_increment_offset,
+from jaxunshear.simulator.admm import Solver
+from jaxunshear.simulator.contact_problem import (
+    ContactProblem,
+    Skin,
+    System,
     make_undeformed_skins,
 )
-from jaxunshear.simulator.mesh import make_half_space_mesh
+from jaxunshear.simulator.elasticity import (
+    Compliance,
+    Pins,
+    compute_isotropic_stiffness,
+    compute_response,
+    sum_harmonics,
+)
+from jaxunshear.simulator.friction import advance_increment, make_increment
+from jaxunshear.simulator.increment import RHO
+from jaxunshear.simulator.mesh import Mesh, QuarterDisk, find_edges
 from jaxunshear.simulator.obstacle import Obstacles
 from jaxunshear.simulator.systems import ScaledSystem
 
@@ -95,9 +103,30 @@ def make_half_space(poisson: float, rings: int = RINGS) -> HalfSpace:
     materials = np.broadcast_to(
         compute_isotropic_stiffness(1.0, poisson), (len(mesh.elements), 6, 6)
     )
-    pin = np.array([[0.0, 0.0, SPACING_MM]])  # condensing needs one; it is not used
+    tip = np.array([[0.0, 0.0, SPACING_MM]])  # condensing needs a pin; it is not used
     arcs = np.arange(rings + 1) * SPACING_MM
-    return HalfSpace(poisson, condense(mesh, materials, arcs, pin, 6 * (rings - 1)))
+    response = compute_response(mesh, materials, arcs, Pins(tip, 0 * tip), 6 * (rings - 1))
+    return HalfSpace(poisson, sum_harmonics(response))
+
+
+def make_half_space_mesh(
+    contact: float, h: float, growth: float = 1.25, reach: float = 60.0
+) -> Mesh:
+    """Make a half ball of radius `reach` x `contact`, clamped far away.
+
+    Its flat face lies at z = 0, its body in z >= 0. It is fine within `contact` mm of the origin.
+    """
+    core = max(round(contact / h), 2)
+    radii, step = [contact * 1.0], h
+    while radii[-1] < reach * contact:
+        step *= growth
+        radii.append(radii[-1] + step)
+    disk = QuarterDisk(contact, core, np.array(radii[1:]), np.zeros(0))
+    points, elements, _ = disk.make_elements()
+    on_face = points[:, 1] < 1e-9
+    clamped = np.flatnonzero(np.abs(np.hypot(*points.T) - radii[-1]) < 1e-6 * radii[-1])
+    no_skin = np.zeros(len(elements), bool)
+    return Mesh(points, elements, no_skin, clamped, find_edges(points, elements, on_face))
 
 
 class Trace(NamedTuple):
@@ -192,11 +221,11 @@ def _follow_increments(
 ) -> _Increments:
     flat = Obstacles(jnp.full((1, 5, 5), -10.0, poses.dtype))
     problem = ContactProblem(system, flat, jnp.zeros(poses.shape[1], jnp.int32), friction)
-    options = SolverOptions(tolerance, LIMIT)
+    solver = Solver(tolerance, LIMIT)
 
     def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Increments]:
-        offset = compute_increment_offset(problem, skin, pose, skin.displacement)
-        after, quality = advance_increment(problem, skin, pose, options)
+        offset = make_increment(problem, skin, pose, skin.displacement).offset
+        after, quality = advance_increment(problem, skin, pose, solver)
         slip_and_gap = offset + after.displacement
         # where nothing moves the skin is left as it is
         moved = jnp.any(pose != skin.pose, axis=-1)[:, None, None]

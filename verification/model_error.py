@@ -18,11 +18,11 @@ import numpy as np
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts, Skins
+from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes
 from jaxunshear.simulator.simulate import follow
-from jaxunshear.simulator.systems import load_shared_dome
 from verification.large_strain import fit_contact_radius, press_dome
 from verification.pin_distance import compute_pin_error
 

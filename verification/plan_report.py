@@ -15,15 +15,15 @@ from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
-from jaxunshear.simulator import batches, systems
-from jaxunshear.simulator import simulate as simulator
+from jaxunshear.simulator import systems
 from jaxunshear.simulator.contact_results import Contacts
-from jaxunshear.simulator.input_checks import check_paths, get_level
-from jaxunshear.simulator.level import OMISSIONS, Level
-from jaxunshear.simulator.obstacle import Obstacles, sample_distances
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.input_checks import check_paths
+from jaxunshear.simulator.level import OMISSIONS, Level, get_level
 from jaxunshear.simulator.paths import DEPTH, YAW, Paths, make_paths
 from jaxunshear.simulator.scene import Scenes
-from jaxunshear.simulator.scheduler import ContactBatch
+from jaxunshear.simulator.scheduler import ContactBatch, Simulation, Stimuli, make_plan
+from jaxunshear.simulator.simulate import follow
 from jaxunshear.simulator.stimuli import make_stimulus
 from verification.clock import time_call
 from verification.paper import KINDS, NAMES, sample_paper_scenes
@@ -50,16 +50,15 @@ class _Work(NamedTuple):
     """Paths to be planned and timed."""
 
     sensor: Sensor
-    names: batches.Stimuli
-    obstacles: Obstacles
+    stimuli: Stimuli
     paths: Paths
 
     def plan(self, level: Level) -> list[ContactBatch]:
-        return batches.plan_paths(self.sensor, self.obstacles, self.paths, level, simulator.BATCH)
+        return make_plan(Simulation(self.sensor, self.stimuli, level), self.paths)
 
     def solve(self, level: Level) -> Contacts:
         systems.build_system.cache_clear()
-        return simulator.follow(self.sensor, self.names, self.paths, level, retry=False)[0]
+        return follow(self.sensor, self.stimuli, self.paths, level, retry=False)[0]
 
 
 class PlannedContact(NamedTuple):
@@ -91,12 +90,12 @@ def show_plan(
     paths = Paths(np.array([0]), np.array([float(friction)]), contact.make_points()[None])
     settings = get_level(level)
     check_paths(sensor, 1, paths)
-    work = _Work(sensor, (stimulus,), sample_distances((stimulus,)), paths)
-    systems.load_shared_dome(sensor)
+    work = _Work(sensor, (stimulus,), paths)
+    load_shared_dome(sensor)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _measure_omissions(work, settings, (*OMISSIONS, TOGETHER), progress)
     batch = work.plan(settings)[0]
-    count, contacts = len(systems.load_shared_dome(sensor).nodes), work.solve(settings)
+    count, contacts = len(load_shared_dome(sensor).nodes), work.solve(settings)
     needs = {
         "omission": "",
         "level": level,
@@ -129,11 +128,10 @@ def show_grouping(
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
     settings = get_level(level)
-    obstacles = sample_distances(tuple(make_stimulus(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
-        work = _Work(sensor, NAMES, obstacles, make_paths(scenes(kind, count)))
+        work = _Work(sensor, NAMES, make_paths(scenes(kind, count)))
         batches = work.plan(settings)
         alone = []  # nodes that each scene needs by itself
         for i in range(count):

@@ -15,6 +15,7 @@ from jaxunshear.config.sensor import (
     TACTIP_331_FITTED,
     TACTIP_331_FLUSH,
     Sensor,
+    describe_sensor,
 )
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
@@ -133,7 +134,7 @@ def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     description = {
         "set": get_set_name(settings),
         "version": get_version(settings),
-        "sensor": dataclasses.asdict(sensor),
+        "sensor": describe_sensor(sensor),
         "settings": fields,
     }
     return json.loads(json.dumps(description))

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
+from jaxunshear.config.sensor import list_own_layouts
 from jaxunshear.errors import UserError
 
 Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss does
@@ -172,9 +173,12 @@ def _is_reloaded(registered: Callable[..., Any] | str, compute: Callable[..., An
 
 
 def list_registering_files() -> list[str]:
-    """List the experiment files that have registered losses; processes of a sweep run them."""
-    functions = (spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str))
-    return sorted({function.__code__.co_filename for function in functions})
+    """List the experiment files that have registered losses or layouts.
+
+    Processes of a sweep run them.
+    """
+    losses = [spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str)]
+    return sorted({each.__code__.co_filename for each in [*losses, *list_own_layouts()]})
 
 
 def get_loss(name: str) -> LossSpec:

@@ -2,12 +2,20 @@
 
 Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y
 lateral; mm.
+
+A marker layout is one function. In an experiment file it is registered by one line:
+
+    @register_layout("line")
+    def place_pins(sensor):  # returns (P, 2) mm of arc from the apex, on the flattened dome
+        return sensor.pin_spacing_mm * np.stack([np.arange(-5, 6), np.zeros(11)], axis=-1)
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from jaxunshear.config.types import Rule, check_rules
 from jaxunshear.errors import UserError
@@ -23,8 +31,9 @@ class Sensor:
     """
 
     name: str = "tactip331"  # as `jaxunshear sensors` lists it
-    # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon
-    layout: Literal["rings", "hexagonal"] = "rings"
+    # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon; or one
+    # that an experiment file registers
+    layout: str = "rings"
     rings: int = 10  # of pins, around the one at the apex
     pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
     pin_radius_mm: float = 0.45  # of a white tip
@@ -38,9 +47,25 @@ class Sensor:
 
     @property
     def pins(self) -> int:
-        return 1 + 3 * self.rings * (self.rings + 1)
+        return len(self.place_pins())
+
+    @property
+    def has_rings(self) -> bool:
+        """Whether the pins stand in rings of 1, 6, 12, ... around the apex."""
+        return self.layout in RING_LAYOUTS
+
+    def place_pins(self) -> np.ndarray:
+        """Place the pins on the flattened dome: (P, 2) mm of arc from the apex.
+
+        Pins in rings are ordered ring by ring, each counter-clockwise from +x. Raises UserError for
+        an unknown layout.
+        """
+        if self.layout not in LAYOUTS:
+            raise UserError(f"sensor '{self.name}': layout '{self.layout}' {_explain_layouts()}")
+        return np.asarray(LAYOUTS[self.layout](self), float)
 
     def rules(self) -> Iterator[Rule]:
+        yield Rule(self.layout in LAYOUTS, "layout", _explain_layouts())
         yield Rule(1 <= self.rings <= 50, "rings", "use 1 to 50")
         for field in (
             "pin_spacing_mm",
@@ -72,13 +97,86 @@ class Sensor:
             "dome_radius_mm",
             "must exceed skin_mm + pin_length_mm",
         )
-        rim = self.dome_radius_mm * math.pi / 2
+        yield from self._list_place_rules()
+
+    def _list_place_rules(self) -> Iterator[Rule]:
+        places = self.place_pins()
+        is_sound = places.ndim == 2 and places.shape[1:] == (2,) and np.isfinite(places).all()
         yield Rule(
-            self.rings * self.pin_spacing_mm < rim,
-            "rings",
-            f"{self.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: "
-            "use fewer or closer rings",
+            bool(is_sound and len(places)),
+            "layout",
+            f"must place pins at finite (P, 2) mm, not {places.shape}",
         )
+        rim, reach = self.dome_radius_mm * math.pi / 2, np.linalg.norm(places, axis=-1).max()
+        yield Rule(
+            bool(reach < rim),
+            "rings" if self.has_rings else "layout",
+            f"pins {reach:.1f} mm from the apex go past the dome's rim at {rim:.1f} mm: "
+            "use fewer or closer ones",
+        )
+
+
+LayoutFunction = Callable[[Sensor], Any]
+
+
+def place_in_rings(sensor: Sensor) -> np.ndarray:
+    """Place pins on circles of 1, 6, 12, ... around the apex."""
+    points = [np.zeros((1, 2))]
+    for ring in range(1, sensor.rings + 1):
+        angle = 2 * np.pi * (np.arange(6 * ring) / (6 * ring))
+        points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    return sensor.pin_spacing_mm * np.concatenate(points)
+
+
+def place_in_hexagon(sensor: Sensor) -> np.ndarray:
+    """Place pins on a triangular lattice, cut to a hexagon."""
+    angle = np.arange(7) * np.pi / 3
+    corners = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    points = [np.zeros((1, 2))]
+    for ring in range(1, sensor.rings + 1):
+        side, along = np.divmod(6 * (np.arange(6 * ring) / (6 * ring)), 1.0)
+        side, along = side.astype(int), along[:, None]
+        points.append(ring * (corners[side] * (1 - along) + corners[side + 1] * along))
+    return sensor.pin_spacing_mm * np.concatenate(points)
+
+
+LAYOUTS: dict[str, LayoutFunction] = {"rings": place_in_rings, "hexagonal": place_in_hexagon}
+RING_LAYOUTS = tuple(LAYOUTS)
+
+
+def _explain_layouts() -> str:
+    names = ", ".join(LAYOUTS)
+    return f"is unknown: use one of {names}, or name the experiment file that registers it"
+
+
+def register_layout(name: str) -> Callable[[LayoutFunction], LayoutFunction]:
+    """Register a function as a marker layout that a sensor can name.
+
+    The function takes the `Sensor` and returns places (P, 2) on the flattened dome, in mm of arc
+    from the apex. Raises UserError if another layout has this name.
+    """
+
+    def register(place_pins: LayoutFunction) -> LayoutFunction:
+        file = place_pins.__code__.co_filename
+        # a file may be read twice
+        if name in LAYOUTS and LAYOUTS[name].__code__.co_filename != file:
+            raise UserError(f"layout '{name}' is there already: choose another name")
+        LAYOUTS[name] = place_pins
+        return place_pins
+
+    return register
+
+
+def list_own_layouts() -> list[LayoutFunction]:
+    """List the layouts that experiment files have registered."""
+    return [layout for name, layout in LAYOUTS.items() if name not in RING_LAYOUTS]
+
+
+def describe_sensor(sensor: Sensor) -> dict[str, Any]:
+    """Describe in plain JSON types everything that decides a sensor's bits."""
+    fields = asdict(sensor)
+    # the name of another layout does not say where its function places pins
+    return fields if sensor.has_rings else fields | {"places": sensor.place_pins().tolist()}
 
 
 TACTIP_331 = Sensor()

@@ -17,7 +17,7 @@ from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
 from jaxunshear.config.configs import compute_config_name, get_set_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import LAYOUTS, LayoutFunction, Sensor
 from jaxunshear.data.sampling import ContactSamples
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
@@ -79,7 +79,15 @@ def simulate_chunks(
         Call(
             path,
             _simulate_chunk,
-            (settings, sensor, scenes.take(batch), np.asarray(batch), samples.age[batch], engine),
+            (
+                settings,
+                sensor,
+                LAYOUTS[sensor.layout],
+                scenes.take(batch),
+                np.asarray(batch),
+                samples.age[batch],
+                engine,
+            ),
         )
         for path, batch in missing.items()
     )
@@ -105,6 +113,7 @@ def _holds(path: Path, batch: np.ndarray) -> bool:
 def _simulate_chunk(
     settings: PairedData | PoseData,
     sensor: Sensor,
+    layout: LayoutFunction,
     scenes: Scenes,
     number: np.ndarray,
     age: np.ndarray,
@@ -114,6 +123,7 @@ def _simulate_chunk(
 
     A machine of a cluster needs no more than these arguments.
     """
+    LAYOUTS[sensor.layout] = layout  # a cluster's machine has not read the experiment file
     contacts = engine.simulate(sensor, settings.stimuli, scenes)
     fields = {name: np.array(getattr(contacts, field)) for name, field in STORED_FIELDS.items()}
     usable, tips = _is_usable(contacts), np.array(contacts.pins)

@@ -30,6 +30,8 @@ class Lattice(NamedTuple):
 
 def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
     """Return the ring of each pin of a sensor, 0 for the one in the middle."""
+    if not sensor.has_rings:
+        return estimate_rings(sensor.place_pins())
     return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
 
 

@@ -4,7 +4,6 @@ A batch solves only the nodes that its scenes need. Afterwards we check that no 
 was left out.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -14,49 +13,41 @@ import numpy as np
 
 from jaxunshear.config.reach import compute_ring_arcs, compute_ring_spacing
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.config.stimuli import Outline
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.admm import SolverOptions
-from jaxunshear.simulator.contact_problem import ContactProblem, Quality, Skin
+from jaxunshear.simulator.admm import Solver
+from jaxunshear.simulator.contact_problem import (
+    ContactProblem,
+    NodeCounts,
+    Quality,
+    Skin,
+    count_node_states,
+    make_undeformed_skins,
+)
 from jaxunshear.simulator.contact_results import Contacts, Skins
-from jaxunshear.simulator.friction import follow_path, make_undeformed_skins
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.friction import follow_path
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.level import STRONG_FRICTION, Level
-from jaxunshear.simulator.node_state import NodeCounts, count_node_states
-from jaxunshear.simulator.obstacle import Obstacles, sample_distances
-from jaxunshear.simulator.paths import TILT_X, YAW, Paths
+from jaxunshear.simulator.level import STRONG_FRICTION
+from jaxunshear.simulator.paths import TILT_X, YAW, Paths, cut_increments
 from jaxunshear.simulator.scheduler import (
     BATCHES,
     PATH_LENGTHS,
     ContactBatch,
+    Simulation,
     compute_gaps,
-    cut_increments,
     make_plan,
     pad_count,
 )
-from jaxunshear.simulator.stimuli import Stimulus, make_stimulus
-from jaxunshear.simulator.systems import build_matrices, build_system, load_shared_dome
-from jaxunshear.simulator.turned_lattice import place_on_lattice
+from jaxunshear.simulator.systems import (
+    LatticePlacement,
+    build_matrices,
+    build_system,
+    place_on_lattice,
+)
 
 # a node that was left out and ends deeper than this in the stimulus was needed
 PENETRATION_MM = 0.03
 NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node
-
-Stimuli = tuple[str | Outline | Stimulus, ...]
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """What all contacts of one call share."""
-
-    sensor: Sensor
-    stimuli: Stimuli
-    level: Level
-    batch: int  # scenes that are solved together, at most
-
-    @property
-    def obstacles(self) -> Obstacles:
-        return sample_obstacles(self.stimuli)
 
 
 class BatchResult(NamedTuple):
@@ -65,88 +56,63 @@ class BatchResult(NamedTuple):
     incomplete: np.ndarray  # (B,) bool: nodes that were left out turn out to be needed
 
 
-def sample_obstacles(names: Stimuli) -> Obstacles:
-    """Sample the shapes as the contact sees them, once for each combination of shapes."""
-    return _sample_obstacles(tuple(make_stimulus(name) for name in names))
-
-
-@lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand
-def _sample_obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    return sample_distances(stimuli)
-
-
-def plan_paths(
-    sensor: Sensor,
-    obstacles: Obstacles,
-    paths: Paths,
-    level: Level,
-    batch: int,
-    wide_margin: bool = False,
-) -> list[ContactBatch]:
-    """Plan what each batch solves for; `wide_margin` includes more nodes about the contact."""
-    nodes = load_shared_dome(sensor).nodes
-    return make_plan(obstacles, nodes, sensor.dome_radius_mm, paths, level, batch, wide_margin)
-
-
 def solve_batches(
     simulation: Simulation,
     paths: Paths,
     start: Skins | None,
-    progress: Progress | None,
-    wide: bool,
+    progress: Progress | None = None,
+    wide: bool = False,
 ) -> BatchResult:
     """Solve B paths batch by batch, and return contacts and skins at their ends in order.
 
     `wide` solves for more nodes, for paths that turned out to need them.
     """
-    sensor, level = simulation.sensor, simulation.level
-    parts = plan_paths(sensor, simulation.obstacles, paths, level, simulation.batch, wide)
-    results = []
-    for part in parts:
-        before = None if start is None else start.take(part.rows)
+    batches, results = make_plan(simulation, paths, wide), []
+    for batch in batches:
+        here = paths.take(batch.rows)
+        before = None if start is None else start.take(batch.rows)
         if before is not None:
-            part = _add_loaded_nodes(part, before)
-        here = paths.take(part.rows)
-        if len(part.nodes):
-            results.append(_solve_batch(simulation, here, part, before))
+            batch = _add_loaded_nodes(batch, before)
+        if len(batch.nodes):
+            results.append(_solve_batch(simulation, here, batch, before))
         else:
             results.append(_make_untouched_contacts(simulation, here))
         if progress is not None:
-            progress.advance(len(part.rows))
-    back = np.argsort(np.concatenate([part.rows for part in parts]), kind="stable")
+            progress.advance(len(batch.rows))
+    back = np.argsort(np.concatenate([batch.rows for batch in batches]), kind="stable")
     merged: BatchResult = jax.tree.map(lambda *arrays: np.concatenate(arrays)[back], *results)
     return merged
 
 
-def _add_loaded_nodes(part: ContactBatch, start: Skins) -> ContactBatch:
+def _add_loaded_nodes(batch: ContactBatch, start: Skins) -> ContactBatch:
     """Let a batch also solve for the nodes that carry a force at its start."""
     permutations = make_sixfold_permutations(start.force_n.shape[1])
     loaded = [
         np.flatnonzero(np.any(force[permutations[sixth]] != 0, axis=-1))
-        for sixth, force in zip(part.turn, start.force_n, strict=True)
+        for sixth, force in zip(batch.turn, start.force_n, strict=True)
     ]
-    friction = part.friction or bool(np.any(start.force_n[..., :2]))
-    nodes = np.union1d(part.nodes, np.concatenate(loaded)).astype(int)
-    return part._replace(nodes=nodes, friction=friction)
+    friction = batch.friction or bool(np.any(start.force_n[..., :2]))
+    nodes = np.union1d(batch.nodes, np.concatenate(loaded)).astype(int)
+    return batch._replace(nodes=nodes, friction=friction)
 
 
-def make_undeformed_contacts(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
+def make_undeformed_contacts(simulation: Simulation, paths: Paths) -> tuple[Contacts, Skins]:
     """Make the contacts and skins of an undeformed dome, as converged."""
-    count, full = len(paths), load_shared_dome(sensor)
+    count, dome = len(paths), simulation.dome
     zeros = np.zeros(count, np.int64)
     contacts = Contacts(
-        pins=np.repeat(full.pins[None].astype(level.precision), count, axis=0),
+        pins=np.repeat(dome.pins[None].astype(simulation.level.precision), count, axis=0),
         residual_mm=np.zeros(count),
         converged=np.ones(count, bool),
         iterations=zeros,
         stuck_nodes=zeros,
         slipping_nodes=zeros,
-        free_nodes=np.full(count, len(full.nodes)),
+        free_nodes=np.full(count, len(dome.nodes)),
         force_n=np.zeros((count, 3)),
         nodes=zeros,
         retried=np.zeros(count, bool),
     )
-    return contacts, Skins(np.zeros((count, len(full.nodes), 3)), paths.points[:, -1])
+    return contacts, Skins(np.zeros((count, len(dome.nodes), 3)), paths.points[:, -1])
 
 
 def _make_untouched_contacts(simulation: Simulation, paths: Paths) -> BatchResult:
@@ -154,13 +120,10 @@ def _make_untouched_contacts(simulation: Simulation, paths: Paths) -> BatchResul
 
     A path that ends inside the stimulus shows that it needs some: a grazing touch.
     """
-    sensor = simulation.sensor
-    nodes, pose = load_shared_dome(sensor).nodes, paths.radians[:, -1]
+    nodes = simulation.dome.nodes
     still = np.zeros((len(paths), *nodes.shape))
-    gap = compute_gaps(
-        simulation.obstacles, nodes, sensor.dome_radius_mm, paths.stimulus, pose, still
-    )
-    contacts, skins = make_undeformed_contacts(sensor, paths, simulation.level)
+    gap = compute_gaps(simulation, nodes, paths.stimulus, paths.radians[:, -1], still)
+    contacts, skins = make_undeformed_contacts(simulation, paths)
     return BatchResult(contacts, skins, np.min(gap, axis=1) < -PENETRATION_MM)
 
 
@@ -172,7 +135,7 @@ class _EndState(NamedTuple):
     counts: NodeCounts
 
 
-class _SolvedBatch(NamedTuple):
+class _LatticeSolution(NamedTuple):
     """The solution of one batch on its turned lattice, without its padding."""
 
     force_n: np.ndarray  # (b, n, 3)
@@ -181,23 +144,19 @@ class _SolvedBatch(NamedTuple):
     iterations: np.ndarray
     stuck: np.ndarray
     slipping: np.ndarray
+    free: np.ndarray
 
 
 def _solve_batch(
-    simulation: Simulation, paths: Paths, part: ContactBatch, start: Skins | None
+    simulation: Simulation, paths: Paths, batch: ContactBatch, start: Skins | None
 ) -> BatchResult:
-    sensor, level = simulation.sensor, simulation.level
-    count, nodes = len(paths), len(load_shared_dome(sensor).nodes)
-    placement = place_on_lattice(part.turn, part.nodes, nodes)
-    poses, _ = cut_increments(paths, level, sensor.dome_radius_mm)
-    poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
-    poses[..., TILT_X:] = np.einsum(
-        "bji,btj->bti", placement.rotation[:, :2, :2], poses[..., TILT_X:]
-    )
-    force_n = None if start is None else placement.gather(start.force_n)
-    solved = _solve_and_unpad(simulation, paths, part, poses, force_n)
+    count, nodes = len(paths), len(simulation.dome.nodes)
+    placement = place_on_lattice(batch, nodes)
+    poses = _cut_on_lattice(simulation, paths, batch, placement)
+    start_n = None if start is None else placement.gather(start.force_n)
+    solved = _solve_on_lattice(simulation, paths, batch, poses, start_n)
     force_n = placement.scatter(solved.force_n, nodes)
-    pins = _compute_pins(sensor, force_n, level.precision)
+    pins = _compute_pins(simulation, force_n)
     solved_well = solved.residual_mm <= solved.tolerance_mm
     contacts = Contacts(
         pins=pins,
@@ -208,33 +167,44 @@ def _solve_batch(
         slipping_nodes=solved.slipping,
         free_nodes=nodes - solved.stuck - solved.slipping,
         force_n=force_n.sum(axis=1),
-        nodes=np.full(count, len(part.nodes)),
+        nodes=np.full(count, len(batch.nodes)),
         retried=np.zeros(count, bool),
     )
-    incomplete = _needs_more_nodes(simulation, paths, part, poses[:, -1], solved.force_n)
+    incomplete = _needs_more_nodes(simulation, paths, batch, poses[:, -1], solved.force_n)
     return BatchResult(contacts, Skins(force_n, paths.points[:, -1]), incomplete)
 
 
-def _solve_and_unpad(
+def _cut_on_lattice(
+    simulation: Simulation, paths: Paths, batch: ContactBatch, placement: LatticePlacement
+) -> np.ndarray:
+    """Cut paths into poses (b, T + 1, 6) of the turned lattice."""
+    poses, _ = cut_increments(paths, simulation.level, simulation.sensor.dome_radius_mm)
+    poses[..., YAW] += np.radians(60.0 * batch.turn)[:, None]
+    poses[..., TILT_X:] = np.einsum(
+        "bji,btj->bti", placement.rotation[:, :2, :2], poses[..., TILT_X:]
+    )
+    return poses
+
+
+def _solve_on_lattice(
     simulation: Simulation,
     paths: Paths,
-    part: ContactBatch,
+    batch: ContactBatch,
     poses: np.ndarray,
     start_n: np.ndarray | None,
-) -> _SolvedBatch:
-    """Solve one batch from forces (b, n, 3), padded by repeats of its last scene."""
-    level, count, used = simulation.level, len(paths), len(part.nodes)
+) -> _LatticeSolution:
+    """Solve a batch from forces (b, n, 3), padded by repeats of its last scene."""
+    level, count, used = simulation.level, len(paths), len(batch.nodes)
     size = min(pad_count(count, BATCHES), max(simulation.batch, count))
     rows = np.minimum(np.arange(size), count - 1)
-    length = pad_count(part.steps, PATH_LENGTHS)
+    length = pad_count(batch.steps, PATH_LENGTHS)
     steps = np.minimum(np.arange(length + 1), poses.shape[1] - 1)
     strong = level.strong_friction if (paths.friction > STRONG_FRICTION).any() else None
     with jax.enable_x64(level.precision == "float64"):
+        as_array = partial(jnp.asarray, dtype=level.precision)
+        node_bytes = batch.nodes.astype(np.int64).tobytes()
         system, newtons = build_system(
-            simulation.sensor,
-            part.nodes.astype(np.int64).tobytes(),
-            part.friction,
-            level.precision,
+            simulation.sensor, node_bytes, batch.friction, level.precision
         )
         unknowns = len(system.w) // len(system.nodes)
         force = np.zeros((size, len(system.nodes), unknowns))
@@ -244,55 +214,55 @@ def _solve_and_unpad(
             system,
             simulation.obstacles,
             jnp.asarray(paths.stimulus[rows], jnp.int32),
-            jnp.asarray(paths.friction[rows], level.precision),
-            part.tilted,
+            as_array(paths.friction[rows]),
+            batch.tilted,
         )
-        skin, quality, counts = jax.device_get(
+        end = jax.device_get(
             _follow_from_force(
                 problem,
-                jnp.asarray(np.swapaxes(poses[rows][:, steps], 0, 1), level.precision),
-                part.steps,
-                jnp.asarray(force, level.precision),
-                SolverOptions(level.tolerance, level.limit, strong, level.solver),
+                as_array(np.swapaxes(poses[rows][:, steps], 0, 1)),
+                batch.steps,
+                as_array(force),
+                Solver(level.tolerance, level.limit, strong, level.method),
             )
         )
     force_n = np.zeros((count, used, 3))
-    force_n[..., 3 - unknowns :] = skin.force[:count, :used] * newtons
-    fields = (*quality, counts.stuck, counts.slipping)
-    return _SolvedBatch(force_n, *(field[:count] for field in fields))
+    force_n[..., 3 - unknowns :] = end.skin.force[:count, :used] * newtons
+    fields = (*end.quality, *end.counts)
+    return _LatticeSolution(force_n, *(field[:count] for field in fields))
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(jax.jit, static_argnames="solver")
 def _follow_from_force(
     problem: ContactProblem,
     path: jax.Array,
     steps: jax.Array,
     force: jax.Array,
-    options: SolverOptions,
+    solver: Solver,
 ) -> _EndState:
     """Follow a path (T + 1, B, 6) from skins under forces (B, N, d)."""
     skin = make_undeformed_skins(problem.system, path[0])
     skin = skin._replace(force=force, displacement=problem.system.displace(force))
-    skin, quality = follow_path(problem, path[1:], skin, options, steps)
-    return _EndState(skin, quality, count_node_states(skin, problem.friction, problem.tilted))
+    skin, quality = follow_path(problem, path[1:], skin, solver, steps)
+    return _EndState(skin, quality, count_node_states(problem, skin))
 
 
-def _compute_pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
+def _compute_pins(simulation: Simulation, force_n: np.ndarray) -> np.ndarray:
     """Compute the displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
-    full = load_shared_dome(sensor)
+    dome, precision = simulation.dome, simulation.level.precision
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    matrix = build_matrices(sensor, precision).g_transposed
-    matrix = matrix.reshape(len(full.nodes), 3, -1)[used]
+    matrix = build_matrices(simulation.sensor, precision).g_transposed
+    matrix = matrix.reshape(len(dome.nodes), 3, -1)[used]
     moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(
         -1, matrix.shape[-1]
     )
-    return (full.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
+    return (dome.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
 
 def _needs_more_nodes(
     simulation: Simulation,
     paths: Paths,
-    part: ContactBatch,
+    batch: ContactBatch,
     pose: np.ndarray,
     force_n: np.ndarray,
 ) -> np.ndarray:
@@ -301,23 +271,21 @@ def _needs_more_nodes(
     Their contact reaches the last ring, or a neighbour of a loaded node that was left out ends
     inside the stimulus.
     """
-    sensor = simulation.sensor
-    full = load_shared_dome(sensor)
-    last_ring = part.nodes >= len(full.nodes) - 6 * (len(compute_ring_arcs(sensor)) - 1)
+    sensor, dome = simulation.sensor, simulation.dome
+    last_ring = batch.nodes >= len(dome.nodes) - 6 * (len(compute_ring_arcs(sensor)) - 1)
     beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    near = np.any(_find_neighbours(sensor)[part.nodes[loaded]], axis=0)
-    near[part.nodes] = False
+    near = np.any(_find_neighbours(sensor)[batch.nodes[loaded]], axis=0)
+    near[batch.nodes] = False
     beside = np.flatnonzero(near)
     if not len(beside):
         return beyond
     rows = (3 * beside[:, None] + np.arange(3)).ravel()
-    columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()
-    moved = force_n[:, loaded].reshape(len(paths), -1) @ full.w[np.ix_(rows, columns)].T
+    columns = (3 * batch.nodes[loaded][:, None] + np.arange(3)).ravel()
+    moved = force_n[:, loaded].reshape(len(paths), -1) @ dome.w[np.ix_(rows, columns)].T
     gap = compute_gaps(
-        simulation.obstacles,
-        full.nodes[beside],
-        sensor.dome_radius_mm,
+        simulation,
+        dome.nodes[beside],
         paths.stimulus,
         pose,
         moved.reshape(len(paths), -1, 3),

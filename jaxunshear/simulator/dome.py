@@ -1,8 +1,8 @@
 """The condensed dome of a sensor: computed once (about 10 s), then cached on disk.
 
 A cache file is a checksum, the harmonics of the compliance (7 MB), and the settings they belong to.
-A file that does not hold what it should is reported and made again. Two processes at the same work
-each put a complete file in place.
+A damaged file is reported and made again. Two processes at the same work each put a complete file
+in place.
 """
 
 import contextlib
@@ -14,13 +14,14 @@ import re
 import sys
 import uuid
 import zipfile
-from dataclasses import asdict, fields
+from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from jaxunshear.config.reach import RING_MM, compute_ring_arcs, compute_ring_spacing
-from jaxunshear.config.sensor import Sensor, check_sensor
+from jaxunshear.config.sensor import Sensor, check_sensor, describe_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
 from jaxunshear.progress import Progress
@@ -40,6 +41,12 @@ MESH_MM = 1.0  # of elements, where rings are RING_MM apart
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
+@lru_cache(maxsize=4)
+def load_shared_dome(sensor: Sensor) -> Compliance:
+    """Load the sensor's dome and keep it in memory."""
+    return load_dome(sensor)
+
+
 def load_dome(sensor: Sensor) -> Compliance:
     """Load the compliance of a sensor's contact nodes and pins, or compute and cache it."""
     return sum_harmonics(_load_response(sensor, varied=False))
@@ -56,16 +63,14 @@ def load_sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
 
 def compute_dome(sensor: Sensor) -> Compliance:
     """Compute what `load_dome` loads. Raises `UserError` for a sensor that cannot be."""
-    return sum_harmonics(_compute(sensor, modulus_derivative=False))
+    return sum_harmonics(_compute(sensor, varied=False))
 
 
 def _mesh_mm(sensor: Sensor) -> float:
     return MESH_MM * compute_ring_spacing(sensor) / RING_MM
 
 
-def _compute(
-    sensor: Sensor, modulus_derivative: bool, progress: Progress | None = None
-) -> HarmonicResponse:
+def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> HarmonicResponse:
     check_sensor(sensor)
     mesh = make_dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
     gel = compute_isotropic_stiffness(sensor.gel_modulus_mpa, sensor.gel_poisson)
@@ -74,8 +79,9 @@ def _compute(
     arcs = compute_ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + compute_ring_spacing(sensor))
     pins = Pins(compute_pin_tips(sensor), compute_pin_levers(sensor))
-    varied = mesh.skin if modulus_derivative else None
-    return compute_response(mesh, materials, hats, pins, _count_harmonics(sensor), varied, progress)
+    harmonics = _count_harmonics(sensor)
+    elements = mesh.skin if varied else None
+    return compute_response(mesh, materials, hats, pins, harmonics, elements, progress)
 
 
 def _count_harmonics(sensor: Sensor) -> int:
@@ -86,7 +92,7 @@ def _count_harmonics(sensor: Sensor) -> int:
 def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
     check_sensor(sensor)
     settings = {
-        **asdict(sensor),
+        **describe_sensor(sensor),
         "version": VERSION,
         "mesh": _mesh_mm(sensor),
         "rings": compute_ring_arcs(sensor).tolist(),
@@ -97,20 +103,26 @@ def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
     name = re.sub(r"[^A-Za-z0-9._-]", "_", sensor.name)[:40]
     path = cache_folder() / f"dome-{name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.bin"
     try:
-        return _read(path, text, sensor)
+        return _read(path, text)
     except (FileNotFoundError, NotADirectoryError):
         pass
     except _BROKEN as error:
         print(f"the cache file {path} is of no use ({error}): it is made again", file=sys.stderr)
+    return _make_file(path, text, sensor, varied)
+
+
+def _make_file(path: Path, settings: str, sensor: Sensor, varied: bool) -> HarmonicResponse:
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.touch()  # before the work: a folder that cannot be written to is reported at once
-        with Progress(
-            f"dome of {sensor.name}", _count_harmonics(sensor) + 1, unit="harmonics"
-        ) as progress:
+        steps = _count_harmonics(sensor) + 1
+        with Progress(f"dome of {sensor.name}", steps, unit="harmonics") as progress:
             response = _compute(sensor, varied, progress)
-        part.write_bytes(_pack_response(response, text))
+        stream = io.BytesIO()
+        np.savez(stream, settings=np.array(settings), **asdict(response))
+        data = stream.getvalue()
+        part.write_bytes(hashlib.sha256(data).digest() + data)
         os.replace(part, path)
     except OSError as error:
         raise UserError(
@@ -123,17 +135,7 @@ def _load_response(sensor: Sensor, varied: bool) -> HarmonicResponse:
     return response
 
 
-def _pack_response(response: HarmonicResponse, settings: str) -> bytes:
-    stream = io.BytesIO()
-    np.savez(
-        stream,
-        settings=np.array(settings),
-        **{field.name: getattr(response, field.name) for field in fields(response)},
-    )
-    return hashlib.sha256(stream.getvalue()).digest() + stream.getvalue()
-
-
-def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
+def _read(path: Path, settings: str) -> HarmonicResponse:
     """Read a cache file.
 
     Raises one of _BROKEN if it does not hold what belongs to the settings.
@@ -142,22 +144,6 @@ def _read(path: Path, settings: str, sensor: Sensor) -> HarmonicResponse:
     if hashlib.sha256(data[32:]).digest() != data[:32]:
         raise ValueError("damaged: its checksum does not agree")
     with np.load(io.BytesIO(data[32:])) as stored:
-        response = HarmonicResponse(
-            **{field.name: stored[field.name] for field in fields(HarmonicResponse)}
-        )
         if str(stored["settings"]) != settings:
             raise ValueError("made with other settings")
-    rings, harmonics = len(compute_ring_arcs(sensor)), _count_harmonics(sensor) + 1
-    places = int(response.positions.max(initial=0)) + 1
-    shapes = {
-        "nodes": (1 + 3 * rings * (rings - 1), 3),
-        "pins": (sensor.pins, 3),
-        "positions": (sensor.pins,),
-        "rings": (harmonics, 3 * rings, 3 * rings),
-        "fields": (harmonics, 3 * places, 3 * rings),
-    }
-    for name, shape in shapes.items():
-        values = getattr(response, name)
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ValueError(f"its {name} are not {shape} finite numbers")
-    return response
+        return HarmonicResponse(**{name: stored[name] for name in stored if name != "settings"})

@@ -11,10 +11,9 @@ along the ring's meridian and another around the axis, and a node's displacement
 the same weights. The condensed compliance W is then symmetric positive definite by construction, if
 there are at least as many harmonics as nodes in a ring.
 
-Read `condense` first: `compute_response` solves the harmonics, `harmonics` sums them.
+`compute_response` solves the harmonics, `sum_harmonics` sums them.
 """
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -207,21 +206,18 @@ def _make_axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     return select.tocsc()
 
 
-class _StandingPins(NamedTuple):
-    levers: PinLevers
-    positions: np.ndarray  # (P,) the place of each pin
+def _stand_pins(mesh: Mesh, pins: Pins) -> tuple[PinLevers, np.ndarray]:
+    """Stand the pins on the mesh; those of equal place in the half-plane share one lever.
 
-
-def _stand_pins(mesh: Mesh, pins: Pins) -> _StandingPins:
-    """Stand the pins on the mesh; those of equal place in the half-plane share one lever."""
+    The place (P,) of each pin comes second.
+    """
     ends = []
     for points in (pins.tips - pins.levers, pins.tips):
         ends.append(np.stack([np.hypot(*points.T[:2]), points[:, 2]], -1))
     rounded = np.round(np.concatenate(ends, -1), 9)
     places, positions = np.unique(rounded, axis=0, return_inverse=True)
     feet, tips = places[:, :2], places[:, 2:]
-    levers = PinLevers(feet, tips - feet, compute_interpolation(mesh, feet))
-    return _StandingPins(levers, positions.ravel())
+    return PinLevers(feet, tips - feet, compute_interpolation(mesh, feet)), positions.ravel()
 
 
 def compute_response(
@@ -233,12 +229,14 @@ def compute_response(
     varied: Bool[np.ndarray, "E"] | None = None,
     progress: Progress | None = None,
 ) -> HarmonicResponse:
-    """Compute what `condense` sums: the response of each harmonic.
+    """Compute the response of each harmonic to loads on rings.
 
-    A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a
-    thousandth of W, and what a mesh answers to waves shorter than its elements is wrong. With
-    `varied` the result is its derivative by the logarithm of a factor on the moduli of these
-    elements.
+    `materials` are as from `compute_isotropic_stiffness`, `ring_arcs` as for `compute_ring_loads`.
+    At most as many `harmonics` are used as the outer ring has nodes, and as many are needed for a
+    compliance that is positive definite. A ring bears as many harmonics as it has nodes: what its
+    hats hold beyond is less than a thousandth of W, and what a mesh answers to waves shorter than
+    its elements is wrong. With `varied` the result is its derivative by the logarithm of a factor
+    on the moduli of these elements.
     """
     loads, outline = compute_ring_loads(mesh, ring_arcs)
     sizes = compute_ring_sizes(len(loads.T))
@@ -254,7 +252,8 @@ def compute_response(
         slope = assemble_stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
     rings = np.zeros((harmonics + 1, spatial.shape[1], spatial.shape[1]))
     fields = np.zeros((harmonics + 1, 3 * len(levers.places), spatial.shape[1]))
-    with _use_one_thread():
+    # on several busy cores thousands of small products took ten times longer
+    with threadpool_limits(1, "blas"):
         for m in range(harmonics + 1):
             bears = np.flatnonzero(np.repeat(sizes >= m, 3))
             load = spatial[:, bears]
@@ -287,36 +286,9 @@ def _solve_harmonic(
     return field
 
 
-def _use_one_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread.
-
-    On several busy cores thousands of small products took ten times longer.
-    """
-    return threadpool_limits(1, user_api="blas")
-
-
 def sum_harmonics(response: HarmonicResponse) -> Compliance:
     """Sum the harmonics."""
     angle = np.arctan2(response.pins[:, 1], response.pins[:, 0])
-    with _use_one_thread():
+    with threadpool_limits(1, "blas"):
         g = compute_point_compliance(response.fields, response.positions, angle)
         return Compliance(response.nodes, response.pins, compute_node_compliance(response.rings), g)
-
-
-def condense(
-    mesh: Mesh,
-    materials: Float[np.ndarray, "E 6 6"],
-    ring_arcs: Float[np.ndarray, "_"],
-    pins: Float[np.ndarray, "P 3"],
-    harmonics: int,
-    levers: Float[np.ndarray, "P 3"] | None = None,
-) -> Compliance:
-    """Compute the compliance of contact rings and of pins with tips at `pins`.
-
-    `materials` are as from `compute_isotropic_stiffness`, `ring_arcs` as for `compute_ring_loads`,
-    `levers` as in `Pins`; without them tips move with the gel around them. At most as many
-    `harmonics` are used as the outer ring has nodes, and as many are needed for a compliance that
-    is positive definite.
-    """
-    standing = Pins(pins, np.zeros_like(pins) if levers is None else levers)
-    return sum_harmonics(compute_response(mesh, materials, ring_arcs, standing, harmonics))

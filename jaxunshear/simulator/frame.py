@@ -1,6 +1,8 @@
 """Rotations between sensor frame, level frame and target frame, and lengths of motions.
 
-The level frame is the sensor frame with its tilt undone.
+The level frame is the sensor frame with its tilt undone: there the stimulus' top is the plane
+z = 0. A `Frame` holds the rotations (B, 3, 3) from the sensor frame to the level frame, or None
+where no sensor is tilted.
 """
 
 import jax
@@ -8,6 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS
+
+Frame = Float[jax.Array, "B 3 3"] | None
 
 
 def compute_level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
@@ -36,24 +40,26 @@ def matmul(
     return jnp.matmul(a, b, precision="highest")
 
 
-def rotate(
-    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
-) -> Float[jax.Array, "B N 3"]:
+def transpose(frame: Frame) -> Frame:
+    return None if frame is None else jnp.swapaxes(frame, 1, 2)
+
+
+def rotate(frame: Frame, vectors: Float[jax.Array, "B N d"]) -> Float[jax.Array, "B N d"]:
+    if frame is None:
+        return vectors
     return jnp.einsum("bij,bnj->bni", frame, vectors, precision="highest")
 
 
-def rotate_back(
-    frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]
-) -> Float[jax.Array, "B N 3"]:
+def rotate_back(frame: Frame, vectors: Float[jax.Array, "B N d"]) -> Float[jax.Array, "B N d"]:
+    if frame is None:
+        return vectors
     return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
 
 
 def transform_to_level(
-    frame: Float[jax.Array, "B 3 3"] | None,
-    points: Float[jax.Array, "B N 3"],
-    centre_mm: Float[jax.Array, ""],
+    frame: Frame, points: Float[jax.Array, "B N 3"], centre_mm: Float[jax.Array, ""]
 ) -> Float[jax.Array, "B N 3"]:
-    """Transform points of the sensor frame to the level frame; None leaves them.
+    """Transform points of the sensor frame to the level frame.
 
     The lowest point of the dome lies at z = 0 in the level frame.
     """

@@ -1,10 +1,4 @@
-"""Derivatives of the pins by way points, friction and the ratio of the moduli.
-
-    gradient = compute_pin_gradient(TACTIP_331, ("disk",), paths)
-    gradient.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point
-    gradient.at_switch  # (B,) there a derivative is one-sided
-
-To put pins into a loss of your own:
+"""Pins as a differentiable function of way points, friction and the ratio of the moduli.
 
     with jax.enable_x64(True):
         model = make_pin_model(TACTIP_331, ("disk",), paths)
@@ -17,7 +11,8 @@ To put pins into a loss of your own:
 
 All derivatives are those of the converged contact (see `implicit`), along a path whose increments
 are cut as for the model's paths. They do not see the kinks of a sampled obstacle's distance, whose
-slope changes by about 1 % at its grid lines.
+slope changes by about 1 % at its grid lines. No scene depends on another, so a tangent may move all
+scenes at once, and tangents under `jax.vmap` share each increment's matrix.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,136 +27,143 @@ from jaxtyping import Float
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator import dome as domes
-from jaxunshear.simulator.admm import RHO
-from jaxunshear.simulator.batches import Stimuli, sample_obstacles
-from jaxunshear.simulator.contact_problem import ContactProblem, Skin, System
-from jaxunshear.simulator.contact_results import Skins
+from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
-from jaxunshear.simulator.input_checks import check_batch, check_paths, check_start, get_level
-from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.increment import RHO
+from jaxunshear.simulator.input_checks import check_paths
+from jaxunshear.simulator.level import Level, get_level
 from jaxunshear.simulator.obstacle import Obstacles
-from jaxunshear.simulator.paths import TURNS, Paths
-from jaxunshear.simulator.scheduler import cut_increments, find_reachable_nodes
+from jaxunshear.simulator.paths import TURNS, Paths, cut_increments
+from jaxunshear.simulator.scheduler import (
+    Simulation,
+    Stimuli,
+    find_reachable_nodes,
+)
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
 TOUCHING_SHARE = 0.75  # of the nodes within reach: about as many as ever touch at once
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class PinModel:
-    """A sensor on the paths it was made for, as arrays: goes through jit and grad.
+class ScaledCompliance(NamedTuple):
+    """A compliance divided by the mean diagonal of w, on which the pins do not depend."""
 
-    The compliance is known, with its slope, at M ratios of the moduli (`knots`), mm/N for the
-    sensor's gel.
-    """
+    w: Array  # (3N, 3N)
+    g: Array  # (3P, 3N)
 
-    log_ratio: Array  # () the sensor's own log(skin modulus : gel modulus)
-    knots: Array  # (M,) of it
-    w: Array  # (M, 3N, 3N), and its slope
+
+class Compliances(NamedTuple):
+    """Compliances of N nodes and P pins at M ratios of the moduli, mm/N for the sensor's gel."""
+
+    log_ratios: Array  # (M,) log(skin modulus : gel modulus), rising
+    w: Array  # (M, 3N, 3N), and its slope by the logarithm
     w_slope: Array
     g: Array  # (M, 3P, 3N)
     g_slope: Array
+
+    def interpolate(self, log_ratio: Float[Array, ""]) -> ScaledCompliance:
+        """Interpolate by cubic Hermite polynomials; linearly from a single ratio."""
+        knots = self.log_ratios
+        if len(knots) == 1:
+            step = log_ratio - knots[0]
+            w, g = self.w[0] + step * self.w_slope[0], self.g[0] + step * self.g_slope[0]
+        else:
+            left = jnp.clip(jnp.searchsorted(knots, log_ratio) - 1, 0, len(knots) - 2)
+            width = knots[left + 1] - knots[left]
+            s = (log_ratio - knots[left]) / width
+            weights = (
+                (1 + 2 * s) * (1 - s) ** 2,
+                s**2 * (3 - 2 * s),
+                width * s * (1 - s) ** 2,
+                width * s**2 * (s - 1),
+            )
+
+            def interpolate(values: Array, slopes: Array) -> Array:
+                ends = jnp.stack([values[left], values[left + 1], slopes[left], slopes[left + 1]])
+                return jnp.tensordot(jnp.stack(weights), ends, 1)
+
+            w, g = interpolate(self.w, self.w_slope), interpolate(self.g, self.g_slope)
+        scale = jax.lax.stop_gradient(jnp.trace(w) / len(w))
+        return ScaledCompliance(w / scale, g / scale)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PinModel:
+    """A sensor on the paths it was made for, as arrays: goes through jit and grad."""
+
+    log_ratio: Array  # () the sensor's own log(skin modulus : gel modulus)
+    compliances: Compliances
     nodes: Array  # (N, 3)
     centre_mm: Array
     tips: Array  # (P, 3) pin tips at rest
     obstacles: Obstacles
-    which: Array  # (B,)
+    obstacle_index: Array  # (B,)
     shares: Array  # (B, T + 1, K) of the way points in each pose of the path
-    force_n: Array  # (B, N, 3) at the first point
     # nodes of a scene that touch at once, probably
     max_touching: int = field(metadata={"static": True})
 
 
 class PinPositions(NamedTuple):
-    pins: Array  # (B, P, 3) mm in the sensor frame
-    margin_mm: Array  # (B,) to the nearest switch
-    residual_mm: Array  # (B,) of the worst increment
+    """Pins of B scenes, and how far their derivatives can be trusted.
 
-
-class PinGradient(NamedTuple):
-    """Derivatives of B scenes' pins (numpy, mm in the sensor frame).
-
-    They are exact for changes that move no node past a switch: between touching and parting, or
-    stick and slip. `margin_mm` is how far the nearest one was in any increment: in mm of a node's
-    gap or slip, or of the displacement that the missing force would give to its node. A finite
-    difference agrees as long as its step moves the skin by less. `at_switch` means below SWITCH_MM:
-    the derivative is then the one of the side on which the node was found, and a step to the other
-    side has another. Two cases are always one-sided: friction 0 answers to more friction only, and
-    infinite friction to no change at all.
+    Derivatives are exact for changes that move no node past a switch: between touching and parting,
+    or stick and slip. `margin_mm` is how far the nearest one was in any increment: in mm of a
+    node's gap or slip, or of the displacement that the missing force would give to its node. A
+    finite difference agrees as long as its step moves the skin by less. Two cases are always
+    one-sided: friction 0 answers to more friction only, and infinite friction to no change at all.
     """
 
-    pins: np.ndarray  # (B, P, 3)
-    d_points: np.ndarray  # (B, P, 3, K, 6) per mm and per degree of the way points
-    d_friction: np.ndarray  # (B, P, 3)
-    d_log_ratio: np.ndarray  # (B, P, 3) by log(skin modulus : gel modulus)
-    margin_mm: np.ndarray  # (B,)
-    at_switch: np.ndarray  # (B,) bool
-    converged: np.ndarray  # (B,) bool; where it is not, the derivatives say nothing
+    pins: Array  # (B, P, 3) mm in the sensor frame
+    margin_mm: Array  # (B,)
+    residual_mm: Array  # (B,) of the worst increment
+
+    @property
+    def at_switch(self) -> Array:
+        """(B,) whether the derivative is that of the side on which rounding put a node."""
+        return self.margin_mm < SWITCH_MM
+
+    @property
+    def is_solved(self) -> Array:
+        """(B,) whether the derivatives say anything."""
+        return self.residual_mm <= GOAL_MM[self.residual_mm.dtype.name]
 
 
 def make_pin_model(
     sensor: Sensor,
-    names: Stimuli,
+    stimuli: Stimuli,
     paths: Paths,
     level: str | Level = "auto",
     ratios: tuple[float, ...] = (),
-    start: Skins | None = None,
-    wide: bool = True,
 ) -> PinModel:
     """Make a model of the sensor on these paths. Call under `jax.enable_x64(True)`.
 
     The paths are cut into increments as at `level`. The compliance is known at the sensor's own
-    ratio of skin to gel modulus, and nearby to first order; or at rising `ratios` and, by cubic
-    Hermite interpolation in the logarithm, in between. With `start`, each path continues from its
-    first point with that skin. `wide` False keeps about half of the nodes, those that usually
-    suffice: faster, but nothing shows where they do not.
+    ratio of skin to gel modulus, and nearby to first order; or at rising `ratios`, and in between
+    by interpolation in the logarithm.
     """
-    level = get_level(level)
-    check_paths(sensor, len(names), paths)
+    simulation = Simulation(sensor, stimuli, get_level(level))
+    check_paths(sensor, len(stimuli), paths)
     if list(ratios) != sorted(set(ratios)) or any(not 0 < ratio < np.inf for ratio in ratios):
         raise UserError(f"ratios {ratios}: give rising numbers above zero")
     sensor_ratio = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    ratios = ratios or (sensor_ratio,)
-    obstacles = sample_obstacles(names)
     rest = domes.load_dome(sensor)
-    inputs = (obstacles, rest.nodes, sensor.dome_radius_mm, paths)
-    reachable, usual = find_reachable_nodes(*inputs, wide), find_reachable_nodes(*inputs, False)
-    if start is not None:
-        check_start(paths, start, len(rest.nodes))
-        reachable |= np.any(start.force_n != 0, axis=-1)
-    index = np.flatnonzero(reachable.any(axis=0))
+    usual = find_reachable_nodes(simulation, paths, wide=False)
+    index = np.flatnonzero(find_reachable_nodes(simulation, paths, wide=True).any(axis=0))
     index = index if len(index) else np.arange(1)
-    compliances = _load_compliances(sensor, ratios, index)
-    force = np.zeros((len(paths), len(index), 3)) if start is None else start.force_n[:, index]
     return PinModel(
         log_ratio=jnp.asarray(np.log(sensor_ratio)),
-        knots=jnp.asarray(np.log(ratios)),
-        w=jnp.asarray(compliances.w),
-        w_slope=jnp.asarray(compliances.w_slope),
-        g=jnp.asarray(compliances.g),
-        g_slope=jnp.asarray(compliances.g_slope),
+        compliances=_load_compliances(sensor, ratios or (sensor_ratio,), index),
         nodes=jnp.asarray(rest.nodes[index]),
         centre_mm=jnp.asarray(sensor.dome_radius_mm),
         tips=jnp.asarray(rest.pins),
-        obstacles=obstacles,
-        which=jnp.asarray(paths.stimulus, jnp.int32),
-        shares=jnp.asarray(compute_path_shares(paths, level, sensor.dome_radius_mm)),
-        force_n=jnp.asarray(force),
+        obstacles=simulation.obstacles,
+        obstacle_index=jnp.asarray(paths.stimulus, jnp.int32),
+        shares=jnp.asarray(compute_path_shares(paths, simulation.level, sensor.dome_radius_mm)),
         max_touching=int(TOUCHING_SHARE * usual.sum(axis=1).max(initial=0)) + 1,
     )
 
 
-class _Compliances(NamedTuple):
-    """Compliances of N nodes and P pins at M ratios of the moduli, and their slopes."""
-
-    w: np.ndarray  # (M, 3N, 3N)
-    w_slope: np.ndarray
-    g: np.ndarray  # (M, 3P, 3N)
-    g_slope: np.ndarray
-
-
-def _load_compliances(sensor: Sensor, ratios: tuple[float, ...], index: np.ndarray) -> _Compliances:
+def _load_compliances(sensor: Sensor, ratios: tuple[float, ...], index: np.ndarray) -> Compliances:
     """Load the compliances of the contact nodes `index`."""
     rows = (3 * index[:, None] + np.arange(3)).ravel()
     square = np.ix_(rows, rows)
@@ -169,9 +171,9 @@ def _load_compliances(sensor: Sensor, ratios: tuple[float, ...], index: np.ndarr
     for ratio in ratios:
         other = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
         full, (dw, dg) = domes.load_dome(other), domes.load_sensitivity(other)
-        parts.append(_Compliances(full.w[square], dw[square], full.g[:, rows], dg[:, rows]))
-    stacked: _Compliances = jax.tree.map(lambda *arrays: np.stack(arrays), *parts)
-    return stacked
+        parts.append((full.w[square], dw[square], full.g[:, rows], dg[:, rows]))
+    fields = (jnp.asarray(np.stack(field)) for field in zip(*parts, strict=True))
+    return Compliances(jnp.asarray(np.log(ratios)), *fields)
 
 
 def compute_path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarray, "B T K"]:
@@ -195,37 +197,6 @@ def compute_path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[n
     return shares
 
 
-class ScaledCompliance(NamedTuple):
-    w: Array  # (3N, 3N)
-    g: Array  # (3P, 3N)
-    scale: Array  # () mean diagonal of w, by which both are divided
-
-
-def interpolate_compliance(model: PinModel, log_ratio: Float[Array, ""]) -> ScaledCompliance:
-    """Interpolate the compliance at a ratio of the moduli."""
-    if len(model.knots) == 1:
-        step = log_ratio - model.knots[0]
-        w, g = model.w[0] + step * model.w_slope[0], model.g[0] + step * model.g_slope[0]
-    else:
-        left = jnp.clip(jnp.searchsorted(model.knots, log_ratio) - 1, 0, len(model.knots) - 2)
-        width = model.knots[left + 1] - model.knots[left]
-        s = (log_ratio - model.knots[left]) / width
-        weights = (
-            (1 + 2 * s) * (1 - s) ** 2,
-            s**2 * (3 - 2 * s),
-            width * s * (1 - s) ** 2,
-            width * s**2 * (s - 1),
-        )
-
-        def interpolate(values: Array, slopes: Array) -> Array:
-            ends = jnp.stack([values[left], values[left + 1], slopes[left], slopes[left + 1]])
-            return jnp.tensordot(jnp.stack(weights), ends, 1)
-
-        w, g = interpolate(model.w, model.w_slope), interpolate(model.g, model.g_slope)
-    scale = jax.lax.stop_gradient(jnp.trace(w) / len(w))
-    return ScaledCompliance(w / scale, g / scale, scale)
-
-
 def simulate_pins(
     model: PinModel,
     points: Float[Array, "B K 6"],
@@ -241,85 +212,16 @@ def simulate_pins(
     path = jnp.einsum(
         "btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None]
     )
-    w, g, scale = interpolate_compliance(model, model.log_ratio if log_ratio is None else log_ratio)
+    w, g = model.compliances.interpolate(model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
-    system = System(w, inverse, w, model.nodes, model.centre_mm)
-    force = model.force_n * scale
-    skin = Skin(
-        force,
-        jnp.zeros_like(force),
-        (force.reshape(len(force), -1) @ w).reshape(force.shape),
-        path[0],
+    problem = ContactProblem(
+        System(w, inverse, w, model.nodes, model.centre_mm),
+        model.obstacles,
+        model.obstacle_index,
+        friction,
+        tilted=True,
+        max_touching=model.max_touching,
     )
-    problem = ContactProblem(system, model.obstacles, model.which, friction, tilted=True)
-    state = compute_pin_state(problem, g.T, path, skin, model.max_touching)
+    skin = make_undeformed_skins(problem.system, path[0])
+    state = compute_pin_state(problem, g.T, path, skin)
     return PinPositions(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
-
-
-def compute_pin_gradient(
-    sensor: Sensor,
-    names: Stimuli,
-    paths: Paths,
-    level: str | Level = "auto",
-    start: Skins | None = None,
-    batch: int = 16,
-) -> PinGradient:
-    """Compute the pins of B scenes and their derivatives by everything, in float64."""
-    check_batch(batch)
-    if not len(paths):
-        raise UserError("paths: no scene is given, so there is nothing to differentiate")
-    parts = []
-    with jax.enable_x64(True):
-        for first in range(0, len(paths), batch):
-            rows = np.arange(first, min(first + batch, len(paths)))
-            part, before = paths.take(rows), None if start is None else start.take(rows)
-            model = make_pin_model(sensor, names, part, level, start=before)
-            points, friction = jnp.asarray(part.points), jnp.asarray(part.friction)
-            parts.append(jax.device_get(_differentiate_pins(model, points, friction)))
-    merged = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
-    positions = merged.positions
-    return PinGradient(
-        positions.pins,
-        merged.by_points,
-        merged.by_friction,
-        merged.by_ratio,
-        positions.margin_mm,
-        positions.margin_mm < SWITCH_MM,
-        positions.residual_mm <= GOAL_MM["float64"],
-    )
-
-
-class _PinDerivatives(NamedTuple):
-    positions: PinPositions
-    by_points: Array  # (B, P, 3, K, 6)
-    by_friction: Array  # (B, P, 3)
-    by_ratio: Array  # (B, P, 3)
-
-
-@jax.jit
-def _differentiate_pins(model: PinModel, points: Array, friction: Array) -> _PinDerivatives:
-    """Differentiate the pins with one tangent for all scenes at once.
-
-    No scene depends on another, and all tangents share each increment's matrix.
-    """
-    count, ways = points.shape[0], points.shape[1] * 6
-    tangents = (
-        jnp.broadcast_to(
-            jnp.eye(ways + 2, ways).reshape(-1, 1, points.shape[1], 6), (ways + 2, *points.shape)
-        ),
-        jnp.zeros((ways + 2, count)).at[ways].set(1.0),
-        jnp.zeros(ways + 2).at[ways + 1].set(1.0),
-    )
-
-    def simulate(*inputs: Array) -> tuple[Array, PinPositions]:
-        positions = simulate_pins(model, *inputs)
-        return positions.pins, positions
-
-    def push(*tangent: Array) -> tuple[PinPositions, Array]:
-        inputs = (points, friction, model.log_ratio)
-        _, slope, positions = jax.jvp(simulate, inputs, tangent, has_aux=True)
-        return positions, slope
-
-    positions, slopes = jax.vmap(push, out_axes=(None, -1))(*tangents)
-    by_points = slopes[..., :ways].reshape(*slopes.shape[:-1], *points.shape[1:])
-    return _PinDerivatives(positions, by_points, slopes[..., ways], slopes[..., ways + 1])

@@ -88,7 +88,8 @@ def compute_node_compliance(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.n
             here = np.flatnonzero(ring[sector] == number)[[0, -1]]
             first, last = images[here]
             w[:, :, first : last + 1] = columns[:, :, here[0] : here[1] + 1]
-    return _symmetrise(w.reshape(3 * len(ring), -1))
+    between_nodes = w.reshape(3 * len(ring), -1)
+    return (between_nodes + between_nodes.T) / 2
 
 
 def compute_point_compliance(
@@ -142,14 +143,3 @@ def _turn(vectors: np.ndarray, first: np.ndarray | float, second: np.ndarray | f
         x, y, z = vectors
         vectors = np.stack([cos * x - sin * y, sin * x + cos * y, z]).swapaxes(0, 1)
     return vectors
-
-
-def _symmetrise(w: np.ndarray, block: int = 512) -> np.ndarray:
-    """Replace w by (w + w^T) / 2 in place, block by block."""
-    starts = range(0, len(w), block)
-    for i in starts:
-        for j in range(i, len(w), block):
-            above, below = w[i : i + block, j : j + block], w[j : j + block, i : i + block]
-            above[:] = (above + below.T) / 2
-            below[:] = above.T
-    return w

@@ -1,25 +1,24 @@
 """Checks that refuse what cannot be simulated, by field, before any work starts."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from jaxunshear.config.reach import compute_max_contact_depth_mm
 from jaxunshear.config.sensor import Sensor, check_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.simulator.contact_results import Skins
-from jaxunshear.simulator.level import LEVELS, Level
-from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
+from jaxunshear.simulator.paths import DEPTH, MIN_LEG_MM, TILT_X, Paths
 from jaxunshear.simulator.scene import Scenes
-from jaxunshear.simulator.scheduler import MIN_LEG_MM
 
 SAME_POINT = 1e-6  # mm or degrees by which a path may begin beside its skin
 
 
-def get_level(name_or_level: str | Level) -> Level:
-    if isinstance(name_or_level, Level):
-        return name_or_level
-    if name_or_level not in LEVELS:
-        raise UserError(f"level '{name_or_level}' is unknown: use one of {', '.join(LEVELS)}")
-    return LEVELS[name_or_level]
+def _refuse_scenes(bad: np.ndarray, describe: Callable[[int], str]) -> None:
+    """Refuse the first of the scenes that are `bad`; further axes are points and columns."""
+    rows = np.flatnonzero(bad.any(axis=tuple(range(1, bad.ndim))))
+    if len(rows):
+        raise UserError(f"scene {rows[0]}: {describe(rows[0])}")
 
 
 def check_batch(batch: int) -> None:
@@ -29,60 +28,59 @@ def check_batch(batch: int) -> None:
 
 def check_scenes(scenes: Scenes) -> None:
     """Check scenes before they become paths, so that a message names the scene's own field."""
-    for field, values in (("pose", scenes.pose), ("move", scenes.move)):
-        bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=-1))
-        if len(bad):
-            raise UserError(f"scene {bad[0]}: {field} = {values[bad[0]].tolist()} is not finite")
+    _refuse_scenes(
+        ~np.isfinite(scenes.pose), lambda i: f"pose = {scenes.pose[i].tolist()} is not finite"
+    )
+    _refuse_scenes(
+        ~np.isfinite(scenes.move), lambda i: f"move = {scenes.move[i].tolist()} is not finite"
+    )
 
 
 def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
     """Check a sensor and its paths over so many stimuli."""
     check_sensor(sensor)
-    if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
-        raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
-    bad = np.flatnonzero(~np.isfinite(paths.points).all(axis=(1, 2)))
-    if len(bad):
-        raise UserError(f"scene {bad[0]}: points = {paths.points[bad[0]].tolist()} are not finite")
-    bad = np.flatnonzero(~(paths.friction >= 0))
-    if len(bad):
-        value = paths.friction[bad[0]]
-        raise UserError(
-            f"scene {bad[0]}: friction {value:g} is not a number from 0 (none) to infinity (stick)"
-        )
-    bad = np.flatnonzero((paths.stimulus < 0) | (paths.stimulus >= stimuli))
-    if len(bad):
-        raise UserError(
-            f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named"
-        )
-    _check_depths(sensor, paths)
+    points, friction, stimulus = paths.points, paths.friction, paths.stimulus
+    if points.ndim != 3 or points.shape[1] < 2 or points.shape[2] != 6:
+        raise UserError(f"points have shape {points.shape}: give (B, K, 6) with K at least 2")
+    _refuse_scenes(~np.isfinite(points), lambda i: f"points = {points[i].tolist()} are not finite")
+    _refuse_scenes(
+        ~(friction >= 0),
+        lambda i: f"friction {friction[i]:g} is not a number from 0 (none) to infinity (stick)",
+    )
+    _refuse_scenes(
+        (stimulus < 0) | (stimulus >= stimuli),
+        lambda i: f"stimulus {stimulus[i]} is not one of the {stimuli} named",
+    )
+    _check_depths(sensor, points)
 
 
-def _check_depths(sensor: Sensor, paths: Paths) -> None:
-    tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    deepest = np.vectorize(
-        lambda degrees: compute_max_contact_depth_mm(sensor, degrees), otypes=[float]
-    )(tilt)
-    deep = np.argwhere(paths.points[..., DEPTH] > deepest)
-    if len(deep):
-        row, point = deep[0]
-        depth, most = paths.points[row, point, DEPTH], max(deepest[row, point], 0)
-        tilted = f" at a tilt of {tilt[row, point]:.3g} deg" if tilt[row, point] else ""
-        raise UserError(
-            f"scene {row}: depth {depth:.3g} mm cannot be reached{tilted}; "
-            f"the contact model covers {most:.1f} mm there"
+def _check_depths(sensor: Sensor, points: np.ndarray) -> None:
+    tilt = np.linalg.norm(points[..., TILT_X:], axis=-1)
+    find_deepest = np.vectorize(lambda deg: compute_max_contact_depth_mm(sensor, deg), [float])
+    deepest, depth = find_deepest(tilt), points[..., DEPTH]
+
+    def describe(i: int) -> str:
+        k = np.argmax(depth[i] - deepest[i])
+        tilted = f" at a tilt of {tilt[i, k]:.3g} deg" if tilt[i, k] else ""
+        return (
+            f"depth {depth[i, k]:.3g} mm cannot be reached{tilted}; "
+            f"the contact model covers {max(deepest[i, k], 0):.1f} mm there"
         )
+
+    _refuse_scenes(depth > deepest, describe)
 
 
 def check_start_at_rest(paths: Paths) -> None:
     """Refuse paths without a skin to start from that stay in contact: their slide is unknown."""
     still = np.all(np.abs(np.diff(paths.points, axis=1)) < MIN_LEG_MM, axis=(1, 2))
-    bad = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
-    if len(bad):
-        depth = paths.points[bad[0], 0, DEPTH]
-        raise UserError(
-            f"scene {bad[0]}: its path stays where it begins, at depth {depth:.3g} mm: "
+    depth = paths.points[:, 0, DEPTH]
+    _refuse_scenes(
+        still & (depth > 0),
+        lambda i: (
+            f"its path stays where it begins, at depth {depth[i]:.3g} mm: "
             "begin at depth 0, or give the skin to start from"
-        )
+        ),
+    )
 
 
 def check_start(paths: Paths, start: Skins, nodes: int) -> None:
@@ -92,10 +90,7 @@ def check_start(paths: Paths, start: Skins, nodes: int) -> None:
             f"the skins to start from: give {len(paths)} of them, with finite forces on {nodes} "
             f"nodes; these are {start.force_n.shape[0]} with {start.force_n.shape[1]}"
         )
-    distance = np.abs(paths.points[:, 0] - start.point).max(axis=-1)
-    bad = np.flatnonzero(distance > SAME_POINT)
-    if len(bad):
-        raise UserError(
-            f"scene {bad[0]}: its path starts elsewhere than its skin: "
-            f"begin at {start.point[bad[0]].tolist()}"
-        )
+    _refuse_scenes(
+        np.abs(paths.points[:, 0] - start.point) > SAME_POINT,
+        lambda i: f"its path starts elsewhere than its skin: begin at {start.point[i].tolist()}",
+    )

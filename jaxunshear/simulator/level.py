@@ -1,8 +1,10 @@
 """How exactly a contact is solved, and what is left out of it, by the name of a level."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+from jaxunshear.errors import UserError
 
 # What `auto` leaves out, in the words of the command that shows a plan.
 OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
@@ -17,10 +19,8 @@ class Level:
 
     A leg between two way points is cut into increments of at most `press_mm` in depth and
     `slide_mm` along the surface. A leg has at least `press` or `slide` of them, unless "steps" is
-    among the omissions. An increment is solved to `tolerance` times its own length, within `limit`
-    iterations. `strong_friction` is the relaxation of ADMM above STRONG_FRICTION, None the usual
-    one. `solver` replaces ADMM, to compare another one with it. `reference` leaves out only what
-    provably changes nothing.
+    among the omissions. `tolerance`, `limit`, `strong_friction` and `method` are as in
+    `admm.Solver`. `reference` leaves out only what provably changes nothing.
     """
 
     press: int
@@ -33,7 +33,7 @@ class Level:
     omit: tuple[str, ...] = OMISSIONS
     wide_margin: bool = False  # leave out fewer nodes
     strong_friction: float | None = 0.7
-    solver: Callable[..., Any] | None = None  # as `admm.Solver`
+    method: Callable[..., Any] | None = None
 
 
 LEVELS = {
@@ -59,6 +59,9 @@ LEVELS = {
 STRONGER_LEVELS = {"fast": "auto", "default": "reference", "auto": "reference"}
 
 
-def without_omissions(level: Level) -> Level:
-    """Return the level with nothing left out."""
-    return replace(level, omit=())
+def get_level(name_or_level: str | Level) -> Level:
+    if isinstance(name_or_level, Level):
+        return name_or_level
+    if name_or_level not in LEVELS:
+        raise UserError(f"level '{name_or_level}' is unknown: use one of {', '.join(LEVELS)}")
+    return LEVELS[name_or_level]

@@ -1,7 +1,7 @@
 """Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z).
 
-The dome and the half-space are both a quarter disk: a square core on the axis, then layers out to
-the arc, so that no element degenerates. Read `make_dome_mesh` first.
+The dome is a quarter disk: a square core on the axis, then layers out to the arc, so that no
+element degenerates. Read `make_dome_mesh` first.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 # corners, then mid-sides, counter-clockwise in the reference square [-1, 1]^2
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
@@ -95,58 +95,23 @@ def make_dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     skin_layers = max(round(skin / h), 1)
     radii = np.linspace(0.5 * inner, inner, layers + 1)[1:]
     skin_radii = inner + skin * (np.arange(skin_layers) + 1) / skin_layers
-    disk = _QuarterDisk(0.5 * inner, core, radii, skin_radii, crowding=0.9)
+    disk = QuarterDisk(0.5 * inner, core, radii, skin_radii, crowding=0.9)
     points, elements, layer = disk.make_elements()
     nodes = np.stack([points[:, 0], radius - points[:, 1]], -1)
     skin_elements = layer >= layers
     on_arc = np.abs(np.hypot(*points.T) - radius) < 1e-6 * radius
     clamped = np.flatnonzero(points[:, 1] < 1e-9)
-    return Mesh(nodes, elements, skin_elements, clamped, _find_edges(points, elements, on_arc))
+    return Mesh(nodes, elements, skin_elements, clamped, find_edges(points, elements, on_arc))
 
 
-def make_half_space_mesh(
-    contact: float, h: float, growth: float = 1.25, reach: float = 60.0
-) -> Mesh:
-    """Make a half ball of radius `reach` x `contact`, clamped far away.
-
-    Its flat face lies at z = 0, its body in z >= 0. It is fine within `contact` mm of the origin.
-    """
-    core = max(round(contact / h), 2)
-    radii, step = [contact * 1.0], h
-    while radii[-1] < reach * contact:
-        step *= growth
-        radii.append(radii[-1] + step)
-    disk = _QuarterDisk(contact, core, np.array(radii[1:]), np.zeros(0))
-    points, elements, _ = disk.make_elements()
-    on_face = points[:, 1] < 1e-9
-    clamped = np.flatnonzero(np.abs(np.hypot(*points.T) - radii[-1]) < 1e-6 * radii[-1])
-    no_skin = np.zeros(len(elements), bool)
-    return Mesh(points, elements, no_skin, clamped, _find_edges(points, elements, on_face))
-
-
-class _DiskElements(NamedTuple):
+class DiskElements(NamedTuple):
     points: np.ndarray  # (V, 2)
     elements: np.ndarray  # (E, 8)
     layer: np.ndarray  # (E,) -1 in the core
 
 
-class _PointIndex:
-    """Points by number, each place once."""
-
-    def __init__(self) -> None:
-        self.points: list[np.ndarray] = []
-        self._numbers: dict[tuple[float, float], int] = {}
-
-    def add(self, point: np.ndarray) -> int:
-        key = (round(point[0], 7) + 0.0, round(point[1], 7) + 0.0)
-        if key not in self._numbers:
-            self._numbers[key] = len(self.points)
-            self.points.append(point)
-        return self._numbers[key]
-
-
 @dataclass(frozen=True)
-class _QuarterDisk:
+class QuarterDisk:
     """A quarter disk: a core of `core` x `core` elements, then layers of 2 x `core` elements.
 
     Elements where the second coordinate is zero are narrower along the arc by the share `crowding`.
@@ -158,24 +123,25 @@ class _QuarterDisk:
     skin_radii: np.ndarray  # where each layer of a skin beyond them ends, mm
     crowding: float = 0.0
 
-    def make_elements(self) -> _DiskElements:
-        index = _PointIndex()
+    def make_elements(self) -> DiskElements:
         # the corners and mid-sides of an element, as shares of it
         offsets = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)]
-        elements, layers = [], []
+        corners, layers = [], []
         for i in range(self.core):
             for j in range(self.core):
-                corners = [self._place_in_core(i + a, j + b) for a, b in offsets]
-                elements.append([index.add(point) for point in corners])
+                corners += [self._place_in_core(i + a, j + b) for a, b in offsets]
                 layers.append(-1)
-        shares = self._compute_shares()
-        for layer, (inner, outer) in enumerate(pairwise(shares)):
+        for layer, (inner, outer) in enumerate(pairwise(self._compute_shares())):
             share = {0: inner, 0.5: 0.5 * (inner + outer), 1: outer}
             for t in range(2 * self.core):
-                corners = [self._place_in_layer(t + b, share[a]) for a, b in offsets]
-                elements.append([index.add(point) for point in corners])
+                corners += [self._place_in_layer(t + b, share[a]) for a, b in offsets]
                 layers.append(layer)
-        return _DiskElements(np.array(index.points), np.array(elements), np.array(layers))
+        # each place once, numbered as they first occur
+        rounded = np.round(corners, 7) + 0.0
+        _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        elements = np.argsort(order)[number.ravel()].reshape(-1, 8)
+        return DiskElements(np.array(corners)[first[order]], elements, np.array(layers))
 
     def _compute_shares(self) -> np.ndarray:
         """Compute where layers end, between the core (0) and the last radius (1), or beyond it."""
@@ -208,7 +174,12 @@ class _QuarterDisk:
         return float(np.interp(t, np.arange(2 * self.core + 1), shifted))
 
 
-def _find_edges(points: np.ndarray, elements: np.ndarray, on_surface: np.ndarray) -> np.ndarray:
+def find_edges(
+    points: Float[np.ndarray, "V 2"],
+    elements: Int[np.ndarray, "E 8"],
+    on_surface: Bool[np.ndarray, "V"],
+) -> Int[np.ndarray, "S 3"]:
+    """Find the elements' edges on the surface, from the axis outwards."""
     edges = elements[:, _EDGES].reshape(-1, 3)
     return _sort_edges(points, edges[on_surface[edges].all(axis=1)])
 

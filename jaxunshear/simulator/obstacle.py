@@ -5,7 +5,8 @@ every shape and a batch may mix shapes. Between grid points they are interpolate
 an error below 0.01 mm away from corners.
 """
 
-from functools import partial
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
@@ -13,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
+from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance, make_stimulus
 
 # of the rounding: that of the node spacing, so that a node meets an edge gradually
 EDGE_RADIUS_MM = 1.0
@@ -28,32 +30,33 @@ class Obstacles(NamedTuple):
     distance: jax.Array  # (S, H, H) mm
 
 
-def sample_distances(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    """Sample the stimuli as obstacles.
+def sample_obstacles(shapes: Sequence[str | Outline | Stimulus]) -> Obstacles:
+    """Sample shapes as obstacles, once for each combination of shapes.
 
     Raises UserError where a distance or a target is not finite.
     """
-    for stimulus in stimuli:
-        if not np.isfinite(stimulus.target).all():
-            raise UserError(
-                f"stimulus '{stimulus.name}': its target {stimulus.target} is not finite"
-            )
+    return _sample_obstacles(tuple(map(make_stimulus, shapes)))
+
+
+@lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand
+def _sample_obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
+    return Obstacles(jnp.stack([_sample_distance(stimulus) for stimulus in stimuli]))
+
+
+def _sample_distance(stimulus: Stimulus) -> jax.Array:
     line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
 
-    def sample_grid(stimulus: Stimulus) -> jax.Array:
-        def sample_row(y: jax.Array) -> jax.Array:
-            return compute_signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))
+    def sample_row(y: jax.Array) -> jax.Array:
+        return compute_signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))
 
-        # row by row: a shape of many segments needs memory
-        return jax.jit(partial(jax.lax.map, sample_row))(line)
-
-    grids = [sample_grid(stimulus) for stimulus in stimuli]
-    for stimulus, values in zip(stimuli, grids, strict=True):
-        if not bool(jnp.isfinite(values).all()):
-            raise UserError(
-                f"stimulus '{stimulus.name}': its signed distance is not a finite number everywhere"
-            )
-    return Obstacles(jnp.stack(grids))
+    # row by row: a shape of many segments needs memory
+    grid = jax.jit(partial(jax.lax.map, sample_row))(line)
+    if not (np.isfinite(stimulus.target).all() and bool(jnp.isfinite(grid).all())):
+        raise UserError(
+            f"stimulus '{stimulus.name}': its target and its signed distance must be finite "
+            "numbers everywhere"
+        )
+    return grid
 
 
 def interpolate_distance(

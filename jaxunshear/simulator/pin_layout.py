@@ -9,21 +9,10 @@ from jaxunshear.config.sensor import Sensor, check_sensor
 def compute_pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
     """Compute the pins' places on the flattened dome, in mm of arc from the apex.
 
-    They are ordered ring by ring, each counter-clockwise from +x.
+    Raises `UserError` for a sensor that cannot be.
     """
-    points = [np.zeros((1, 2))]
-    for ring in range(1, sensor.rings + 1):
-        turn = np.arange(6 * ring) / (6 * ring)
-        if sensor.layout == "rings":
-            angle = 2 * np.pi * turn
-            points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-        else:
-            angle = np.arange(7) * np.pi / 3
-            corners = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-            side, along = np.divmod(6 * turn, 1.0)
-            side, along = side.astype(int), along[:, None]
-            points.append(ring * (corners[side] * (1 - along) + corners[side + 1] * along))
-    return sensor.pin_spacing_mm * np.concatenate(points)
+    check_sensor(sensor)
+    return sensor.place_pins()
 
 
 def compute_pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
@@ -32,7 +21,6 @@ def compute_pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
     Pins stand on the skin's inner face, along the normal. Raises `UserError` for a sensor that
     cannot be.
     """
-    check_sensor(sensor)
     return compute_tips_at(sensor, compute_pin_lattice(sensor))
 
 

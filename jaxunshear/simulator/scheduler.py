@@ -1,13 +1,14 @@
 """Which nodes and increments a scene needs; scenes of similar need share a batch.
 
-    level = LEVELS["auto"]
-    batches = make_plan(obstacles, nodes, dome_radius_mm, paths, level, batch=64, wide=False)
+    simulation = Simulation(TACTIP_331, ("disk",), LEVELS["auto"])
+    for batch in make_plan(simulation, paths): ...
 
 Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and
 increments of motions too short to need them. `batches` detects a node that was left out and would
 have touched after all.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -17,6 +18,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxunshear.config.reach import REACHED_SHARE
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.stimuli import Outline
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.elasticity import Compliance
 from jaxunshear.simulator.frame import (
     compute_level_frame,
     matmul,
@@ -24,9 +29,19 @@ from jaxunshear.simulator.frame import (
     transform_to_level,
 )
 from jaxunshear.simulator.harmonics import make_sixfold_permutations
-from jaxunshear.simulator.level import STRONG_FRICTION, Level
-from jaxunshear.simulator.obstacle import Obstacles, compute_surface_drop, interpolate_distance
-from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths
+from jaxunshear.simulator.level import Level
+from jaxunshear.simulator.obstacle import (
+    Obstacles,
+    compute_surface_drop,
+    interpolate_distance,
+    sample_obstacles,
+)
+from jaxunshear.simulator.paths import DEPTH, TILT_X, TURNS, YAW, Paths, cut_increments
+from jaxunshear.simulator.stimuli import Stimulus
+
+Stimuli = tuple[str | Outline | Stimulus, ...]
+
+BATCH = 64
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
 WIDE_MARGINS = (1.1, 3.0)  # REACHED_SHARE and MARGIN_MM, where those were not enough
@@ -34,7 +49,6 @@ WIDE_MARGINS = (1.1, 3.0)  # REACHED_SHARE and MARGIN_MM, where those were not e
 # and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
-MIN_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
@@ -42,9 +56,25 @@ MIN_SPLIT = 24  # scenes in a batch that is worth splitting
 MIN_SPLIT_SAVING = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 MIN_ROWS = 12  # a matrix product with fewer rows than this takes as long as one with this many
-# an increment at strong friction: a node that touches sticks where the increment began
-STRONG_PRESS_MM = 1.0
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What all contacts of one call share."""
+
+    sensor: Sensor
+    stimuli: Stimuli
+    level: Level
+    batch: int = BATCH  # scenes that are solved together, at most
+
+    @property
+    def dome(self) -> Compliance:
+        return load_shared_dome(self.sensor)
+
+    @property
+    def obstacles(self) -> Obstacles:
+        return sample_obstacles(self.stimuli)
 
 
 class ContactBatch(NamedTuple):
@@ -56,43 +86,6 @@ class ContactBatch(NamedTuple):
     steps: int  # increments of the longest path
     friction: bool  # False: pressures only
     tilted: bool
-
-
-def cut_increments(
-    paths: Paths, level: Level, radius_mm: float
-) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
-    """Cut the paths into poses, angles in rad, each padded by staying at its end.
-
-    The numbers of increments come second. Twists count as motion at `radius_mm` / 4 of the axis,
-    tilts at the dome's radius.
-    """
-    points = paths.radians
-    change = np.diff(points, axis=1)
-    pressed = np.abs(change[..., DEPTH])
-    along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
-    along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
-    pressed = np.where(pressed < MIN_LEG_MM, 0, pressed)
-    along = np.where(along < MIN_LEG_MM, 0, along)
-    strong = (paths.friction > STRONG_FRICTION)[:, None]
-    press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
-    press = np.ceil(pressed / press_mm - 1e-9)
-    slide = np.ceil(along / level.slide_mm - 1e-9)
-    if "steps" not in level.omit:
-        press = np.maximum(press, level.press * (pressed > 0))
-        slide = np.maximum(slide, level.slide * (along > 0))
-    count = np.maximum(press, slide).astype(int)  # (B, K - 1)
-    ends = np.cumsum(count, axis=1)
-    total = ends[:, -1]
-    number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
-    # of every increment; past the end: K - 1
-    leg = np.sum(number[None, :, None] > ends[:, None, :], axis=-1)
-    rows = np.arange(len(points))[:, None]
-    inside = np.minimum(leg, count.shape[1] - 1)
-    before = ends[rows, inside] - count[rows, inside]
-    share = np.clip((number - before) / np.maximum(count[rows, inside], 1), 0, 1)[..., None]
-    share = np.where((leg < count.shape[1])[..., None], share, 1.0)
-    poses = points[rows, inside] + share * change[rows, inside]
-    return np.concatenate([points[:, :1], poses], axis=1), total
 
 
 class _PlacedNodes(NamedTuple):
@@ -155,9 +148,8 @@ def _compute_gaps(
 
 
 def compute_gaps(
-    obstacles: Obstacles,
+    simulation: Simulation,
     nodes: Float[np.ndarray, "N 3"],
-    centre_mm: float,
     stimulus_index: Int[np.ndarray, "B"],
     pose: Float[np.ndarray, "B 6"],
     displacement: Float[np.ndarray, "B N 3"],
@@ -170,9 +162,9 @@ def compute_gaps(
     rows = np.minimum(np.arange(pad_count(count, BATCHES)), count - 1)
     columns = np.minimum(np.arange(size), len(nodes) - 1)
     gaps = _compute_gaps(
-        obstacles,
+        simulation.obstacles,
         jnp.asarray(nodes[columns], jnp.float32),
-        jnp.float32(centre_mm),
+        jnp.float32(simulation.sensor.dome_radius_mm),
         jnp.asarray(stimulus_index[rows], jnp.int32),
         jnp.asarray(pose[rows], jnp.float32),
         jnp.asarray(displacement[rows][:, columns], jnp.float32),
@@ -182,13 +174,10 @@ def compute_gaps(
 
 
 def find_reachable_nodes(
-    obstacles: Obstacles,
-    nodes: Float[np.ndarray, "N 3"],
-    centre_mm: float,
-    paths: Paths,
-    wide: bool,
+    simulation: Simulation, paths: Paths, wide: bool
 ) -> Bool[np.ndarray, "B N"]:
     """Find the contact nodes that each path can bring into contact; `wide` searches further."""
+    centre_mm = simulation.sensor.dome_radius_mm
     points = paths.radians
     change = np.diff(points, axis=1)
     swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
@@ -205,8 +194,8 @@ def find_reachable_nodes(
     for start in range(0, len(paths), 64):
         rows = np.minimum(np.arange(start, start + 64), len(paths) - 1)
         mask = _can_touch(
-            obstacles,
-            jnp.asarray(nodes, jnp.float32),
+            simulation.obstacles,
+            jnp.asarray(simulation.dome.nodes, jnp.float32),
             jnp.float32(centre_mm),
             jnp.asarray(paths.stimulus[rows], jnp.int32),
             jnp.asarray(np.swapaxes(poses[rows], 0, 1)),
@@ -217,27 +206,19 @@ def find_reachable_nodes(
     return np.concatenate(masks)
 
 
-def make_plan(
-    obstacles: Obstacles,
-    nodes: Float[np.ndarray, "N 3"],
-    centre_mm: float,
-    paths: Paths,
-    level: Level,
-    batch: int,
-    wide: bool,
-) -> list[ContactBatch]:
+def make_plan(simulation: Simulation, paths: Paths, wide: bool = False) -> list[ContactBatch]:
     """Put every path in one batch of at most `batch`; the nodes are those of complete rings.
 
     A batch solves the nodes and increments that any of its scenes needs, so a scene's solution
     depends on its companions, within the level's error.
 
     The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the
-    side of +x: scenes that touch with half of the dome then need the same half.
+    side of +x: scenes that touch with half of the dome then need the same half. `wide` includes
+    more nodes about the contact.
     """
-    count = len(paths)
+    count, level, nodes = len(paths), simulation.level, simulation.dome.nodes
     if "nodes" in level.omit:
-        wide = wide or level.wide_margin
-        mask = find_reachable_nodes(obstacles, nodes, centre_mm, paths, wide)
+        mask = find_reachable_nodes(simulation, paths, wide or level.wide_margin)
     else:
         mask = np.ones((count, len(nodes)), bool)
     if "untouched" not in level.omit:
@@ -249,15 +230,15 @@ def make_plan(
     friction = np.ones(count, bool)
     if "friction" in level.omit:
         friction = _needs_friction(paths) | tilted
-    _, steps = cut_increments(paths, level, centre_mm)
+    _, steps = cut_increments(paths, level, simulation.sensor.dome_radius_mm)
     kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
     for kind in np.unique(kinds, axis=0):
         _, has_friction, is_tilted = map(bool, kind)
         rows = np.flatnonzero(np.all(kinds == kind, axis=-1))
         features = _compute_features(mask, steps, nodes)
-        group = _Group(mask, steps, features, 3 if has_friction else 1, batch)
-        parts = np.array_split(rows, range(batch, len(rows), batch))
+        group = _Group(mask, steps, features, 3 if has_friction else 1, simulation.batch)
+        parts = np.array_split(rows, range(group.batch, len(rows), group.batch))
         for index in _split_rows(group, rows) if grouping else parts:
             used = np.flatnonzero(mask[index].any(axis=0))
             most_steps = int(steps[index].max())

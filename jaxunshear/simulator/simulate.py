@@ -12,15 +12,7 @@ import numpy as np
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.progress import Progress
-from jaxunshear.simulator.batches import (
-    BatchResult,
-    Simulation,
-    Stimuli,
-    make_undeformed_contacts,
-    plan_paths,
-    sample_obstacles,
-    solve_batches,
-)
+from jaxunshear.simulator.batches import make_undeformed_contacts, solve_batches
 from jaxunshear.simulator.contact_results import Contacts, Skins
 from jaxunshear.simulator.input_checks import (
     check_batch,
@@ -28,14 +20,11 @@ from jaxunshear.simulator.input_checks import (
     check_scenes,
     check_start,
     check_start_at_rest,
-    get_level,
 )
-from jaxunshear.simulator.level import STRONGER_LEVELS, Level
+from jaxunshear.simulator.level import STRONGER_LEVELS, Level, get_level
 from jaxunshear.simulator.paths import Paths, make_paths
 from jaxunshear.simulator.scene import Scenes
-from jaxunshear.simulator.systems import load_shared_dome
-
-BATCH = 64
+from jaxunshear.simulator.scheduler import BATCH, Simulation, Stimuli, make_plan
 
 
 def simulate(
@@ -95,50 +84,56 @@ def _follow(
     """Follow paths, and again at the level `stronger` where they do not converge."""
     _check(simulation, paths, start)
     if not len(paths):
-        return make_undeformed_contacts(simulation.sensor, paths, simulation.level)
-    result = solve_batches(simulation, paths, start, progress, wide=False)
-    if result.incomplete.any():
-        rows = np.flatnonzero(result.incomplete)
-        before = None if start is None else start.take(rows)
-        again = solve_batches(simulation, paths.take(rows), before, None, wide=True)
+        return make_undeformed_contacts(simulation, paths)
+    contacts, skins, incomplete = solve_batches(simulation, paths, start, progress)
+    if incomplete.any():
+        rows = np.flatnonzero(incomplete)
+        again = solve_batches(simulation, paths.take(rows), _take(start, rows), wide=True)
         converged = again.contacts.converged & ~again.incomplete
-        _replace_rows(result, rows, again.contacts._replace(converged=converged), again.skins)
-    if stronger is not None and not result.contacts.converged.all():
-        rows = np.flatnonzero(~result.contacts.converged)
-        before = None if start is None else start.take(rows)
-        contacts, skins = _follow(
+        _replace_rows(contacts, rows, again.contacts._replace(converged=converged))
+        _replace_rows(skins, rows, again.skins)
+    if stronger is not None and not contacts.converged.all():
+        rows = np.flatnonzero(~contacts.converged)
+        retried, retried_skins = _follow(
             replace(simulation, level=get_level(stronger)),
             paths.take(rows),
-            before,
+            _take(start, rows),
             _find_stronger_level(stronger),
         )
-        retried = np.ones(len(rows), bool)
-        _replace_rows(result, rows, contacts._replace(retried=retried), skins)
-    return result.contacts, result.skins
+        _replace_rows(contacts, rows, retried._replace(retried=np.ones(len(rows), bool)))
+        _replace_rows(skins, rows, retried_skins)
+    return contacts, skins
 
 
 def _check(simulation: Simulation, paths: Paths, start: Skins | None) -> None:
     check_batch(simulation.batch)
     check_paths(simulation.sensor, len(simulation.stimuli), paths)
     if start is not None:
-        check_start(paths, start, len(load_shared_dome(simulation.sensor).nodes))
+        check_start(paths, start, len(simulation.dome.nodes))
     else:
         check_start_at_rest(paths)
 
 
-def _replace_rows(result: BatchResult, rows: np.ndarray, contacts: Contacts, skins: Skins) -> None:
-    """Overwrite rows of the result in place."""
-    old, new = (*result.contacts, *result.skins), (*contacts, *skins)
+def _take(start: Skins | None, rows: np.ndarray) -> Skins | None:
+    return None if start is None else start.take(rows)
+
+
+def _replace_rows(old: Contacts | Skins, rows: np.ndarray, new: Contacts | Skins) -> None:
+    """Overwrite rows in place."""
     for array, values in zip(old, new, strict=True):
         array[rows] = values
 
 
 def plan(
-    sensor: Sensor, names: Stimuli, scenes: Scenes, level: str | Level = "auto", batch: int = BATCH
+    sensor: Sensor,
+    stimuli: Stimuli,
+    scenes: Scenes,
+    level: str | Level = "auto",
+    batch: int = BATCH,
 ) -> list[np.ndarray]:
     """List the scenes' rows, batch by batch, as `simulate` groups them."""
     check_scenes(scenes)
     paths = make_paths(scenes)
-    check_paths(sensor, len(names), paths)
-    batches = plan_paths(sensor, sample_obstacles(names), paths, get_level(level), batch)
-    return [part.rows for part in batches]
+    check_paths(sensor, len(stimuli), paths)
+    simulation = Simulation(sensor, stimuli, get_level(level), batch)
+    return [part.rows for part in make_plan(simulation, paths)]

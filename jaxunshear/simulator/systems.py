@@ -1,6 +1,6 @@
-"""The dome's elasticity, and the part of it that a batch of contacts solves with.
+"""The part of a dome's compliance that a batch of contacts solves with.
 
-Side effect: loading a dome writes the dome's cache.
+The nodes of a batch lie on a lattice that is turned, scene by scene, by sixths of a turn.
 """
 
 from functools import lru_cache, partial
@@ -13,11 +13,11 @@ from scipy.linalg import get_lapack_funcs
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator import dome as domes
-from jaxunshear.simulator.admm import RHO
 from jaxunshear.simulator.contact_problem import System
-from jaxunshear.simulator.elasticity import Compliance
-from jaxunshear.simulator.scheduler import NODE_COUNTS, pad_count
+from jaxunshear.simulator.dome import load_shared_dome
+from jaxunshear.simulator.harmonics import make_sixfold_permutations
+from jaxunshear.simulator.increment import RHO
+from jaxunshear.simulator.scheduler import NODE_COUNTS, ContactBatch, pad_count
 
 FAR_MM = 1e3  # where padding nodes stand: no stimulus reaches them
 
@@ -32,12 +32,6 @@ class ScaledMatrices(NamedTuple):
 class ScaledSystem(NamedTuple):
     system: System
     newtons: float  # per unit of scaled force
-
-
-@lru_cache(maxsize=4)
-def load_shared_dome(sensor: Sensor) -> Compliance:
-    """Load the sensor's dome and keep it in memory."""
-    return domes.load_dome(sensor)
 
 
 @lru_cache(maxsize=4)
@@ -97,3 +91,33 @@ def _invert(matrix: np.ndarray) -> np.ndarray:
 @jax.jit
 def _mirror_triangle(upper: jax.Array) -> jax.Array:
     return jnp.triu(upper) + jnp.triu(upper, 1).T
+
+
+class LatticePlacement(NamedTuple):
+    """How the scenes of a batch lie on the lattice: each is turned by sixths of a turn."""
+
+    rotation: np.ndarray  # (b, 3, 3) from the turned lattice to the sensor frame
+    nodes: np.ndarray  # (b, n) the sensor's node that each node of the batch is
+
+    def gather(self, force_n: np.ndarray) -> np.ndarray:
+        """Turn forces (b, N, 3) on the sensor's nodes to forces (b, n, 3) on the batch's."""
+        on_batch = np.take_along_axis(force_n, self.nodes[..., None], 1)
+        return np.einsum("bji,bnj->bni", self.rotation, on_batch)
+
+    def scatter(self, force_n: np.ndarray, nodes: int) -> np.ndarray:
+        """Turn forces (b, n, 3) on the batch's nodes to forces (b, N, 3) on the sensor's."""
+        on_sensor = np.zeros((len(force_n), nodes, 3))
+        turned = np.einsum("bij,bnj->bni", self.rotation, force_n)
+        np.put_along_axis(on_sensor, self.nodes[..., None], turned, 1)
+        return on_sensor
+
+
+def place_on_lattice(batch: ContactBatch, nodes: int) -> LatticePlacement:
+    """Place a batch on the lattice of so many contact nodes."""
+    angle = np.radians(60.0 * batch.turn)
+    rotation = np.zeros((len(angle), 3, 3))
+    rotation[:, 0, 0] = rotation[:, 1, 1] = np.cos(angle)
+    rotation[:, 1, 0] = np.sin(angle)
+    rotation[:, 0, 1] = -rotation[:, 1, 0]
+    rotation[:, 2, 2] = 1
+    return LatticePlacement(rotation, make_sixfold_permutations(nodes)[batch.turn][:, batch.nodes])

@@ -73,7 +73,9 @@ def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     task = Task(folder / "data", "data")
     # a set may have been deleted since it was made
     get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
-    order = TaskOrder(kind=task.kind, experiments=experiments, data=str(data))
+    order = TaskOrder(
+        kind=task.kind, experiments=experiments, data=str(data), files=list_registering_files()
+    )
     write_record(task.folder / TASK, order)
     return task
 

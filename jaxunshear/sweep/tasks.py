@@ -49,7 +49,7 @@ class TaskOrder:
     ablation: bool = False
     label: str | None = None
     seed: int | None = None
-    files: Sequence[str] = ()  # experiment files that register losses
+    files: Sequence[str] = ()  # experiment files that register losses or layouts
 
 
 def get_outcome_file(folder: Path, kind: str) -> Path:

@@ -115,6 +115,8 @@ def _add_retry_option(reason: str) -> str:
 def _make_data(order: TaskOrder, folder: Path) -> Outcome:
     from jaxunshear.data.generation import make_sets
 
+    for file in order.files:
+        run_file(Path(file))
     for settings in order.experiments:
         make_sets(from_json(settings, str(folder / TASK)), Path(order.data))
     return Outcome(status="done", reason=None)

@@ -1,6 +1,7 @@
 """Derivatives of the pins against central differences, a closed form, and exact zeros."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,28 +10,26 @@ import pytest
 
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.admm import RHO
-from jaxunshear.simulator.contact_problem import ContactProblem, System
-from jaxunshear.simulator.friction import make_undeformed_skins
+from jaxunshear.simulator.contact_problem import ContactProblem, System, make_undeformed_skins
 from jaxunshear.simulator.gradient import (
     SWITCH_MM,
+    PinPositions,
     compute_path_shares,
-    compute_pin_gradient,
-    interpolate_compliance,
     make_pin_model,
     simulate_pins,
 )
 from jaxunshear.simulator.implicit import GOAL_MM, compute_pin_state
+from jaxunshear.simulator.increment import RHO
 from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.obstacle import Obstacles
-from jaxunshear.simulator.paths import Paths
-from jaxunshear.simulator.scheduler import cut_increments
+from jaxunshear.simulator.paths import Paths, cut_increments
 from jaxunshear.simulator.simulate import follow
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth, compute_hertz_load
 from verification.tangential_contact import FRICTION as MU
 from verification.tangential_contact import compute_slip_distance
 
 SMALL = Sensor(name="small", rings=2, pin_spacing_mm=2.0, dome_radius_mm=8.0)  # a dome in a second
+DISK = ("disk",)
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 STEP = 1e-6  # of central differences, mm, degrees or 1
 FRICTION = np.array([0.3, 0.6, 1.0, 0.0, 0.8])
@@ -43,8 +42,10 @@ def cache(tmp_path_factory):
         yield
 
 
-def motions(generator, count):
+@pytest.fixture(scope="module")
+def paths():
     """Press, slide, then slide on with a twist and a tilt."""
+    generator, count = np.random.default_rng(3), len(FRICTION)
     points = np.zeros((count, 4, 6))
     points[..., :2] = generator.uniform([-3, -1], [1, 1], (count, 1, 2))
     points[..., 2] = generator.uniform(-30, 30, (count, 1))
@@ -52,75 +53,109 @@ def motions(generator, count):
     points[:, 2:, :2] += generator.uniform(-0.6, 0.6, (count, 1, 2))
     points[:, 3, 2] += generator.uniform(-10, 10, count)
     points[:, 3, 4:] = generator.uniform(-8, 8, (count, 2))
-    return points
+    return Paths(np.zeros(count, int), FRICTION, points)
 
 
-@pytest.fixture(scope="module")
-def paths():
-    return Paths(
-        np.zeros(len(FRICTION), int), FRICTION, motions(np.random.default_rng(3), len(FRICTION))
+class Gradient(NamedTuple):
+    positions: PinPositions
+    d_points: np.ndarray  # (B, P, 3, K, 6)
+    d_friction: np.ndarray  # (B, P, 3)
+    d_log_ratio: np.ndarray  # (B, P, 3)
+
+
+@jax.jit
+def push_tangents(model, points, friction):
+    """Differentiate by one tangent for all scenes at once."""
+    count, ways = len(points), points[0].size
+    tangents = (
+        jnp.broadcast_to(
+            jnp.eye(ways + 2, ways).reshape(-1, 1, *points.shape[1:]), (ways + 2, *points.shape)
+        ),
+        jnp.zeros((ways + 2, count)).at[ways].set(1.0),
+        jnp.zeros(ways + 2).at[ways + 1].set(1.0),
     )
 
+    def push(*tangent):
+        def simulate(*inputs):
+            positions = simulate_pins(model, *inputs)
+            return positions.pins, positions
+
+        inputs = (points, friction, model.log_ratio)
+        return jax.jvp(simulate, inputs, tangent, has_aux=True)[1:]
+
+    slopes, positions = jax.vmap(push, out_axes=(-1, None))(*tangents)
+    by_points = slopes[..., :ways].reshape(*slopes.shape[:-1], *points.shape[1:])
+    return Gradient(positions, by_points, slopes[..., ways], slopes[..., ways + 1])
+
+
+def differentiate(model, paths):
+    with jax.enable_x64(True):
+        points, friction = jnp.asarray(paths.points), jnp.asarray(paths.friction)
+        return jax.device_get(push_tangents(model, points, friction))
+
 
 @pytest.fixture(scope="module")
-def found(paths):
-    return compute_pin_gradient(SMALL, ("disk",), paths)
+def found(model, paths):
+    return differentiate(model, paths)
+
+
+def make_model(paths, sensor=SMALL, **options):
+    with jax.enable_x64(True):
+        return make_pin_model(sensor, DISK, paths, **options)
 
 
 @pytest.fixture(scope="module")
 def model(paths):
-    with jax.enable_x64(True):
-        return make_pin_model(SMALL, ("disk",), paths)
+    return make_model(paths)
 
 
 run = jax.jit(simulate_pins)
 
 
-def at(model, points, friction, log_ratio=None):
+def simulate_at(model, points, friction, log_ratio=None):
     with jax.enable_x64(True):
         log_ratio = model.log_ratio if log_ratio is None else jnp.asarray(np.float64(log_ratio))
         return np.asarray(run(model, jnp.asarray(points), jnp.asarray(friction), log_ratio).pins)
 
 
-def difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_ratio=0.0):
-    """Central difference of the pins along a direction."""
+def compute_difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_ratio=0.0):
+    """Compute the central difference of the pins along a direction."""
     ratio = float(model.log_ratio)
-    sides = [
-        at(model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio)
+    above, below = (
+        simulate_at(
+            model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio
+        )
         for h in (STEP, -STEP)
-    ]
-    return (sides[0] - sides[1]) / (2 * STEP)
+    )
+    return (above - below) / (2 * STEP)
 
 
-def agree(derivative, expected, rel=1e-3):
+def check_agreement(derivative, expected, rel=1e-3):
     for scene, (ours, theirs) in enumerate(zip(derivative, expected, strict=True)):
         np.testing.assert_allclose(
             ours, theirs, rtol=0, atol=rel * np.abs(theirs).max() + 1e-8, err_msg=f"scene {scene}"
         )
 
 
-def test_scenes_hold_every_state_and_no_switch(paths, model, found):
-    assert found.converged.all() and not found.at_switch.any()
-    assert np.all(found.margin_mm > 5 * STEP)  # else the differences below would prove nothing
+def test_scenes_hold_every_state_and_no_switch(paths, found):
+    assert found.positions.is_solved.all() and not found.positions.at_switch.any()
+    assert np.all(
+        found.positions.margin_mm > 5 * STEP
+    )  # else the differences below would prove nothing
     with jax.enable_x64(True):
-        contacts, _ = follow(SMALL, ("disk",), paths, "reference")
-    assert (
-        contacts.stuck_nodes.sum() > 9
-        and contacts.slipping_nodes.sum() > 20
-        and np.all(contacts.free_nodes > 20)
-    )
-    assert (
-        np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02
-    )  # finer increments
+        contacts, _ = follow(SMALL, DISK, paths, "reference")
+    assert contacts.stuck_nodes.sum() > 9 and contacts.slipping_nodes.sum() > 20
+    # finer increments
+    assert np.sqrt(np.mean(np.sum((contacts.pins - found.positions.pins) ** 2, -1))) < 0.02
 
 
 def test_way_points_together(paths, model, found):
     """Along a direction that moves every coordinate of every way point but the first."""
-    direction = np.concatenate(
-        [np.zeros((1, 6)), np.random.default_rng(7).normal(size=(3, 6)) * [0.1, 0.1, 1, 0.1, 1, 1]]
-    )
+    direction = np.random.default_rng(7).normal(size=(4, 6)) * [0.1, 0.1, 1, 0.1, 1, 1]
+    direction[0] = 0
     derivative = np.einsum("bpckx,kx->bpc", found.d_points, direction)
-    agree(derivative, difference(model, paths.points, FRICTION, d_points=direction))
+    difference = compute_difference(model, paths.points, FRICTION, d_points=direction)
+    check_agreement(derivative, difference)
 
 
 @pytest.mark.long
@@ -129,70 +164,60 @@ def test_way_points_together(paths, model, found):
 def test_way_points(paths, model, found, point, column):
     direction = np.zeros((4, 6))
     direction[point, column] = 1
-    agree(
-        found.d_points[..., point, column],
-        difference(model, paths.points, FRICTION, d_points=direction),
-    )
+    difference = compute_difference(model, paths.points, FRICTION, d_points=direction)
+    check_agreement(found.d_points[..., point, column], difference)
 
 
 def test_friction(paths, model, found):
-    moved = (FRICTION > 0).astype(float)
-    agree(
-        found.d_friction[FRICTION > 0],
-        difference(model, paths.points, FRICTION, d_friction=moved)[FRICTION > 0],
-    )
-    more = at(model, paths.points, FRICTION + STEP) - at(
-        model, paths.points, FRICTION
-    )  # from none there is one way to go
-    agree(found.d_friction[FRICTION == 0], more[FRICTION == 0] / STEP)
+    rubs = FRICTION > 0
+    difference = compute_difference(model, paths.points, FRICTION, d_friction=rubs.astype(float))
+    check_agreement(found.d_friction[rubs], difference[rubs])
+    here, more = (simulate_at(model, paths.points, FRICTION + h) for h in (0, STEP))
+    # from none there is one way to go
+    check_agreement(found.d_friction[~rubs], (more - here)[~rubs] / STEP)
 
 
 def test_moduli(paths, model, found):
-    agree(found.d_log_ratio, difference(model, paths.points, FRICTION, d_log_ratio=1.0))
+    difference = compute_difference(model, paths.points, FRICTION, d_log_ratio=1.0)
+    check_agreement(found.d_log_ratio, difference)
     sides, step = [], 1e-3  # and between domes of other moduli, of which only the ratio counts
     for h in (step, -step):
         other = replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5)
-        with jax.enable_x64(True):
-            sides.append(at(make_pin_model(other, ("disk",), paths), paths.points, FRICTION))
-    smooth = found.margin_mm > 1e-4
+        sides.append(simulate_at(make_model(paths, other), paths.points, FRICTION))
+    smooth = found.positions.margin_mm > 1e-4
     assert smooth.any()
-    agree(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
+    check_agreement(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
 
 
-def test_without_jit_and_with_more_nodes_in_touch_than_foreseen(paths, model, found):
-    with jax.enable_x64(True):
-        few = replace(model, max_touching=2)
-        np.testing.assert_allclose(
-            simulate_pins(few, jnp.asarray(paths.points), jnp.asarray(FRICTION)).pins,
-            found.pins,
-            atol=1e-9,
-        )
+def test_more_nodes_may_touch_than_foreseen(paths, model, found):
+    few = replace(model, max_touching=2)
+    np.testing.assert_allclose(
+        simulate_at(few, paths.points, FRICTION), found.positions.pins, atol=1e-9
+    )
 
 
 @pytest.mark.long
 def test_backwards_equals_forwards_under_vmap(paths, model, found):
-    weights = np.random.default_rng(0).normal(size=found.pins.shape)
+    weights = np.random.default_rng(0).normal(size=found.positions.pins.shape)
     close = {"rtol": 1e-6, "atol": 1e-8}
 
-    def loss(model, *x):
+    def compute_loss(model, *x):
         return jnp.sum(weights * simulate_pins(model, *x).pins)
 
     with jax.enable_x64(True):
         points, frictions = jnp.asarray(paths.points), jnp.asarray([FRICTION, 0.9 * FRICTION])
-        slopes = jax.vmap(jax.grad(loss, (1, 2, 3)), (None, None, 0, None))
+        slopes = jax.vmap(jax.grad(compute_loss, (1, 2, 3)), (None, None, 0, None))
         back = jax.device_get(jax.jit(slopes)(model, points, frictions, model.log_ratio))
-    np.testing.assert_allclose(
-        back[0][0], np.einsum("bpc,bpckx->bkx", weights, found.d_points), **close
-    )
-    np.testing.assert_allclose(
-        back[1][0], np.einsum("bpc,bpc->b", weights, found.d_friction), **close
-    )
-    np.testing.assert_allclose(back[2][0], np.sum(weights * found.d_log_ratio), **close)
+    by_points, by_friction, by_ratio = back
+    expected = np.einsum("bpc,bpckx->bkx", weights, found.d_points)
+    np.testing.assert_allclose(by_points[0], expected, **close)
+    expected = np.einsum("bpc,bpc->b", weights, found.d_friction)
+    np.testing.assert_allclose(by_friction[0], expected, **close)
+    np.testing.assert_allclose(by_ratio[0], np.sum(weights * found.d_log_ratio), **close)
     moved = (FRICTION > 0).astype(float)
-    expected = np.einsum(
-        "bpc,bpc->b", weights, difference(model, paths.points, 0.9 * FRICTION, d_friction=moved)
-    )
-    np.testing.assert_allclose(back[1][1] * moved, expected, rtol=1e-3, atol=1e-6)
+    difference = compute_difference(model, paths.points, 0.9 * FRICTION, d_friction=moved)
+    expected = np.einsum("bpc,bpc->b", weights, difference)
+    np.testing.assert_allclose(by_friction[1] * moved, expected, rtol=1e-3, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -201,109 +226,83 @@ def special():
     points = np.zeros((5, 3, 6))
     points[:, :, 0] = [[0, 1, 2], [0, -1, -2], [-3, -3, -2.99], [-3, -3, -2.99], [-3, -3, -3]]
     points[2:4, 2, 1] = 0.005
-    points[:, :, 3] = [
-        [0, -0.01, -0.01],
-        [0, -0.01, -0.01],
-        [0, 0.3, 0.3],
-        [0, 0.3, 0.3],
-        [-0.1, -0.05, 0],
-    ]
+    points[:2, 1:, 3], points[2:4, 1:, 3], points[4, :, 3] = -0.01, 0.3, [-0.1, -0.05, 0]
     return Paths(np.zeros(5, int), np.array([0.5, 0.0, 5.0, np.inf, 0.5]), points)
 
 
 @pytest.fixture(scope="module")
-def special_found(special):
-    return compute_pin_gradient(SMALL, ("disk",), special)
+def special_model(special):
+    return make_model(special)
 
 
 @pytest.fixture(scope="module")
-def special_model(special):
-    with jax.enable_x64(True):
-        return make_pin_model(SMALL, ("disk",), special)
+def special_found(special, special_model):
+    return differentiate(special_model, special)
 
 
-def test_what_touches_nothing_answers_to_nothing(special_found):
+def test_no_contact_has_no_derivative(special_found):
     slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
     assert not any(np.any(slope[:2]) for slope in slopes)
-    assert special_found.converged.all() and not special_found.at_switch[:2].any()
-    assert special_found.margin_mm[1] == pytest.approx(
-        0.01 / 3
-    )  # the apex' gap after the first of three increments
+    assert (
+        special_found.positions.is_solved.all() and not special_found.positions.at_switch[:2].any()
+    )
+    # the apex' gap after the first of three increments
+    assert special_found.positions.margin_mm[1] == pytest.approx(0.01 / 3)
 
 
-def test_pure_stick_does_not_answer_to_friction(special, special_found, special_model):
+def test_pure_stick_does_not_depend_on_friction(special, special_found, special_model):
     assert not np.any(special_found.d_friction[2:4])
     direction = np.zeros((3, 6))
     direction[2, 0] = 1
-    expected = difference(special_model, special.points, special.friction, d_points=direction)
-    agree(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
+    points, friction = special.points, special.friction
+    expected = compute_difference(special_model, points, friction, d_points=direction)
+    check_agreement(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
+    # 5 sticks as infinity does
     np.testing.assert_allclose(
-        special_found.pins[2], special_found.pins[3], atol=1e-9
-    )  # 5 sticks as infinity does
+        special_found.positions.pins[2], special_found.positions.pins[3], atol=1e-9
+    )
 
 
 def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model):
     """The dome just comes to the surface: less depth changes nothing, more depth does."""
-    assert list(special_found.at_switch) == [False] * 4 + [True]
-    assert special_found.margin_mm[4] < SWITCH_MM
+    assert list(special_found.positions.at_switch) == [False] * 4 + [True]
+    assert special_found.positions.margin_mm[4] < SWITCH_MM
 
-    def depth(change):
+    def simulate_deeper(change):
         points = special.points.copy()
         points[4, 2, 3] += change
-        return at(special_model, points, special.friction)[4]
+        return simulate_at(special_model, points, special.friction)[4]
 
-    less, more = (depth(0.0) - depth(-1e-6)) / 1e-6, (depth(1e-6) - depth(0.0)) / 1e-6
+    shallow, here, deep = (simulate_deeper(change) for change in (-1e-6, 0.0, 1e-6))
+    less, more = (here - shallow) / 1e-6, (deep - here) / 1e-6
     assert np.abs(more).max() > 0.1 and np.abs(less).max() < 1e-9
     slope = special_found.d_points[4, ..., 2, 3]  # rounding decides which of the two
     assert min(np.abs(slope - less).max(), np.abs(slope - more).max()) < 1e-3 * np.abs(more).max()
 
 
-@pytest.mark.long
-def test_going_on_from_a_skin(paths):
-    slides = Paths(paths.stimulus[:2], paths.friction[:2], paths.points[:2, :3])
-    pressed = Paths(slides.stimulus, slides.friction, slides.points[:, :2])
-    moved = Paths(slides.stimulus, slides.friction, slides.points[:, 1:])
-    _, skins = follow(SMALL, ("disk",), pressed, "reference")
-    full, _ = follow(SMALL, ("disk",), slides, "reference")
-    with jax.enable_x64(True):
-        model = make_pin_model(SMALL, ("disk",), moved, "reference", start=skins)
-        friction = jnp.asarray(slides.friction)
-        push = jax.jit(
-            lambda x, d: jax.jvp(lambda y: simulate_pins(model, y, friction).pins, (x,), (d,))
-        )
-        at, along = jnp.asarray(moved.points), jnp.zeros_like(moved.points).at[:, -1, 0].set(1.0)
-        here, more, less = (jax.device_get(push(at + h * along, along)) for h in (0, STEP, -STEP))
-    np.testing.assert_allclose(here[0], full.pins, atol=5e-3)  # as exact as the reference level is
-    agree(here[1], (more[0] - less[0]) / (2 * STEP))
-
-
-def test_shares_cut_a_path_as_the_plan_does(paths):
+@pytest.mark.parametrize("name", ["auto", "default"])
+def test_shares_cut_a_path_as_the_plan_does(paths, name):
     points = paths.points.copy()
     points[0, 2:] = points[0, 1]  # legs without length
     points[1, 1] = points[1, 0]
-    paths = Paths(paths.stimulus, paths.friction, points)
-    for name in ("auto", "default"):
-        poses, _ = cut_increments(paths, LEVELS[name], SMALL.dome_radius_mm)
-        points = np.array(paths.points)
-        points[..., [2, 4, 5]] = np.radians(points[..., [2, 4, 5]])
-        shares = compute_path_shares(paths, LEVELS[name], SMALL.dome_radius_mm)
-        np.testing.assert_allclose(np.einsum("btk,bkc->btc", shares, points), poses, atol=1e-12)
-        np.testing.assert_allclose(shares.sum(-1), 1)
+    paths = replace(paths, points=points)
+    poses, _ = cut_increments(paths, LEVELS[name], SMALL.dome_radius_mm)
+    shares = compute_path_shares(paths, LEVELS[name], SMALL.dome_radius_mm)
+    np.testing.assert_allclose(np.einsum("btk,bkc->btc", shares, paths.radians), poses, atol=1e-12)
+    np.testing.assert_allclose(shares.sum(-1), 1)
 
 
 def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
-    with jax.enable_x64(True):
-        several = make_pin_model(SMALL, ("disk",), paths, ratios=(5.0, 10.0, 20.0))
-        for ratio, most in ((10.0, 1e-12), (14.0, 1e-3)):  # at a knot, between
-            single = make_pin_model(replace(SMALL, skin_modulus_mpa=0.1 * ratio), ("disk",), paths)
-            for ours, theirs in zip(
-                interpolate_compliance(several, jnp.log(ratio)),
-                interpolate_compliance(single, single.log_ratio),
-                strict=True,
-            ):
-                assert float(jnp.abs(ours - theirs).max()) < most * float(jnp.abs(theirs).max())
-    with pytest.raises(UserError, match="ratios"), jax.enable_x64(True):
-        make_pin_model(SMALL, ("disk",), paths, ratios=(10.0, 5.0))
+    several = make_model(paths, ratios=(5.0, 10.0, 20.0))
+    for ratio, most in ((10.0, 1e-12), (14.0, 1e-3)):  # at a knot, between
+        single = make_model(paths, replace(SMALL, skin_modulus_mpa=0.1 * ratio))
+        with jax.enable_x64(True):
+            ours = jax.device_get(several.compliances.interpolate(jnp.log(ratio)))
+            theirs = jax.device_get(single.compliances.interpolate(single.log_ratio))
+        for one, other in zip(ours, theirs, strict=True):
+            assert np.abs(one - other).max() < most * np.abs(other).max()
+    with pytest.raises(UserError, match="ratios"):
+        make_model(paths, ratios=(10.0, 5.0))
 
 
 def test_half_space_in_stick_and_in_slip(half_space):
@@ -312,31 +311,23 @@ def test_half_space_in_stick_and_in_slip(half_space):
     near = np.flatnonzero(half_space.radius < 1.2 * radius)
     rows = (3 * near[:, None] + np.arange(3)).ravel()
     scale = float(np.trace(half_space.w[np.ix_(rows, rows)])) / len(rows)
+    nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
     with jax.enable_x64(True):
         w = jnp.asarray(half_space.w[np.ix_(rows, rows)] / scale)
-        nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
-        system = System(
-            w, jnp.linalg.inv(w + RHO * jnp.eye(len(w))), w, jnp.asarray(nodes), jnp.zeros(())
-        )
+        inverse = jnp.linalg.inv(w + RHO * jnp.eye(len(w)))
+        system = System(w, inverse, w, jnp.asarray(nodes), jnp.zeros(()))
 
-        def pull(slide, friction):
-            path = (
-                jnp.zeros((4, 2, 6))
-                .at[1:, :, 3]
-                .set(compute_hertz_depth(radius))
-                .at[2:, :, 0]
-                .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
-            )
-            skin = make_undeformed_skins(system, path[0])
+        def compute_pull(slide, friction):
+            path = jnp.zeros((4, 2, 6)).at[1:, :, 3].set(compute_hertz_depth(radius))
+            path = path.at[2:, :, 0].set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             problem = ContactProblem(system, FLAT, jnp.zeros(2, jnp.int32), friction, tilted=True)
-            to_pins = jnp.zeros((len(w), 3))
-            state = compute_pin_state(problem, to_pins, path, skin, len(nodes))
+            skin = make_undeformed_skins(system, path[0])
+            state = compute_pin_state(problem, jnp.zeros((len(w), 3)), path, skin)
             return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
 
         values = jnp.full(2, slide), jnp.array([jnp.inf, MU])
-        (by_slide, by_friction), residual = jax.device_get(
-            jax.jit(jax.jacfwd(pull, (0, 1), has_aux=True))(*values)
-        )
+        differentiate = jax.jit(jax.jacfwd(compute_pull, (0, 1), has_aux=True))
+        (by_slide, by_friction), residual = jax.device_get(differentiate(*values))
     assert np.all(residual < GOAL_MM["float64"])
     stuck, slipping = np.diag(by_slide)
     assert stuck == pytest.approx(8 * radius * half_space.pull_modulus, rel=0.03)
@@ -345,10 +336,3 @@ def test_half_space_in_stick_and_in_slip(half_space):
     assert unmoved == 0
     assert weighed == pytest.approx(compute_hertz_load(half_space, radius), rel=0.03)
     assert not np.any(by_slide - np.diag(np.diag(by_slide)))  # no scene knows of another
-
-
-def test_without_scenes_or_batches_nothing_can_be_differentiated(paths):
-    with pytest.raises(UserError, match="no scene"):
-        compute_pin_gradient(SMALL, ("disk",), paths.take(np.arange(0)))
-    with pytest.raises(UserError, match="batch = 0"):
-        compute_pin_gradient(SMALL, ("disk",), paths, batch=0)

@@ -16,45 +16,38 @@ from jaxunshear.simulator.stimuli import (
 from tests.simulator.outlines import OUTLINES, arc, dense, truth
 
 FAR_MM, ANGLE_DEG, SLOPE = 0.02, 1.0, 1e-3
-LONG = pytest.mark.long
-L_SHAPE = np.array(
-    [[0, 0], [30, 0], [30, 10], [20, 10], [10, 10], [10, 25], [0, 25]], float
-)  # one corner is none
+# one corner is none
+L_SHAPE = np.array([[0, 0], [30, 0], [30, 10], [20, 10], [10, 10], [10, 25], [0, 25]], float)
 BOW = arc(0, 0, 20, 0, 180)[::31]  # of the 4000 points also the last
-CUSTOM = {
+BAR = np.array([[-10.0, 0.0], [0.0, 0.0], [0.0, 0.0], [10.0, 0.0]])
+L_BACKWARDS = np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]
+
+
+def draw_bar():
+    return np.concatenate([arc(10, 0, 3, -90, 90), arc(-10, 0, 3, 90, 270)])
+
+
+def draw_bow():
+    sides = arc(0, 0, 23, 0, 180), arc(0, 0, 17, 180, 0)
+    return np.concatenate([sides[0], arc(-20, 0, 3, 180, 360), sides[1], arc(20, 0, 3, 180, 360)])
+
+
+CUSTOM = {  # distance, outline, target
     "L": (make_polygon(L_SHAPE), lambda: L_SHAPE, (20.0, 10.0, 90.0)),
-    "L backwards": (
-        make_polygon(np.concatenate([L_SHAPE, L_SHAPE[:1]])[::-1]),
-        lambda: L_SHAPE,
-        (30.0, 5.0, 0.0),
-    ),
+    "L backwards": (make_polygon(L_BACKWARDS), lambda: L_SHAPE, (30.0, 5.0, 0.0)),
     "round": (
         make_polygon(arc(0, 0, 20, 0, 359.9)[::10]),
         lambda: arc(0, 0, 20, 0, 360),
         (20.0, 0.0, 0.0),
     ),
-    "bar": (
-        make_stroke(np.array([[-10.0, 0.0], [0.0, 0.0], [0.0, 0.0], [10.0, 0.0]]), 3.0),
-        lambda: np.concatenate([arc(10, 0, 3, -90, 90), arc(-10, 0, 3, 90, 270)]),
-        (0.0, 3.0, 90.0),
-    ),
-    "bow": (
-        make_stroke(BOW, 3.0),
-        lambda: np.concatenate(
-            [
-                arc(0, 0, 23, 0, 180),
-                arc(-20, 0, 3, 180, 360),
-                arc(0, 0, 17, 180, 0),
-                arc(20, 0, 3, 180, 360),
-            ]
-        ),
-        (0.0, 23.0, 90.0),
-    ),
+    "bar": (make_stroke(BAR, 3.0), draw_bar, (0.0, 3.0, 90.0)),
+    "bow": (make_stroke(BOW, 3.0), draw_bow, (0.0, 23.0, 90.0)),
 }
+NAMES = (*SHAPES, *CUSTOM)
 
 
-def drawn(name):
-    """The stimulus, and its outline in its target frame."""
+def draw(name):
+    """Return the stimulus, and its outline in its target frame."""
     if name in CUSTOM:
         distance, outline, target = CUSTOM[name]
         stimulus = Stimulus(name, distance, target, 40.0)
@@ -65,39 +58,38 @@ def drawn(name):
     return stimulus, (dense(outline()) - [x, y]) @ np.array([[cos, -sin], [sin, cos]])
 
 
-def places(line):
-    """About the target, about the full shape, on its outline, and within a hair of it."""
+def sample_places(line):
+    """Sample about the target, about the full shape, on its outline, and within a hair of it."""
     generator = np.random.default_rng(0)
-    target, full = (
-        generator.uniform(-8, 8, (1000, 2)),
-        generator.uniform(line.min(0) - 15, line.max(0) + 15, (1000, 2)),
-    )
+    target = generator.uniform(-8, 8, (1000, 2))
+    full = generator.uniform(line.min(0) - 15, line.max(0) + 15, (1000, 2))
     at = generator.integers(0, len(line), 1000)
     on = (line[at] + line[(at + 1) % len(line)]) / 2
     return np.concatenate([target, full, on, on + generator.normal(0, 1e-3, on.shape)])
 
 
+CHEAP = {("clover", np.float64), ("L", np.float64), *((name, np.float32) for name in NAMES)}
+
+
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        *((name, np.float32) for name in (*SHAPES, *CUSTOM)),
-        *(
-            pytest.param(name, np.float64, marks=[] if name in ("clover", "L") else LONG)
-            for name in (*SHAPES, *CUSTOM)
-        ),
+        pytest.param(name, kind, marks=[] if (name, kind) in CHEAP else pytest.mark.long)
+        for kind in (np.float32, np.float64)
+        for name in NAMES
     ],
 )
 def test_distance_and_direction_are_those_of_the_outline(name, kind):
-    stimulus, line = drawn(name)
+    stimulus, line = draw(name)
 
     @jax.jit
-    def reported(xy):
+    def measure(xy):
         slope = jax.vmap(jax.grad(lambda p: compute_signed_distance(stimulus, p)))(xy)
         return compute_signed_distance(stimulus, xy), slope, compute_outward_normal(stimulus, xy)
 
     with jax.enable_x64(kind == np.float64):
-        xy = jnp.asarray(places(line), kind)
-        distance, slope, normal = (np.asarray(value) for value in reported(xy))
+        xy = jnp.asarray(sample_places(line), kind)
+        distance, slope, normal = (np.asarray(value) for value in measure(xy))
     assert distance.dtype == slope.dtype == normal.dtype == kind
     there = truth(line, np.asarray(xy, float))
     assert np.abs(distance - there.distance).max() < FAR_MM
@@ -107,31 +99,22 @@ def test_distance_and_direction_are_those_of_the_outline(name, kind):
     assert off[there.clear].max() < ANGLE_DEG
 
 
-@pytest.mark.parametrize("name", [*SHAPES, *CUSTOM])
+@pytest.mark.parametrize("name", NAMES)
 def test_no_place_is_without_a_finite_slope(name):
     """Middles, axes of symmetry, corners, rows and columns through them."""
-    stimulus, _ = drawn(name)
     special = np.array([0, 28, -28, 45, 23 / 5, 9, 14, 20, 10, 30, 5], np.float32)
     own = jnp.asarray(np.stack(np.meshgrid(special, special), -1).reshape(-1, 2))
-    distance, slope = jax.jit(jax.vmap(jax.value_and_grad(stimulus.distance)))(own)
+    distance, slope = jax.jit(jax.vmap(jax.value_and_grad(draw(name)[0].distance)))(own)
     assert np.isfinite(distance).all() and np.isfinite(slope).all()
     assert np.linalg.norm(slope, axis=-1).max() < 1 + SLOPE
 
 
-def test_a_polygon_has_a_slope_on_its_sides_and_corners():
-    """Just there an unsigned distance with a sign has none."""
-    slope = jax.jit(jax.vmap(jax.grad(make_polygon(L_SHAPE))))
-    half = np.sqrt(0.5)
+def test_a_polygon_has_a_slope_on_its_sides_and_corners_and_a_sign_beside_them():
+    """Just there an unsigned distance with a sign has no slope."""
+    distance, half = make_polygon(L_SHAPE), np.sqrt(0.5)
     on = jnp.asarray([[15.0, 0.0], [30.0, 5.0], [20.0, 10.0], [30.0, 10.0], [10.0, 10.0]])
-    np.testing.assert_allclose(
-        slope(on), [[0, -1], [1, 0], [0, 1], [half, half], [half, half]], atol=1e-6
-    )
-
-
-def test_inside_and_outside_of_corners():
-    points = jnp.asarray(
-        [[33.0, 14.0], [7.0, 6.0], [10.0, 0.5], [-3.0, 10.0], [20.0, 9.0], [20.0, 11.0]]
-    )
-    np.testing.assert_allclose(
-        jax.jit(make_polygon(L_SHAPE))(points), [5, -5, -0.5, 3, -1, 1], atol=1e-5
-    )
+    expected = [[0, -1], [1, 0], [0, 1], [half, half], [half, half]]
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(distance)))(on), expected, atol=1e-6)
+    beside = [[33.0, 14.0], [7.0, 6.0], [10.0, 0.5], [-3.0, 10.0], [20.0, 9.0], [20.0, 11.0]]
+    signed = jax.jit(distance)(jnp.asarray(beside))
+    np.testing.assert_allclose(signed, [5, -5, -0.5, 3, -1, 1], atol=1e-5)

@@ -5,67 +5,62 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.level import LEVELS, without_omissions
+from jaxunshear.simulator.contact_results import compute_indentation
+from jaxunshear.simulator.level import LEVELS
 from jaxunshear.simulator.paths import Paths, make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes, make_scenes, sample_poses, sample_slides
-from jaxunshear.simulator.scheduler import cut_increments
 from jaxunshear.simulator.simulate import follow, simulate
 from jaxunshear.simulator.stimuli import TRAINING
 from tests.golden import make_runs
 from verification.paper import NAMES, sample_paper_scenes
 
 REST = compute_pin_tips(TACTIP_331)
+DISK = ("disk",)
+FINE = replace(LEVELS["auto"], tolerance=0.02, limit=3000)
 
 
-def scenes(count=12, depth=(1.0, 3.0), seed=0, slide=True):
-    generator = np.random.default_rng(seed)
+def sample_scenes(count=12, depth=(1.0, 3.0)):
+    generator = np.random.default_rng(0)
     pose = sample_poses(generator, count, 5.0, 45.0, depth)
-    move = sample_slides(generator, count, 2.5) * slide
+    move = sample_slides(generator, count, 2.5)
     return make_scenes(TRAINING, generator.integers(0, 3, count), pose, move)
 
 
-def one(depth, x=0.0, move=(0.0, 0.0), yaw=0.0, friction=0.3, y=0.0):
-    return Scenes(
-        np.zeros(1, int),
-        np.array([[x, y, yaw, depth]]),
-        np.array([move], float),
-        np.array([friction]),
-    )
+def make_scene(depth, x=0.0, move=(0.0, 0.0), yaw=0.0, friction=0.3):
+    pose, move = np.array([[x, 0.0, yaw, depth]]), np.array([move], float)
+    return Scenes(np.zeros(1, int), pose, move, np.array([friction]))
 
 
-def path(*points, friction=0.5):
+def make_path(*points, friction=0.5):
     return Paths(np.zeros(1, int), np.array([friction]), np.array([points], float))
 
 
-def rms_mm(pins, others):
+def compute_rms_mm(pins, others):
     return np.sqrt(np.mean(np.sum((pins - others) ** 2, -1), -1))
 
 
 @pytest.fixture(scope="module")
 def contacts():
-    return simulate(TACTIP_331, TRAINING, scenes())
+    return simulate(TACTIP_331, TRAINING, sample_scenes())
 
 
-def test_contacts_say_how_good_they_are(contacts):
+def test_contacts_report_their_quality(contacts):
     assert contacts.converged.all() and contacts.pins.shape == (12, 331, 3)
     assert np.all(contacts.residual_mm > 0) and np.all(contacts.iterations > 0)
-    assert np.all(contacts.stuck_nodes + contacts.slipping_nodes > 0)
-    assert np.all(contacts.stuck_nodes + contacts.slipping_nodes <= contacts.nodes)
-    assert np.all(contacts.force_n[:, 2] > 0)
-    assert not contacts.retried.any()
+    touching = contacts.stuck_nodes + contacts.slipping_nodes
+    assert np.all(touching > 0) and np.all(touching <= contacts.nodes)
+    assert np.all(contacts.force_n[:, 2] > 0) and not contacts.retried.any()
 
 
 def test_golden_pins_of_contacts(contacts):
     moved = contacts.pins.astype(np.float64) - REST
+    rms = np.sqrt(np.mean(np.sum(moved**2, -1), -1))
     found = {
         "motion of all pins, mm": make_runs.summarise([moved]),
-        "rms motion of each contact's pins, mm": np.sqrt(
-            np.mean(np.sum(moved**2, -1), -1)
-        ).tolist(),
+        "rms motion of each contact's pins, mm": rms.tolist(),
         "motion of a pin in each contact, mm": moved[:, 40].tolist(),
         "forces, N": contacts.force_n.astype(np.float64).tolist(),
     }
@@ -74,145 +69,108 @@ def test_golden_pins_of_contacts(contacts):
 
 def test_order_and_company_do_not_matter(contacts):
     order = np.random.default_rng(1).permutation(12)
-    shuffled = simulate(TACTIP_331, TRAINING, scenes().take(order))
+    shuffled = simulate(TACTIP_331, TRAINING, sample_scenes().take(order))
     np.testing.assert_allclose(shuffled.pins, contacts.pins[order], atol=1e-5)
-    alone = simulate(TACTIP_331, TRAINING, scenes().take(np.array([3])))
+    alone = simulate(TACTIP_331, TRAINING, sample_scenes().take(np.array([3])))
     # the batch stops together, so company may only make an answer more exact
     np.testing.assert_allclose(alone.pins[0], contacts.pins[3], atol=3e-2)
 
 
 def test_auto_agrees_with_reference(contacts):
     some = np.arange(4)
-    reference = simulate(TACTIP_331, TRAINING, scenes().take(some), level="reference")
+    reference = simulate(TACTIP_331, TRAINING, sample_scenes().take(some), level="reference")
     assert reference.converged.all() and reference.pins.dtype == np.float64
-    assert (
-        np.percentile(rms_mm(contacts.pins[some], reference.pins), 95) < 0.04
-    )  # mm: 0.3 px at 256
+    # mm: 0.3 px at 256
+    assert np.percentile(compute_rms_mm(contacts.pins[some], reference.pins), 95) < 0.04
 
 
 @pytest.mark.long
-def test_what_is_left_out_changes_next_to_nothing():
-    few = scenes(4, (2.0, 2.6))
-    fine = replace(
-        LEVELS["auto"],
-        tolerance=0.02,
-        limit=3000,
-        omit=("nodes", "untouched", "grouping", "friction"),
-    )
-    sparing, entire = (
-        simulate(TACTIP_331, TRAINING, few, level) for level in (fine, without_omissions(fine))
-    )
+def test_omissions_change_next_to_nothing():
+    few = sample_scenes(4, (2.0, 2.6))
+    fine = replace(FINE, omit=("nodes", "untouched", "grouping", "friction"))
+    sparing = simulate(TACTIP_331, TRAINING, few, fine)
+    entire = simulate(TACTIP_331, TRAINING, few, replace(fine, omit=()))
     assert np.all(sparing.nodes < 0.25 * entire.nodes)
-    assert rms_mm(sparing.pins, entire.pins).max() < 2e-3
+    assert compute_rms_mm(sparing.pins, entire.pins).max() < 2e-3
 
 
-def test_no_contact_leaves_the_pins_exactly_where_they_are():
-    for scene in (one(-0.5), one(0.0), one(1.0, x=15.0)):
-        made = simulate(TACTIP_331, ("disk",), scene)
-        np.testing.assert_array_equal(made.pins[0], REST.astype(np.float32))
-        assert not np.any(made.force_n) and made.converged.all() and not made.nodes.any()
+@pytest.mark.parametrize(("depth", "x"), [(-0.5, 0.0), (0.0, 0.0), (1.0, 15.0)])
+def test_no_contact_leaves_the_pins_exactly_where_they_are(depth, x):
+    found = simulate(TACTIP_331, DISK, make_scene(depth, x))
+    np.testing.assert_array_equal(found.pins[0], REST.astype(np.float32))
+    assert not np.any(found.force_n) and found.converged.all() and not found.nodes.any()
 
 
 def test_a_tap_on_a_flat_is_symmetric_and_pushes_up():
-    made = simulate(TACTIP_331, ("disk",), one(2.0, x=-25.0))
-    lift = (made.pins[0] - REST)[:, 2]
+    found = simulate(TACTIP_331, DISK, make_scene(2.0, x=-25.0))
+    lift = (found.pins[0] - REST)[:, 2]
     assert lift[0] > 1.0
-    ring = lift[1:7]
-    np.testing.assert_allclose(ring, ring.mean(), atol=1e-3)
-    assert np.abs(made.force_n[0, :2]).max() < 1e-3 * made.force_n[0, 2]
+    np.testing.assert_allclose(lift[1:7], lift[1:7].mean(), atol=1e-3)
+    assert np.abs(found.force_n[0, :2]).max() < 1e-3 * found.force_n[0, 2]
 
 
 def test_a_slide_drags_the_skin_behind_it_and_friction_bounds_the_force():
-    made = simulate(TACTIP_331, ("disk",), one(2.0, x=-15.0, move=(2.5, 0.0)))
-    assert (made.pins[0] - REST)[0, 0] < -0.3
-    pull = np.hypot(*made.force_n[0, :2])
-    assert pull == pytest.approx(
-        0.3 * made.force_n[0, 2], rel=0.01
-    )  # full slip after 2.5 mm at this depth
-    assert made.stuck_nodes[0] == 0
+    found = simulate(TACTIP_331, DISK, make_scene(2.0, x=-15.0, move=(2.5, 0.0)))
+    assert (found.pins[0] - REST)[0, 0] < -0.3
+    # full slip after 2.5 mm at this depth
+    assert np.hypot(*found.force_n[0, :2]) == pytest.approx(0.3 * found.force_n[0, 2], rel=0.01)
+    assert found.stuck_nodes[0] == 0
 
 
-@pytest.mark.parametrize("angle", [60.0, 25.0])
-def test_turning_the_scene_turns_the_answer(angle):
-    """By a sixth exactly; by another angle as far as the rings of nodes allow."""
-    straight = simulate(TACTIP_331, ("disk",), one(2.0, x=-25.0, move=(1.5, 0.0)))
-    turned = simulate(TACTIP_331, ("disk",), one(2.0, x=-25.0, move=(1.5, 0.0), yaw=-angle))
-    back = np.radians(angle)
-    rotation = np.array(
-        [[np.cos(back), -np.sin(back), 0], [np.sin(back), np.cos(back), 0], [0, 0, 1]]
+def test_a_scene_turned_by_a_sixth_has_the_same_answer_turned():
+    straight, turned = (
+        simulate(TACTIP_331, DISK, make_scene(2.0, x=-25.0, move=(1.5, 0.0), yaw=yaw))
+        for yaw in (0.0, -60.0)
     )
-    np.testing.assert_allclose(
-        turned.force_n[0], rotation @ straight.force_n[0], atol=2e-3 * straight.force_n[0, 2]
-    )
-    if angle == 60:
-        nearest = np.linalg.norm(
-            (straight.pins[0] @ rotation.T)[:, None] - turned.pins[0][None], axis=-1
-        ).min(1)
-        assert nearest.max() < 5e-3
+    cos, sin = np.cos(np.radians(60)), np.sin(np.radians(60))
+    rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    tolerance = 2e-3 * straight.force_n[0, 2]
+    np.testing.assert_allclose(turned.force_n[0], rotation @ straight.force_n[0], atol=tolerance)
+    apart = (straight.pins[0] @ rotation.T)[:, None] - turned.pins[0][None]
+    assert np.linalg.norm(apart, axis=-1).min(1).max() < 5e-3
 
 
 def test_friction_from_none_to_infinite():
-    slide = {"x": -25.0, "move": (1.0, 0.0)}
     pulls = []
     for friction in (0.0, 1e-6, 0.2, 5.0, 1e4, np.inf):
-        made = simulate(TACTIP_331, ("disk",), one(2.0, friction=friction, **slide))
-        assert made.converged.all()
-        pulls.append(-made.force_n[0, 0] / made.force_n[0, 2])
+        scene = make_scene(2.0, x=-25.0, move=(1.0, 0.0), friction=friction)
+        found = simulate(TACTIP_331, DISK, scene)
+        assert found.converged.all()
+        pulls.append(-found.force_n[0, 0] / found.force_n[0, 2])
     assert pulls[0] == 0 and np.all(np.diff(pulls[:4]) > 0)
     assert pulls[4] == pytest.approx(pulls[5], rel=1e-3)
-    stuck = simulate(TACTIP_331, ("disk",), one(2.0, friction=np.inf, **slide))
-    assert stuck.slipping_nodes[0] == 0 and stuck.stuck_nodes[0] > 0
+    assert found.slipping_nodes[0] == 0 and found.stuck_nodes[0] > 0
 
 
 def test_strong_friction_needs_no_stronger_level():
     """Deep presses, where the rings that come to touch are held where they were."""
-    drawn = sample_paper_scenes("slide", 12, 1).take(np.array([0, 3]))
-    stuck = simulate(
-        TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False
-    )
+    deep = sample_paper_scenes("slide", 12, 1).take(np.array([0, 3]))
+    deep = replace(deep, friction=np.full(2, np.inf))
+    stuck = simulate(TACTIP_331_FITTED, NAMES, deep, retry=False)
     assert stuck.converged.all() and not stuck.slipping_nodes.any() and stuck.iterations.max() < 600
 
 
-def test_strong_friction_is_pressed_by_short_increments_and_usual_friction_as_before():
-    points = np.repeat(np.array([[[0, 0, 0, 0, 0, 0], [0, 0, 0, 6.0, 0, 0]]]), 3, axis=0)
-    _, count = cut_increments(
-        Paths(np.zeros(3, int), np.array([0.5, 1.0, np.inf]), points), LEVELS["auto"], 20.0
-    )
-    np.testing.assert_array_equal(count, [2, 2, 6])
-
-
 def test_a_motion_in_two_parts_is_the_motion():
-    start, pressed, end = (
-        [-26.0, 0, 0, 0, 0, 0],
-        [-26.0, 0, 0, 2.5, 0, 0],
-        [-25.0, 0.5, 10, 2.5, 3, 0],
-    )
-    fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000)
-    entire, _ = follow(TACTIP_331, ("disk",), path(start, pressed, end), fine)
-    _, skins = follow(TACTIP_331, ("disk",), path(start, pressed), fine)
-    parts, _ = follow(TACTIP_331, ("disk",), path(pressed, end), fine, start=skins)
-    assert rms_mm(entire.pins, parts.pins).max() < 2e-3
-    fresh, _ = follow(TACTIP_331, ("disk",), path([-25.0, 0.5, 10, 0, 3, 0], end), fine)
-    assert rms_mm(entire.pins, fresh.pins).max() > 0.1  # the history does matter
+    start, pressed = [-26.0, 0, 0, 0, 0, 0], [-26.0, 0, 0, 2.5, 0, 0]
+    end = [-25.0, 0.5, 10, 2.5, 3, 0]
+    entire, _ = follow(TACTIP_331, DISK, make_path(start, pressed, end), FINE)
+    _, skins = follow(TACTIP_331, DISK, make_path(start, pressed), FINE)
+    parts, _ = follow(TACTIP_331, DISK, make_path(pressed, end), FINE, start=skins)
+    assert compute_rms_mm(entire.pins, parts.pins).max() < 2e-3
+    fresh, _ = follow(TACTIP_331, DISK, make_path([-25.0, 0.5, 10, 0, 3, 0], end), FINE)
+    assert compute_rms_mm(entire.pins, fresh.pins).max() > 0.1  # the history does matter
     with pytest.raises(UserError, match="starts elsewhere"):
-        follow(TACTIP_331, ("disk",), path(start, end), fine, start=skins)
+        follow(TACTIP_331, DISK, make_path(start, end), FINE, start=skins)
 
 
 def test_twist_turns_the_skin_and_a_mirrored_twist_mirrors_it():
-    found = {}
+    moved = {}
     for angle in (20.0, -20.0):
-        made, _ = follow(
-            TACTIP_331,
-            ("disk",),
-            path([-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0], [-25, 0, angle, 3, 0, 0]),
-        )
-        assert made.converged.all()
-        found[angle] = made.pins[0] - REST
-    around = (REST[:, 0] * found[20.0][:, 1] - REST[:, 1] * found[20.0][:, 0])[1:7]
+        points = [-25, 0, 0, 0, 0, 0], [-25, 0, 0, 3, 0, 0], [-25, 0, angle, 3, 0, 0]
+        moved[angle] = follow(TACTIP_331, DISK, make_path(*points))[0].pins[0] - REST
+    around = (REST[:, 0] * moved[20.0][:, 1] - REST[:, 1] * moved[20.0][:, 0])[1:7]
     assert np.all(around < -0.2)  # the skin stays behind the sensor, which turns counter-clockwise
-    mirrored = found[-20.0][0] * [1, -1, 1]
-    np.testing.assert_allclose(found[20.0][0], mirrored, atol=1e-3)
-    assert np.mean(np.abs(found[20.0][1:7, 2] - found[-20.0][[1, 6, 5, 4, 3, 2], 2])) < 5e-3
+    np.testing.assert_allclose(moved[20.0][0], moved[-20.0][0] * [1, -1, 1], atol=1e-3)
 
 
 def test_a_mirrored_scene_gives_the_mirrored_pins():
@@ -222,32 +180,26 @@ def test_a_mirrored_scene_gives_the_mirrored_pins():
     pose = sample_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
     move, which = sample_slides(generator, 14, 2.5), np.arange(14) % len(shapes)
     there = simulate(TACTIP_331, shapes, make_scenes(shapes, which, pose, move))
-    other = simulate(
-        TACTIP_331, shapes, make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1])
-    )
+    mirrored = make_scenes(shapes, which, pose * [1, -1, -1, 1], move * [1, -1])
+    other = simulate(TACTIP_331, shapes, mirrored)
     flipped = REST * [1, -1, 1]
     twin = np.argmin(np.linalg.norm(REST[:, None] - flipped[None], axis=-1), 0)
-    np.testing.assert_allclose(REST[twin], flipped, atol=1e-9)
-    assert rms_mm(there.pins, other.pins[:, twin] * [1, -1, 1]).max() < 0.02
-    assert rms_mm(there.pins, other.pins).min() > 0.1
+    assert compute_rms_mm(there.pins, other.pins[:, twin] * [1, -1, 1]).max() < 0.02
+    assert compute_rms_mm(there.pins, other.pins).min() > 0.1
 
 
 def test_a_tilted_sphere_touches_elsewhere_with_nearly_the_same_force():
     level, leaning = (
-        follow(
-            TACTIP_331, ("disk",), path([-25, 0, 0, 0, t, 0], [-25, 0, 0, 2, t, 0], friction=0.0)
-        )[0]
+        follow(TACTIP_331, DISK, make_path(*([-25, 0, 0, z, t, 0] for z in (0, 2)), friction=0.0))[
+            0
+        ]
         for t in (0.0, 20.0)
     )
-    assert leaning.converged.all()
     normal = np.array([0, np.sin(np.radians(20.0)), np.cos(np.radians(20.0))])
     push = leaning.force_n[0] @ normal
-    assert (
-        np.linalg.norm(leaning.force_n[0] - push * normal) < 0.02 * push
-    )  # without friction the force is normal
-    assert push == pytest.approx(
-        level.force_n[0, 2], rel=0.1
-    )  # the clamped base is nearer on one side
+    # without friction the force is normal
+    assert np.linalg.norm(leaning.force_n[0] - push * normal) < 0.02 * push
+    assert push == pytest.approx(level.force_n[0, 2], rel=0.1)  # the clamped base is nearer
     moved = np.linalg.norm(leaning.pins[0] - REST, axis=-1)
     assert REST[moved.argmax(), 1] < -4  # the dome's lowest point lies at -R sin(20 deg) = -6.8 mm
 
@@ -259,48 +211,41 @@ def test_a_tilted_sphere_touches_elsewhere_with_nearly_the_same_force():
         ("move", np.inf, "move"),
         ("friction", -0.1, "friction"),
         ("friction", np.nan, "friction"),
-        ("depth", 99.0, "cannot be reached"),
+        ("pose", [0, 0, 0, 99.0], "cannot be reached"),
         ("stimulus", 7, "stimulus 7"),
     ],
 )
 def test_bad_scenes_are_refused_by_name(field, value, message):
-    bad = one(2.0)
-    if field == "depth":
-        bad.pose[0, 3] = value
-    else:
-        getattr(bad, field)[0] = value
+    bad = make_scene(2.0)
+    getattr(bad, field)[0] = value
     with pytest.raises(UserError, match=message):
-        simulate(TACTIP_331, ("disk",), bad)
+        simulate(TACTIP_331, DISK, bad)
 
 
 def test_bad_paths_and_levels_are_refused():
     with pytest.raises(UserError, match="level"):
-        simulate(TACTIP_331, ("disk",), one(1.0), level="nonsense")
+        simulate(TACTIP_331, DISK, make_scene(1.0), level="nonsense")
     with pytest.raises(UserError, match="tilt of 50 deg"):
-        follow(TACTIP_331, ("disk",), path([0, 0, 0, 0, 50, 0], [0, 0, 0, 3, 50, 0]))
+        follow(TACTIP_331, DISK, make_path([0, 0, 0, 0, 50, 0], [0, 0, 0, 3, 50, 0]))
     with pytest.raises(UserError, match="shape"):
-        follow(TACTIP_331, ("disk",), path([0, 0, 0, 0, 0, 0]))
+        follow(TACTIP_331, DISK, make_path([0, 0, 0, 0, 0, 0]))
     with pytest.raises(UserError, match="batch = 0"):
-        simulate(TACTIP_331, ("disk",), one(1.0), batch=0)
+        simulate(TACTIP_331, DISK, make_scene(1.0), batch=0)
 
 
-def test_what_does_not_converge_is_solved_again_and_said():
+def test_contacts_that_do_not_converge_are_solved_again_and_reported():
     hopeless = replace(LEVELS["auto"], tolerance=1e-3, limit=5)
-    given_up = simulate(TACTIP_331, TRAINING, scenes(3), hopeless, retry=False)
+    given_up = simulate(TACTIP_331, TRAINING, sample_scenes(3), hopeless, retry=False)
     assert not given_up.converged.any()
-    saved = simulate(TACTIP_331, TRAINING, scenes(3), hopeless)
+    saved = simulate(TACTIP_331, TRAINING, sample_scenes(3), hopeless)
     assert saved.converged.all() and saved.retried.all()
     assert np.all(saved.residual_mm < given_up.residual_mm)
 
 
 def test_scenes_are_paths(contacts):
-    followed, skins = follow(TACTIP_331, TRAINING, make_paths(scenes()))
+    followed, skins = follow(TACTIP_331, TRAINING, make_paths(sample_scenes()))
     np.testing.assert_array_equal(followed.pins, contacts.pins)
     np.testing.assert_allclose(skins.force_n.sum(axis=1), contacts.force_n, atol=1e-6)
-
-
-def test_the_deepest_pose_of_the_paper_is_covered():
-    assert compute_max_depth_mm(TACTIP_331) > 6.0
 
 
 @pytest.mark.parametrize(
@@ -312,32 +257,56 @@ def test_the_deepest_pose_of_the_paper_is_covered():
         pytest.param("fast", 10.3, 3.0, marks=pytest.mark.long),
     ],
 )
-def test_a_grazing_touch_is_felt(level, x, depth):
+def test_a_grazing_touch_is_simulated(level, x, depth):
     """No node that usually suffices is near the disk, and others lie 0.5 mm inside."""
     grazed, entire = (
-        simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each)
+        simulate(TACTIP_331, TRAINING, make_scene(depth, x, friction=0.7), each)
         for each in (level, "default")
     )
     assert grazed.converged.all() and entire.force_n[0, 2] > 0.1
     assert grazed.force_n[0, 2] == pytest.approx(entire.force_n[0, 2], rel=0.1)
-    assert rms_mm(grazed.pins, entire.pins)[0] < 0.02
+    assert compute_rms_mm(grazed.pins, entire.pins)[0] < 0.02
 
 
 def test_no_scenes_give_no_contacts():
-    contacts, skins = follow(TACTIP_331, TRAINING, make_paths(one(3.0)).take(np.zeros(0, int)))
-    assert (
-        contacts.pins.shape == (0, 331, 3)
-        and contacts.converged.shape == (0,)
-        and len(skins.force_n) == 0
-    )
+    none = make_paths(make_scene(3.0)).take(np.zeros(0, int))
+    contacts, skins = follow(TACTIP_331, TRAINING, none)
+    assert contacts.pins.shape == (0, 331, 3) and len(contacts.converged) == len(skins.force_n) == 0
 
 
 def test_standing_still_in_contact_needs_a_skin_to_start_from():
-    held = path([-20, 0, 0, 3, 0, 0], [-20, 0, 0, 3, 0, 0])
+    rest, pressed = [-20, 0, 0, 0, 0, 0], [-20, 0, 0, 3, 0, 0]
+    held = make_path(pressed, pressed)
     with pytest.raises(UserError, match="stays where it begins"):
         follow(TACTIP_331, TRAINING, held)
-    contacts, skins = follow(TACTIP_331, TRAINING, path([-20, 0, 0, 0, 0, 0], [-20, 0, 0, 3, 0, 0]))
+    contacts, skins = follow(TACTIP_331, TRAINING, make_path(rest, pressed))
     again, _ = follow(TACTIP_331, TRAINING, held, start=skins)
     np.testing.assert_allclose(again.force_n, contacts.force_n, rtol=1e-3)
-    with pytest.raises(UserError, match=r"nodes; these are 1 with 9"):
+    with pytest.raises(UserError, match="nodes; these are 1 with 9"):
         follow(TACTIP_331, TRAINING, held, start=skins._replace(force_n=np.zeros((1, 9, 3))))
+
+
+def press(sensor, x, depth=3.0):
+    """Compute the indentation at (x, 0) mm from the disk's edge; at -20 mm its face is flat."""
+    paths = make_paths(make_scene(depth, x, friction=0.5))
+    return compute_indentation(sensor, follow(sensor, DISK, paths)[1])[0]
+
+
+# the fitted one has pins beyond the contact nodes
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED], ids=lambda each: each.name)
+def test_a_face_presses_the_skin_in_as_far_as_the_dome_would_reach_into_it(sensor):
+    found = press(sensor, -20.0)
+    outward = compute_pin_tips(sensor) - [0, 0, sensor.dome_radius_mm]
+    angle = np.arccos(-outward[:, 2] / np.linalg.norm(outward, axis=-1))
+    reach = 3.0 - sensor.dome_radius_mm * (1 - np.cos(angle))  # along the axis
+    inside = reach > 0.8
+    np.testing.assert_allclose(found[inside], (reach * np.cos(angle))[inside], atol=0.25)
+    assert abs(found[0] - 3.0) < 0.05
+    assert np.abs(found[angle > 0.95 * angle.max()]).max() < 0.5
+
+
+def test_an_edge_presses_in_one_side_only_and_no_contact_none():
+    found, x = press(TACTIP_331, 0.0), REST[:, 0]
+    near = np.linalg.norm(REST[:, :2], axis=-1) < 7
+    assert found[near & (x < -4)].min() > found[near & (x > 4)].max()
+    assert not np.any(press(TACTIP_331, 0.0, depth=-1.0))

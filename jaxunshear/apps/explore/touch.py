@@ -15,15 +15,14 @@ from scipy.spatial import cKDTree
 from jaxunshear.config.reach import compute_ring_spacing
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
-from jaxunshear.simulator.batches import plan_paths, sample_obstacles
+from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes
-from jaxunshear.simulator.scheduler import NODE_COUNTS, pad_count
+from jaxunshear.simulator.scheduler import NODE_COUNTS, Simulation, make_plan, pad_count
 from jaxunshear.simulator.simulate import follow
 from jaxunshear.simulator.stimuli import Stimulus, get_stimulus
-from jaxunshear.simulator.systems import load_shared_dome
 
 # `auto` with friction for taps, too: a tap and a slide then share a batch and compiled programs
 LEVEL = replace(
@@ -129,9 +128,8 @@ def list_warmup_touches(sensor: Sensor, friction: float) -> list[Touch]:
         for name, x in (("edge", 6.0), ("edge", 3.0), ("edge", 0.0), ("surface", 0.0)):
             pose = (x, 0.0, 0.0, float(depth))
             touch = Touch(get_stimulus(name), sensor, pose, moves[number % len(moves)], friction)
-            obstacles = sample_obstacles((touch.stimulus,))
-            paths = make_paths(make_scenes(touch))
-            batches = plan_paths(sensor, obstacles, paths, LEVEL, BATCH)
+            simulation = Simulation(sensor, (touch.stimulus,), LEVEL, BATCH)
+            batches = make_plan(simulation, make_paths(make_scenes(touch)))
             nodes = max(pad_count(len(batch.nodes), NODE_COUNTS) for batch in batches)
             touches.setdefault(nodes, touch)
     return list(touches.values())

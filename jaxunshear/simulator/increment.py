@@ -1,8 +1,11 @@
-"""The contact linearised at a solution: slopes of the projection, and linear systems.
+"""The equation of one increment of a contact, and its linearisation.
 
-D is the projection's slope by the force and W the compliance; see `implicit`.
+The nodal forces f solve the fixed point f = P(f - (W f + b)): W f + b is the gap and the slip of
+each node in this increment, and P cuts the pressure at zero and then the pull to the friction's
+disk. Linearised at a solution, D is the slope of P by the force.
 """
 
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
@@ -12,8 +15,58 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 from jaxtyping import Float
 
-from jaxunshear.simulator.admm import Increment, multiply
-from jaxunshear.simulator.frame import rotate
+from jaxunshear.simulator.frame import Frame, matmul, rotate, rotate_back, transpose
+
+RHO = 12.0  # of ADMM
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Increment:
+    """The equation of one increment of B scenes in the level frame; forces are (B, N, d)."""
+
+    w: Array  # (dN, dN) W, symmetric, in the sensor frame
+    inverse: Array  # (dN, dN) of w + RHO times the identity
+    frame: Frame
+    offset: Array  # (B, N, d) b, mm
+    friction: Array  # (B,)
+    max_touching: int | None = field(default=None, metadata={"static": True})
+
+    def multiply(self, matrix: Array, force: Array) -> Array:
+        """Multiply a symmetric sensor-frame matrix with level-frame forces."""
+        return rotate(self.frame, _multiply(matrix, rotate_back(self.frame, force)))
+
+    def displace(self, force: Array) -> Array:
+        """Compute W f."""
+        return self.multiply(self.w, force)
+
+    def compute_trial_force(self, force: Array) -> Array:
+        """Compute f - (W f + b), which P would project."""
+        return force - self.displace(force) - self.offset
+
+    def compute_miss(self, force: Array) -> Array:
+        """Compute f - P(f - (W f + b)), which is zero at the solution."""
+        return force - project(self.compute_trial_force(force), self.friction)
+
+
+def _multiply(matrix: Array, force: Array) -> Array:
+    return matmul(force.reshape(force.shape[0], -1), matrix).reshape(force.shape)
+
+
+def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[Array, "B N d"]:
+    """Cut forces to p >= 0 and |t| <= friction * p; friction infinite for pure stick."""
+    normal = jnp.maximum(force[..., -1:], 0)
+    if force.shape[-1] == 1:
+        return normal
+    tangential = force[..., :2]
+    squared = jnp.sum(tangential**2, axis=-1, keepdims=True)
+    sticks = jnp.isinf(friction)[:, None, None]
+    limit = jnp.where(sticks, 0, friction[:, None, None]) * normal
+    cut = limit * jax.lax.rsqrt(jnp.maximum(squared, 1e-30))
+    shrink = jnp.where(
+        sticks, jnp.where(normal > 0, 1.0, 0.0), jnp.where(squared > limit**2, cut, 1.0)
+    )
+    return jnp.concatenate([tangential * shrink.astype(force.dtype), normal], axis=-1)
 
 
 class ProjectionSlopes(NamedTuple):
@@ -53,19 +106,19 @@ def compute_projection_slopes(
     )
 
 
-def solve_linearised(increment: Increment, slope: Array, right: Array, most: int) -> Array:
+def solve_linearised(increment: Increment, slope: Array, right: Array) -> Array:
     """Solve (I - D (I - W)) df = right for df (B, N, 3) in the level frame.
 
-    Free nodes, D = 0, drop out. As long as no scene touches with more than `most` nodes, the
-    systems have that size.
+    Free nodes, D = 0, drop out: as long as no scene touches with more than `max_touching` nodes,
+    the systems have that size.
     """
-    w, frame = increment.w, increment.frame
-    if frame is None:
-        raise ValueError("increment.frame = None: must be rotations; pose the problem as tilted")
-    back = jnp.swapaxes(frame, 1, 2)
-    inside = (jnp.einsum("bji,bnjk,bkl->bnil", frame, slope, frame), rotate(back, right))
+    w, frame, most = increment.w, increment.frame, increment.max_touching
+    inside = (
+        jnp.einsum("bji,bnjk,bkl->bnil", frame, slope, frame),
+        rotate(transpose(frame), right),
+    )
     touches = jnp.any(slope != 0, axis=(2, 3))
-    if most >= touches.shape[1]:
+    if most is None or most >= touches.shape[1]:
         return rotate(frame, _solve_all_nodes(w, *inside))
     few = _count_most_touching(jax.lax.stop_gradient(touches)) <= most
     solve_few = partial(_solve_touching_nodes, most)
@@ -92,7 +145,7 @@ def _solve_touching_nodes(most: int, w: Array, slope: Array, right: Array) -> Ar
     touches = jnp.any(slope != 0, axis=(2, 3))
     index = jnp.argsort(~touches, axis=1, stable=True)[:, :most]
     free = jnp.where(touches[..., None], 0, right)
-    side = right - jnp.einsum("bnij,bnj->bni", slope, multiply(w, free, None))
+    side = right - jnp.einsum("bnij,bnj->bni", slope, _multiply(w, free))
     take_nodes = jax.vmap(lambda row, i: row[i])
     nodes = right.shape[1]
     blocks = (
