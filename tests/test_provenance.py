@@ -16,6 +16,7 @@ from docs.code_changes import (
 )
 from docs.keep import keep
 from docs.provenance import (
+    RESULTS,
     ROOT,
     describe_origin,
     find_changed_code,
@@ -247,30 +248,37 @@ def test_a_result_is_kept_with_its_command_and_rows(tmp_path):
 
 
 def test_what_no_page_reads_is_left_out(tmp_path):
-    names = (
-        "pose/tap/x_mm",
-        "swap/DC(z_p)/ms_ssim",
-        "pin_error/tap/rms_px",
-        "found: pose/tap/x_mm",
-    )
+    read = ("pose/unet/x_mm", "swap/DC(z_p)/ms_ssim", "pin_error/tap/rms_px")
+    read += ("found: pose/tap/x_mm",)
     unread = ("disk: pose/tap/x_mm", "found, disk: pose/tap/x_mm", "swap/DC(z_p)/mse")
-    unread += ("DS(z_p,z_s)/ssim", "pin_error/tap/missed_per_image")
-    figures = {name: {"mean": 1 / 3} for name in (*names, *unread)}
+    unread += ("DS(z_p,z_s)/ssim", "pin_error/tap/missed_per_image", "found: read/pins/tap/x_mm")
+    figure = {"mean": 1 / 3, "per_seed": {"0": 1 / 3}}
+    costs = {"0": {"ms_per_image": {"unet": {"median": 1.0, "p95": 2.0}}, "host": "a"}}
     metric = {"ms_ssim": "ms_ssim@4"}
-    cells = [{"metric": metric, "metrics": figures, "difference": figures} for _ in range(2)]
-    write_json(tmp_path / "a.json", result(cells=cells, base={"loss": 1 / 3}))
+    cell = {"metric": metric, "costs": costs}
+    for group in ("metrics", "difference"):
+        cell[group] = dict.fromkeys((*read, *unread), figure)
+    write_json(tmp_path / "a.json", result(cells=[cell, cell], base={"loss": 1 / 3}))
     kept = read_json(keep("one", [str(tmp_path / "a.json")], tmp_path))
     assert kept["base"] == {"loss": 1 / 3} and kept["rows"] == result()["rows"]
-    assert [cell.get("metric") for cell in kept["cells"]] == [metric, None]
-    for cell in kept["cells"]:
-        assert cell["metrics"] == {name: {"mean": 0.333333} for name in names}
-        assert cell["difference"].keys() == {"pose/tap/x_mm", "found: pose/tap/x_mm"}
+    assert [each.get("metric") for each in kept["cells"]] == [metric, None]
+    for each in kept["cells"]:
+        assert each["metrics"].keys() == set(read)
+        assert each["metrics"]["pose/unet/x_mm"] == {"mean": 0.333333, "per_seed": {"0": 0.333333}}
+        assert each["metrics"]["pin_error/tap/rms_px"] == {"mean": 0.333333}
+        assert each["difference"] == {"pose/unet/x_mm": {"mean": 0.333333}}
+        assert each["costs"] == {"0": {"ms_per_image": {"unet": {"median": 1.0}}}}
 
 
 def test_a_picture_is_kept_with_a_palette(tmp_path):
     Image.linear_gradient("L").convert("RGBA").save(tmp_path / "a.png")
     with Image.open(keep("one", [str(tmp_path / "a.png")], tmp_path)) as picture:
         assert picture.mode == "P" and picture.size == (256, 256)
+
+
+def test_results_are_small():
+    """All of them at most 2 MB: `docs/keep.py` has the rule for what a result keeps."""
+    assert sum(path.stat().st_size for path in RESULTS.rglob("*.*")) <= 2_000_000
 
 
 @pytest.mark.parametrize(
