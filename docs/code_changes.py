@@ -40,7 +40,6 @@ PROGRAMS = {  # the modules that a command starts from
 TOOL_PROGRAMS = {  # the modules that `python -m` starts from
     "verification verify": ("verification.verify",),
     "verification stability": ("verification.stability",),
-    "verification plan": ("verification.show_plan",),
     **{
         f"benchmarks {name}": ("benchmarks.bench_networks",)
         for name in ("train", "infer", "stream")

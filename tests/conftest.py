@@ -140,7 +140,7 @@ def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
 
 @pytest.fixture
 def verification(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
-    """`verification("plan")`: `python -m verification plan`."""
+    """`verification("verify")`: `python -m verification verify`."""
     from verification.commands import main
 
     return call_with(main, capsys)
