@@ -8,9 +8,10 @@ from docs.reading import (
     EDGE_TARGETS,
     KINDS,
     TARGETS,
+    format_figures,
     format_interval,
     format_line,
-    format_range,
+    format_ratio,
     load_cells,
     load_result,
     start_table,
@@ -40,10 +41,7 @@ def _format_errors(
     metrics: Figures, kind: str, targets: dict[str, int], table: str = "pose"
 ) -> list[str]:
     """Format the errors of poses predicted from one kind of image."""
-    return [
-        format_interval(metrics[f"{table}/{kind}/{target}"], digits)
-        for target, digits in targets.items()
-    ]
+    return format_figures(metrics, targets, f"{table}/{kind}/")
 
 
 def tabulate_demo() -> str:
@@ -320,11 +318,7 @@ def _tabulate_tests(name: str, tests: dict[str, str]) -> str:
                 error = cell.metrics[f"{test}: pose/{kind}/{target}"]
                 first = cells[0].metrics[f"{next(iter(tests))}: pose/disentangled/{target}"]
                 errors.append(format_interval(error, digits))
-                ratio = ""
-                if kind == "disentangled":
-                    values = [error.per_seed[seed] / one for seed, one in first.per_seed.items()]
-                    ratio = format_range(values, 2)
-                ratios.append(ratio)
+                ratios.append(format_ratio(error, first) if kind == "disentangled" else "")
             lines.append(format_line(f"{slides} | {label}", [pins, *errors, *ratios]))
     return "\n".join(lines)
 
@@ -347,7 +341,7 @@ def tabulate_few_pairs() -> str:
     )
     for cell in cells:
         names = {"ms_ssim/disentangled": 3} | errors
-        shown = [format_interval(cell.metrics[name], digits) for name, digits in names.items()]
+        shown = format_figures(cell.metrics, names)
         multiples = [f"{cell.metrics[name].mean / least[name]:.2f}" for name in errors]
         lines.append(format_line(cell.label, [*shown, " / ".join(multiples)]))
     return "\n".join(lines)
