@@ -17,7 +17,7 @@ from verification.verification_rows import (
     make_comparison_row,
     make_zero_row,
 )
-from verification.verify import CHECKS, INCOMPRESSIBLE, run_verification
+from verification.verify import INCOMPRESSIBLE, run_verification
 
 
 @pytest.fixture(scope="module")
@@ -44,19 +44,15 @@ def test_elements(check):
 
 
 CHEAP = (
-    *(
-        normal_contact.check_hertz,
-        tangential_contact.check_cattaneo_mindlin,
-        pytest.param(tangential_contact.check_cycle, marks=pytest.mark.long),
-    ),
-    *(
-        invariants.check_compliance,
-        invariants.check_random_paths,
-        invariants.check_no_contact,
-        invariants.check_rotation,
-        invariants.check_closed_loop,
-        invariants.check_increment_order,
-    ),
+    normal_contact.check_hertz,
+    tangential_contact.check_cattaneo_mindlin,
+    pytest.param(tangential_contact.check_cycle, marks=pytest.mark.long),
+    invariants.check_compliance,
+    invariants.check_random_paths,
+    invariants.check_no_contact,
+    invariants.check_rotation,
+    invariants.check_closed_loop,
+    invariants.check_increment_order,
 )
 
 
@@ -91,10 +87,8 @@ def test_a_bar_holds_or_does_not():
     assert not make_zero_row("g", "p", math.nan, 1.0, 0.01).holds
     assert not make_comparison_row("g", "p", 2.0, 2.0, 0.01, settled=False).holds
     for order, holds in ((1.1, True), (0.8, False), (math.nan, False), (None, False)):
-        assert (
-            make_comparison_row("g", "p", 2.0, 2.0, 0.01, order=order, least_order=1.0).holds
-            == holds
-        )
+        row = make_comparison_row("g", "p", 2.0, 2.0, 0.01, order=order, least_order=1.0)
+        assert row.holds == holds
 
 
 def test_orders_are_fitted():
@@ -110,24 +104,11 @@ def test_the_table_gives_what_was_missed():
         make_zero_row("another", "two", 0.1, 1.0, 0.3, px=True),
     ]
     text = format_rows(rows)
-    assert (
-        text.index("a group")
-        < text.index("one")
-        < text.index("MISSED")
-        < text.index("another")
-        < text.index("0.1 px")
-    )
+    places = [text.index(part) for part in ("a group", "one", "MISSED", "another", "0.1 px")]
+    assert places == sorted(places)
     assert convert_row(rows[0])["holds"] is False
 
 
 @pytest.mark.long
 def test_every_bar_holds():
-    done = []
-
-    class Count:
-        def advance(self, n: float = 1) -> None:
-            done.append(n)
-
-    rows = run_verification(Count())
-    assert sum(done) == len(CHECKS)
-    assert not missed(rows)
+    assert not missed(run_verification())
