@@ -42,24 +42,34 @@ class Row:
         return bool(abs(self.error) <= self.bar and enough and self.settled)
 
 
-def make_comparison_row(
-    group: str,
-    problem: str,
-    closed_form: float,
-    measured: float,
-    bar: float | None = None,
-    **more: Any,
-) -> Row:
-    """Make a row against a closed form other than zero; `more` are further fields of `Row`."""
-    error = float(measured / closed_form - 1)
-    return Row(group, problem, float(closed_form), float(measured), error, bar, **more)
+class Rows(list[Row]):
+    """Rows of a group whose increments were solved below their tolerance if `settled`."""
 
+    def __init__(self, group: str, settled: bool = True) -> None:
+        super().__init__()
+        self.group, self.settled = group, settled
 
-def make_zero_row(
-    group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
-) -> Row:
-    """Make a row of what should be zero, judged against `scale`."""
-    return Row(group, problem, 0.0, float(measured), float(measured / scale), bar, **more)
+    def compare(
+        self,
+        problem: str,
+        closed_form: float,
+        measured: float,
+        bar: float | None = None,
+        **more: Any,
+    ) -> None:
+        """Add a row against a closed form other than zero; `more` are further fields of `Row`."""
+        error = float(measured / closed_form - 1)
+        fields = {"settled": self.settled} | more
+        row = Row(self.group, problem, float(closed_form), float(measured), error, bar, **fields)
+        self.append(row)
+
+    def expect_zero(
+        self, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
+    ) -> None:
+        """Add a row of what should be zero, judged against `scale`."""
+        fields = {"settled": self.settled} | more
+        error = float(measured / scale)
+        self.append(Row(self.group, problem, 0.0, float(measured), error, bar, **fields))
 
 
 def fit_order(sizes: Iterable[float], errors: Iterable[float]) -> float:
