@@ -59,7 +59,7 @@ UNREAD_DIFFERENCES = re.compile(r"(read|swap|pin_error)/.*|(\w+/)+(tap|sheared)(
 SEEDED = re.compile(r"(pose|pins|coverage|difference|ms_ssim)/.*")
 UNREAD_COSTS = ("images_per_second", "peak_memory_bytes", "device", "host", "p95")
 UNREAD_PARTS = ("pose_by_stimulus", "pose_by_depth", "tests", "efficient")
-UNREAD_FIELDS = ("scene", "metric", "sense", "iou_felt", "height_rms_mm", "level")
+UNREAD_FIELDS = ("scene", "metric", "sense", "iou_felt", "height_rms_mm", "level", "object", "way")
 
 
 def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
