@@ -199,17 +199,7 @@ def _compute_recovery(errors: dict[str, float], table: str, target: str) -> floa
     return (sheared - errors[f"{table}.unsheared.{target}"]) / (sheared - tap)
 
 
-def tabulate_rivals() -> str:
-    """Tabulate errors of rivals on a random tenth of the poses."""
-    return _tabulate_rivals("rivals")
-
-
-def tabulate_rivals_block() -> str:
-    """Tabulate errors of rivals on a block of poses that was kept out."""
-    return _tabulate_rivals("rivals_block")
-
-
-def _tabulate_rivals(name: str) -> str:
+def tabulate_rivals(name: str) -> str:
     """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
     keys = {
         "unsheared": "pose/disentangled",

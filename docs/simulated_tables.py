@@ -1,6 +1,6 @@
 """Tables of networks on simulated contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import starmap
 from statistics import fmean, median
 
@@ -44,18 +44,20 @@ def _format_errors(
     return format_figures(metrics, targets, f"{table}/{kind}/")
 
 
+def _list_edge_lines(metrics: Figures, note: str = "") -> Iterator[str]:
+    """Yield a line per edge error, with a column per main kind of image."""
+    for title, (target, digits) in EDGE_TITLES.items():
+        errors = [format_interval(metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS]
+        yield format_line(title + note, errors)
+
+
 def tabulate_demo() -> str:
     """Tabulate likeness and errors of the demo over training seeds."""
     (cell,) = load_cells("demo")
     lines = start_table(format_line("`make demo`, simulated", MAIN_KINDS))
     likeness = _format_likeness(cell.metrics)
     lines.append(format_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
-    for title, (target, digits) in EDGE_TITLES.items():
-        errors = [
-            format_interval(cell.metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS
-        ]
-        lines.append(format_line(title, errors))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_list_edge_lines(cell.metrics)])
 
 
 def tabulate_standard() -> str:
@@ -107,10 +109,7 @@ def tabulate_standard_first() -> str:
     lines.append(format_line(title, _format_likeness(metrics)))
     paper = ["1", "0.32", "0.90", "0.93"]
     lines.append(format_line("MS-SSIM, real, 256 px (paper, Table 1)", paper))
-    for title, (target, digits) in EDGE_TITLES.items():
-        errors = [format_interval(metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS]
-        lines.append(format_line(f"{title}, simulated", errors))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_list_edge_lines(metrics, ", simulated")])
 
 
 def tabulate_tenth() -> str:
