@@ -12,7 +12,6 @@ from scipy.optimize import brentq, nnls
 from scipy.sparse.linalg import splu
 
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.errors import UserError
 from jaxunshear.simulator.elasticity import (
     assemble_stiffness,
     compute_isotropic_stiffness,
@@ -71,7 +70,7 @@ def on(mesh, axis, value):
 
 
 def started(moved, points):
-    return State(moved, np.zeros(points), 0.0, 0, False)
+    return State(moved, np.zeros(points), 0, False)
 
 
 @pytest.fixture(scope="module")
@@ -250,12 +249,11 @@ def test_the_force_converges_with_the_mesh():
     np.testing.assert_allclose(middle.pins, fine.pins, atol=0.06)
 
 
-def test_rows_follow_the_order_given_and_no_contact_moves_nothing():
-    made = press_dome(TACTIP_331, [0.5, -1.0, 0.2, 0.0], 4.0)
-    np.testing.assert_array_equal(made.depth_mm, [0.5, -1.0, 0.2, 0.0])
-    assert made.converged.all() and made.force_n[0] > made.force_n[2] > 0
-    for row in (1, 3):
-        assert made.force_n[row] == made.contact_radius_mm[row] == 0 and made.max_stretch[row] == 1
+def test_no_contact_moves_nothing():
+    made = press_dome(TACTIP_331, [-1.0, 0.0, 0.2, 0.5], 4.0)
+    assert made.converged.all() and made.force_n[3] > made.force_n[2] > 0
+    for row in (0, 1):
+        assert made.force_n[row] == made.contact_radius_mm[row] == made.strained[row] == 0
         np.testing.assert_array_equal(made.pins[row], compute_pin_tips(TACTIP_331))
 
 
@@ -268,13 +266,6 @@ def test_what_does_not_converge_is_said_and_not_shown():
     made = press_dome(TACTIP_331, [-1.0, 2.0, 3.0], 4.0, hesitant)
     np.testing.assert_array_equal(made.converged, [True, False, False])
     assert np.isnan(made.pins[1:]).all() and np.isnan(made.force_n[1:]).all()
-    assert made.residual[1] > 1e-9
-
-
-@pytest.mark.parametrize("depths", [[], [np.nan], [-np.inf], [12.0], 3.0])
-def test_depths_out_of_reach_are_refused(depths):
-    with pytest.raises(UserError, match="depths_mm"):
-        press_dome(TACTIP_331, depths)
 
 
 def test_the_rim_lies_between_the_points():
