@@ -9,8 +9,8 @@ import dataclasses
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.config.configs import PAIRED, get_set_folder, get_unfinished_folder
 from jaxunshear.config.data import PairedData
@@ -20,13 +20,16 @@ from jaxunshear.data.chunks import make_engine, simulate_chunks
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.files import Json
+from jaxunshear.text_table import format_text_table
 
 POSES = 12  # of each shape: some hundred contacts
 PLAN_MULTIPLE = 20  # times as many are planned: costs of the start count less
 COLUMNS = ("name", "contacts", "cpu_ms", "bytes")
+format_table = partial(format_text_table, columns=COLUMNS)
 
 
-def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
+def bench_data(poses: int = POSES) -> list[Json]:
     """Return a row for each step: `cpu_ms` and `bytes` per contact, a tap or a slide.
 
     The set has paired images as in the demo, of 128 px and 331 pins.
@@ -38,7 +41,7 @@ def bench_data(poses: int = POSES) -> list[dict[str, Any]]:
     return rows
 
 
-def _measure_steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
+def _measure_steps(settings: PairedData, data: Path) -> list[Json]:
     engine, chunks = make_engine(), get_unfinished_folder(settings, TACTIP_331, data)
     contacts = sample_contacts(settings)
     many = sample_contacts(dataclasses.replace(settings, poses=PLAN_MULTIPLE * settings.poses))
@@ -67,7 +70,7 @@ def _measure_steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
     return [*rows, _measure_step("read into memory", count, read)]
 
 
-def _measure_step(name: str, contacts: int, work: Callable[[], int]) -> dict[str, Any]:
+def _measure_step(name: str, contacts: int, work: Callable[[], int]) -> Json:
     """Measure `work`, which returns the bytes that it made."""
     start = time.process_time()
     size = work()

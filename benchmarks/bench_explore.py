@@ -8,6 +8,7 @@ Compilation and the browser are not measured.
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,13 @@ from jaxunshear.files import Json
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.stimuli import get_stimulus
+from jaxunshear.text_table import format_text_table
 
 STIMULI = ("disk", "clover", "edge", "surface")
 PICTURES = 100  # of each
 WITHIN_MM, MAX_YAW_DEG = 5.0, 45.0
 COLUMNS = ("name", "pictures", "refused", "ms", "ms_p95", "most_ms")
+format_table = partial(format_text_table, columns=COLUMNS)
 
 
 def bench_explore(

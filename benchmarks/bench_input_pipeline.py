@@ -10,6 +10,7 @@ as a training has.
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -26,6 +27,7 @@ from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.files import Json
 from jaxunshear.progress import Progress
+from jaxunshear.text_table import format_text_table
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from jaxunshear.training.prefetch import prefetch
 from jaxunshear.training.tasks import Task, make_unshear_task
@@ -38,6 +40,7 @@ COLUMNS = (
     *("name", "batch", "ms_there", "ms_drawn"),
     *("ratio", "ratio_low", "ratio_high", "ratio_p95", "compile_s"),
 )
+format_table = partial(format_text_table, columns=COLUMNS)
 
 
 class Case(NamedTuple):

@@ -30,11 +30,12 @@ from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.weights import Variables
 from jaxunshear.progress import Progress
+from jaxunshear.text_table import format_text_table
 from jaxunshear.training.tasks import make_unshear_task
 from verification.clock import time_call
 
 ROUNDS = 15
-BATCH = 8
+BATCH, SIZE = 8, 128
 WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 
 
@@ -71,20 +72,20 @@ class Case(NamedTuple):
 
 
 def bench_needs(
-    size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS
+    size: int | None = None, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS
 ) -> list[Json]:
     """Return a row for each case, with operations and times by "with" and "without".
 
     Raises UserError for a bad size.
     """
     keep_freed_memory()
-    net = UnshearNet(size=size, widths=widths)
+    net = UnshearNet(size=size or SIZE, widths=widths)
     unshearnet.check_net(net)
     cases = list(_list_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:
         for case in cases:
-            row = {"name": case.name, "left_out": case.left_out, "size": size}
+            row = {"name": case.name, "left_out": case.left_out, "size": net.size}
             rows.append(row | _measure_case(case, rounds))
             progress.advance(1)
     return rows
@@ -177,13 +178,11 @@ def _make_evaluation_case(net: UnshearNet, variables: Variables) -> Case:
 
 def format_table(rows: list[Json]) -> str:
     """Format rows for people."""
-    lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
+    flat = []
     for row in rows:
-        full, reduced = row["with"], row["without"]
-        lines.append(
-            f"{row['name']:22} {row['left_out']:35} {full['operations'] / 1e6:10.1f} "
-            f"{reduced['operations'] / 1e6:9.1f} {row['operations_ratio']:6.2f} "
-            f"{1e3 * full['seconds']:10.2f} {1e3 * reduced['seconds']:9.2f} "
-            f"{row['seconds_ratio']:6.2f}"
-        )
-    return "\n".join(lines)
+        cells = {"work": row["name"], "left out": row["left_out"]}
+        for kind in ("with", "without"):
+            cells[f"Mflop {kind}"] = row[kind]["operations"] / 1e6
+            cells[f"ms {kind}"] = 1e3 * row[kind]["seconds"]
+        flat.append(cells)
+    return format_text_table(flat, tuple(flat[0]))

@@ -1,6 +1,6 @@
 """Measures networks over pins: training steps, single frames and frames of a batch.
 
-    rows = bench_pin_networks()
+    rows = bench_pinnets()
 
 The encoder E has dense layers, or convolutions (`pins.convolved`). For a frame the networks compute
 the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins are
@@ -10,6 +10,7 @@ those of the TacTip with random motions. Plain and fast layers take turns.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -27,6 +28,7 @@ from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
+from jaxunshear.text_table import format_text_table
 from jaxunshear.training.pin_tasks import make_pin_unshear_task
 from verification.clock import time_call
 
@@ -39,6 +41,7 @@ COLUMNS = (
     *("name", "what", "batch", "ms", "ms_p95"),
     *("plain_ms", "plain_over_fast", "compile_s", "plain_compile_s"),
 )
+format_table = partial(format_text_table, columns=COLUMNS)
 Work = Callable[[], object]
 
 
@@ -49,7 +52,7 @@ class CompiledWork(NamedTuple):
     compile_s: float
 
 
-def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Json]:
+def bench_pinnets(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Json]:
     """Return a row for each network and use: times over `rounds` turns of `turn_s` s."""
     keep_freed_memory()
     rest = compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest

@@ -8,6 +8,7 @@ frames have a pin with the number of another pin.
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -16,12 +17,14 @@ from jaxunshear.config.configs import PAIRED, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Nuisance
 from jaxunshear.data.simulated_contacts import simulate_contacts
+from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_tracking import fit_motion_prior, track_pins
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
+from jaxunshear.text_table import format_text_table
 
 CONFIGS = ("tiny", "demo", "calibrated")  # for sensor and camera
 SIZES = (128, 256)
@@ -30,10 +33,13 @@ COLUMNS = (
     *("name", "size", "frames", "sure", "wrong", "rms_px", "missed", "extra"),
     *("find_ms", "follow_ms", "ms", "ms_p95"),
 )
+format_table = partial(format_text_table, columns=COLUMNS)
 
 
 def bench_pins(size: int | None = None, seed: int = 0) -> list[Json]:
     """Return rows of about FRAMES taps and as many slides for each sensor."""
+    if size is not None and not 64 <= size <= 1024:
+        raise UserError(f"--size {size}: use 64 to 1024 px")
     rows = []
     sizes = SIZES if size is None else (size,)
     with Progress("bench pins", len(CONFIGS) * len(sizes), unit="sensors and sizes") as progress:

@@ -27,6 +27,7 @@ from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.dome import load_shared_dome
 from jaxunshear.simulator.level import LEVELS, Level
 from jaxunshear.simulator.scene import Scenes
+from jaxunshear.text_table import format_text_table
 from verification.clock import make_matrix_product, time_call, time_repeats
 from verification.paper import KINDS, NAMES, sample_paper_scenes
 from verification.pin_distance import compute_pin_error
@@ -34,6 +35,10 @@ from verification.pin_distance import compute_pin_error
 OWN_SOLVER = "admm"
 WRONG_PX = 1.0  # rms: a solver that ends further off than this has failed
 FINEST_MM = 0.7
+COLUMNS = (
+    *("kind", "name", "ms_per_state", "ms_p95", "ratio", "compile_s", "plan_ms"),
+    *("rms_px", "p95_px", "rms_mm", "p95_mm", "iterations", "converged", "failed"),
+)
 
 
 @dataclass(frozen=True)
@@ -67,29 +72,22 @@ class Setting:
 def list_main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Iterator[Setting]:
     """Yield the settings that `--level` and `--batch` choose from."""
     for batch in batches:
+        few = effort.slow_timed if batch == 1 else None
         for name in ("auto", "fast"):
-            yield Setting(
-                f"{name}, batch {batch}",
-                name,
-                LEVELS[name],
-                batch,
-                scenes=effort.slow_timed if batch == 1 else None,
-            )
+            yield Setting(f"{name}, batch {batch}", name, LEVELS[name], batch, scenes=few)
+    unabridged = replace(LEVELS["auto"], omit=())
     for batch in batches:
-        full = {
-            "unabridged": replace(LEVELS["auto"], omit=()),
-            "default": LEVELS["default"],
-            "reference": LEVELS["reference"],
-        }
-        for name, level_settings in full.items():
-            label = "auto, nothing left out" if name == "unabridged" else name
-            few = max(effort.slow_timed // (9 if batch < 64 else 1), 1)
-            yield Setting(f"{label}, batch {batch}", name, level_settings, batch, scenes=few)
+        few = max(effort.slow_timed // (9 if batch < 64 else 1), 1)
+        yield Setting(
+            f"auto, nothing left out, batch {batch}", "unabridged", unabridged, batch, scenes=few
+        )
+        for name in ("default", "reference"):
+            yield Setting(f"{name}, batch {batch}", name, LEVELS[name], batch, scenes=few)
 
 
 def list_variations(effort: Effort) -> Iterator[Setting]:
     """Yield `auto` at batch 64 with one setting changed."""
-    auto = LEVELS["auto"]
+    auto, slow = LEVELS["auto"], effort.slow_timed
     for tolerance in (1.0, 0.5, 0.1, 0.05, 0.02):
         changed = replace(auto, tolerance=tolerance, limit=5000)
         yield Setting(f"auto, tolerance {tolerance:g}", "auto", changed)
@@ -97,30 +95,17 @@ def list_variations(effort: Effort) -> Iterator[Setting]:
         changed = replace(auto, press_mm=factor * auto.press_mm, slide_mm=factor * auto.slide_mm)
         yield Setting(f"auto, steps times {1 / factor:g}", "auto", changed)
     yield Setting("auto, float64", "auto", replace(auto, precision="float64"))
-    for solver in OTHER_SOLVERS:
-        if solver == OWN_SOLVER:
-            continue
-        is_newton = solver == "newton, cold"
-        for tolerance in (0.2,) if is_newton else (0.5, 0.2, 0.05):
-            yield Setting(
-                f"{solver}, tolerance {tolerance:g}",
-                "auto",
-                replace(auto, tolerance=tolerance, limit=2000),
-                batch=1 if is_newton else 64,
-                solver=solver,
-                kinds=("slide",),
-                scenes=min(7, effort.slow_timed) if is_newton else effort.slow_timed,
-            )
+    for solver in list(OTHER_SOLVERS)[1:]:  # the first is our own
+        newton = solver == "newton, cold"
+        batch, scenes = (1, min(7, slow)) if newton else (64, slow)
+        for tolerance in (0.2,) if newton else (0.5, 0.2, 0.05):
+            name = f"{solver}, tolerance {tolerance:g}"
+            changed = replace(auto, tolerance=tolerance, limit=2000)
+            yield Setting(name, "auto", changed, batch, solver, kinds=("slide",), scenes=scenes)
+    against = f"tight auto at {FINEST_MM:g} mm"
     for mesh in (2.0, 1.5, 1.0, FINEST_MM):
-        against = f"tight auto at {FINEST_MM:g} mm"
-        yield Setting(
-            f"auto, mesh {mesh:g} mm",
-            "auto",
-            auto,
-            mesh_mm=mesh,
-            scenes=effort.slow_timed,
-            against=against,
-        )
+        name = f"auto, mesh {mesh:g} mm"
+        yield Setting(name, "auto", auto, mesh_mm=mesh, scenes=slow, against=against)
 
 
 def select_settings(effort: Effort, level: str | None, batch: int | None) -> list[Setting]:
@@ -251,33 +236,9 @@ def _describe_failure(contacts: Contacts, rms_px: float, setting: Setting) -> st
 
 
 def format_table(rows: Sequence[Json]) -> str:
-    """Format rows for people, slides and taps separately."""
-    lines = []
-    for kind in KINDS:
-        rows_of_kind = [row for row in rows if row["kind"] == kind]
-        if not rows_of_kind:
-            continue
-        width = max(len(row["name"]) for row in rows_of_kind)
-        lines.append(
-            f"\n{kind}s\n{'':{width}}  ms/state    p95   ratio  compile s  plan ms   "
-            "rms px  p95 px   rms mm  p95 mm  iter.  conv."
-        )
-        lines += [_format_row(row, width) for row in rows_of_kind]
-    return "\n".join([*lines, "", *_describe_gains(rows)])
-
-
-def _format_row(row: Json, width: int) -> str:
-    if "ratio" not in row:
-        return f"{row['name']:{width}}  FAILED: {row['failed']}"
-    note = f"  FAILED: {row['failed']}" if row["failed"] else ""
-    if row["against"] != "reference":
-        note = f"  (against {row['against']}){note}"
-    return (
-        f"{row['name']:{width}}  {row['ms_per_state']:8.3g} {row['ms_p95']:6.3g} "
-        f"{row['ratio']:7.3f} {row['compile_s']:10.1f} {row['plan_ms']:8.2f} "
-        f"{row['rms_px']:8.3f} {row['p95_px']:7.3f} {row['rms_mm']:8.4f} {row['p95_mm']:7.4f} "
-        f"{row['iterations']:6.0f} {row['converged']:6.2f}{note}"
-    )
+    """Format rows for people, slides before taps."""
+    ordered = sorted(rows, key=lambda row: KINDS.index(row["kind"]))
+    return "\n".join([format_text_table(ordered, COLUMNS), "", *_describe_gains(rows)])
 
 
 def _describe_gains(rows: Sequence[Json]) -> Iterator[str]:

@@ -2,7 +2,15 @@
 
 from typing import Any
 
-from docs.reading import format_line, format_range, load_result, load_rows, load_runs, start_table
+from docs.reading import (
+    format_line,
+    format_range,
+    load_result,
+    load_rows,
+    load_runs,
+    start_table,
+    tabulate_rows,
+)
 
 SENSORS = {"tactip331-flush": "flush", "tactip331-fitted": "fitted", "tactip331": "levers"}
 GEOMETRY_KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -18,21 +26,15 @@ TRAJECTORIES = {
 
 def tabulate_detected_pins() -> str:
     """Tabulate how surely, how exactly and how fast pins of simulated frames are found."""
-    lines = start_table(
-        "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |"
-    )
     sensors = list(SENSORS)
     rows = load_result("bench_pins")["rows"]
-    for row in sorted(rows, key=lambda row: (-row["size"], sensors.index(row["sensor"]))):
-        cells = [
-            str(row["size"]),
-            f"{row['sure']:.1%}",
-            str(row["wrong"]),
-            f"{row['rms_px']:.3f}",
-            f"{row['ms']:.1f} ({row['ms_p95']:.0f})",
-        ]
-        lines.append(format_line(f"{SENSORS[row['sensor']]}, {row['kind']}", cells))
-    return "\n".join(lines)
+    ordered = sorted(rows, key=lambda row: (-row["size"], sensors.index(row["sensor"])))
+    return tabulate_rows(
+        "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |",
+        [row | {"sensor": SENSORS[row["sensor"]]} for row in ordered],
+        "{sensor}, {kind}",
+        *("{size}", "{sure:.1%}", "{wrong}", "{rms_px:.3f}", "{ms:.1f} ({ms_p95:.0f})"),
+    )
 
 
 def tabulate_geometry() -> str:
@@ -107,35 +109,33 @@ def tabulate_objects() -> str:
 
 def tabulate_stream() -> str:
     """Tabulate how long a robot's perception takes for one image, next to PyTorch."""
-    heads = ["px", "images", "ms, median", "ms, 99th percentile"]
-    lines = start_table(format_line("one image at a time", heads))
-    for row in load_result("bench_stream")["rows"]:
-        times = [f"{row['ms_per_image']:.1f}", f"{row['ms_p99']:.1f}"]
-        lines.append(format_line(row["name"], [str(row["size"]), f"{row['steps']:,}", *times]))
-    return "\n".join(lines)
+    return tabulate_rows(
+        "| one image at a time | px | images | ms, median | ms, 99th percentile |",
+        load_result("bench_stream")["rows"],
+        "{name}",
+        *("{size}", "{steps:,}", "{ms_per_image:.1f}", "{ms_p99:.1f}"),
+    )
 
 
 def tabulate_exported_speed() -> str:
     """Tabulate a frame's time as our own stream takes it and as an exported file does."""
     rows = load_result("bench_stream_onnx")["rows"]
-    names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
     lines = start_table("| a frame, ms: median (95 %) | 128 px | 256 px |")
-    for name, label in names.items():
-        times = {}
-        for row in rows:
-            if row["name"] == name:
-                times[row["size"]] = f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})"
-        lines.append(format_line(label, [times[128], times[256]]))
+    for name, label in (("jaxunshear", "`stream`"), ("onnxruntime", "the exported file")):
+        times = sorted((row for row in rows if row["name"] == name), key=lambda row: row["size"])
+        cells = [f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in times]
+        lines.append(format_line(label, cells))
     return "\n".join(lines)
 
 
 def tabulate_explorer() -> str:
     """Tabulate how long pictures of `explore` take."""
-    lines = start_table("| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |")
-    for row in load_result("bench_explore")["rows"]:
-        times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
-        lines.append(format_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
-    return "\n".join(lines)
+    return tabulate_rows(
+        "| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |",
+        load_result("bench_explore")["rows"],
+        "{name}",
+        *("{pictures}", "{refused}", "{ms:.0f}", "{ms_p95:.0f}", "{most_ms:.0f}"),
+    )
 
 
 def tabulate_sizes() -> str:
@@ -155,40 +155,31 @@ def tabulate_sizes() -> str:
 
 def tabulate_input() -> str:
     """Tabulate training steps with examples in memory, and with examples read as they go."""
-    lines = start_table(
+    return tabulate_rows(
         "| networks over | batch | ms a step, examples there | read and drawn "
-        "| ratio, median [its interval] | 95 % of turns |"
+        "| ratio, median [its interval] | 95 % of turns |",
+        load_result("bench_input")["rows"],
+        "{name}",
+        *("{batch}", "{ms_there:.1f}", "{ms_drawn:.1f}"),
+        *("{ratio:.3f} [{ratio_low:.3f}, {ratio_high:.3f}]", "{ratio_p95:.2f}"),
     )
-    for row in load_result("bench_input")["rows"]:
-        cells = [
-            str(row["batch"]),
-            f"{row['ms_there']:.1f}",
-            f"{row['ms_drawn']:.1f}",
-            f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]",
-            f"{row['ratio_p95']:.2f}",
-        ]
-        lines.append(format_line(row["name"], cells))
-    return "\n".join(lines)
 
 
 def tabulate_pin_networks() -> str:
     """Tabulate times of networks over pins, and how much longer plain layers take."""
-    lines = start_table(
-        "| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |"
+    return tabulate_rows(
+        "| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |",
+        load_result("bench_pinnets")["rows"],
+        "{name}",
+        *("{what}", "{batch}", "{ms:.2f}", "{ms_p95:.2f}", "{plain_over_fast:.2f}"),
     )
-    for row in load_result("bench_pinnets")["rows"]:
-        times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
-        lines.append(format_line(row["name"], [row["what"], str(row["batch"]), *times]))
-    return "\n".join(lines)
 
 
 def tabulate_faults() -> str:
     """Tabulate the outcomes of the cases of each fault."""
-    lines = start_table(
-        "| fault | read or done by | cases | harmless | refused by name | lost | silent |"
+    return tabulate_rows(
+        "| fault | read or done by | cases | harmless | refused by name | lost | silent |",
+        load_result("faults")["rows"],
+        "{fault}",
+        *("{command}", "{cases:,}", "{harmless:,}", "{refused:,}", "{lost:,}", "{silent:,}"),
     )
-    outcomes = ("cases", "harmless", "refused", "lost", "silent")
-    for row in load_result("faults")["rows"]:
-        counts = [f"{row[name]:,}" for name in outcomes]
-        lines.append(format_line(row["fault"], [row["command"], *counts]))
-    return "\n".join(lines)

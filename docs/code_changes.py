@@ -40,7 +40,6 @@ PROGRAMS = {  # the modules that a command starts from
 TOOL_PROGRAMS = {  # the modules that `python -m` starts from
     "verification verify": ("verification.verify",),
     "verification stability": ("verification.stability",),
-    "verification plan": ("verification.show_plan",),
     **{
         f"benchmarks {name}": ("benchmarks.bench_networks",)
         for name in ("train", "infer", "stream")
@@ -94,13 +93,17 @@ def compare_modules(
 
     Each is a line of the module and the name. Only definitions of COMPUTING count.
     """
-    alive = {key for text in later.values() for key in hash_definitions(text).values()}
-    lost: list[str] = []
+    unchanged = set(then.values()) & set(later.values())
+    lost: dict[str, str] = {}
     for module in sorted(find_imported_modules(then, starts)):
-        if not COMPUTING.isdisjoint(module.split(".")[:2]):
+        computes = not COMPUTING.isdisjoint(module.split(".")[:2])
+        if computes and then[module] not in unchanged:
             definitions = hash_definitions(then[module])
-            lost += [f"{module}: {name}" for name, key in definitions.items() if key not in alive]
-    return lost
+            lost |= {f"{module}: {name}": key for name, key in definitions.items()}
+    for texts in (set(later.values()) - unchanged, unchanged):  # the second is seldom needed
+        alive = {key for text in texts for key in hash_definitions(text).values()} if lost else ()
+        lost = {name: key for name, key in lost.items() if key not in alive}
+    return list(lost)
 
 
 def find_programs(command: str) -> list[str]:
@@ -188,45 +191,19 @@ def _list_imports(text: str) -> frozenset[str]:
 
 @cache
 def hash_definitions(text: str) -> Mapping[str, str]:
-    """Return a key of each definition at the top of a module, by name.
-
-    Keys do not depend on the version of Python.
-    """
+    """Return a key of each definition at the top of a module, by name; docstrings do not count."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):
+            node.body = node.body if ast.get_docstring(node, clean=False) is None else node.body[1:]
     definitions: dict[str, str] = {}
-    for node in _strip_docstring(ast.parse(text)):
+    for node in tree.body:
         if not isinstance(node, ast.Import | ast.ImportFrom):
             name = _name_definition(node)
-            definitions[name] = definitions.get(name, "") + _format_syntax(node)
+            definitions[name] = definitions.get(name, "") + ast.dump(node)
     return {
-        name: hashlib.sha256(syntax.encode()).hexdigest()[:12]
-        for name, syntax in definitions.items()
+        name: hashlib.sha256(syntax.encode()).hexdigest() for name, syntax in definitions.items()
     }
-
-
-def _format_syntax(node: object) -> str:
-    """Return syntax as text, without docstrings and without what is empty.
-
-    Some versions of Python leave out what is empty.
-    """
-    if isinstance(node, list):
-        return f"[{', '.join(map(_format_syntax, node))}]"
-    if not isinstance(node, ast.AST):
-        return repr(node)
-    fields = dict(ast.iter_fields(node))
-    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-        fields["body"] = _strip_docstring(node)
-    parts = [
-        f"{name}={_format_syntax(value)}"
-        for name, value in fields.items()
-        if value not in (None, [])
-    ]
-    return f"{type(node).__name__}({', '.join(parts)})"
-
-
-def _strip_docstring(
-    node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module,
-) -> list[ast.stmt]:
-    return node.body if ast.get_docstring(node, clean=False) is None else node.body[1:]
 
 
 def _name_definition(node: ast.stmt) -> str:

@@ -2,15 +2,16 @@
 
 from docs.reading import (
     EDGE_TARGETS,
+    format_figures,
     format_interval,
     format_line,
-    format_range,
+    format_ratio,
     format_seeds,
     load_cells,
     start_table,
 )
 from jaxunshear.evaluation.code_exchange import EXCHANGED, OWN
-from jaxunshear.results.sweep import CellResult, Figure
+from jaxunshear.results.sweep import CellResult
 
 RECORDED_TARGETS = {"y_mm": 3, "z_mm": 3, "Rz_deg": 2}
 LEAKS = ("slide from z_p", "pose from z_s")
@@ -41,10 +42,7 @@ def tabulate_parted_skin_errors() -> str:
     heads = ["unsheared: y, mm", "z, mm", "Rz, deg", "slide x, mm", "slide y, mm", *scores]
     lines = start_table(format_line("recorded, pins", heads))
     for cell in load_cells("parted_skin"):
-        cells = [
-            format_interval(cell.metrics[f"pose/disentangled/{target}"], digits)
-            for target, digits in RECORDED_TARGETS.items()
-        ]
+        cells = format_figures(cell.metrics, RECORDED_TARGETS, "pose/disentangled/")
         cells += [format_seeds(cell.ablation[f"slide_{axis}_mm, all/mae"]) for axis in "xy"]
         cells += [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
         lines.append(format_line(cell.label, cells))
@@ -77,10 +75,7 @@ def _format_images(cell: CellResult, kind: str) -> list[str]:
 
 
 def _format_edge(cell: CellResult, kind: str) -> list[str]:
-    return [
-        format_interval(cell.metrics[f"pose/{kind}/{target}"], digits)
-        for target, digits in EDGE_TARGETS.items()
-    ]
+    return format_figures(cell.metrics, EDGE_TARGETS, f"pose/{kind}/")
 
 
 def tabulate_slide_read() -> str:
@@ -119,15 +114,9 @@ def tabulate_end_to_end() -> str:
                     error = cell.metrics[f"{prefix}pose/{kind}/{target}"]
                     tap = cell.metrics[f"{prefix}pose/tap/{target}"]
                     errors.append(format_interval(error, digits))
-                    ratios.append("" if kind == "tap" else _format_ratio(error, tap))
+                    ratios.append("" if kind == "tap" else format_ratio(error, tap))
                 lines.append(format_line(title, [likeness, label, *errors, *ratios]))
     return "\n".join(lines)
-
-
-def _format_ratio(error: Figure, reference: Figure) -> str:
-    """Format the ratio of two errors, by seed."""
-    pairs = zip(error.per_seed.values(), reference.per_seed.values(), strict=True)
-    return format_range([one / other for one, other in pairs], 2)
 
 
 def tabulate_end_to_end_exchanged() -> str:
@@ -140,6 +129,6 @@ def tabulate_end_to_end_exchanged() -> str:
         suffix = "" if part == "all" else f", {part}"
         exchanged = cell.ablation[f"DS, codes {EXCHANGED}{suffix}/rms_px"]
         own = cell.ablation[f"DS, codes {OWN}{suffix}/rms_px"]
-        cells = [format_seeds(exchanged), format_seeds(own), _format_ratio(exchanged, own)]
+        cells = [format_seeds(exchanged), format_seeds(own), format_ratio(exchanged, own)]
         lines.append(format_line(cell.label, [label, *cells]))
     return "\n".join(lines)

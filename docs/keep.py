@@ -6,17 +6,18 @@ A file of several runs is made by
 A result that cannot be published is refused: one without a checksum or a commit, one of code that
 was not committed, and one that names a path of one machine.
 
-A result is stored on one line, as small as the pages allow (`shorten`). Left out are:
+A result is stored on one line, with what pages show and quote (`shorten`). Left out are:
 
 * digits after the sixth, but for settings;
-* of a sweep: figures of a single shape; of code swaps, all but MS-SSIM; pins missed and pins too
-  many; differences of the ridge and of code swaps between cells; the notes on metrics in all cells
-  but the first, if they are equal;
-* of the stability check: the Python text of each scene, which `verification/stability.py` has.
+* of a sweep: figures of a single shape, and those of UNREAD; seeds of all figures but SEEDED;
+  UNREAD_COSTS; the notes on metrics in all cells but the first, if they are equal;
+* of a run: errors by shape and depth, and further tests;
+* of rows: UNREAD_FIELDS, as the meaning of a measure, which the code has.
 
 Nothing else changes, the command least of all. A new checksum seals what is left.
 
-A picture, NAME.png, is stored with a palette of 128 colours: `python -m docs.keep NAME FILE.png`.
+A picture, NAME.png, is stored with a palette of 32 colours, at most 1000 px wide:
+`python -m docs.keep NAME FILE.png`.
 """
 
 import io
@@ -29,7 +30,7 @@ from typing import Any
 
 from PIL import Image
 
-from docs.provenance import RESULTS, list_sources
+from docs.provenance import RESULTS, list_parts, list_sources
 from jaxunshear.errors import UserError
 from jaxunshear.files import (
     CHECKSUM_FIELD,
@@ -43,11 +44,22 @@ from jaxunshear.simulator.stimuli import SHAPES
 
 MACHINE_PATH = re.compile(r"(?:^|[\s'=])/\w[\w.-]*/")
 DIGITS = 6
+GROUPS = {"metrics", "difference", "ablation"}  # of figures, in a cell
 SETTINGS = ("base", "settings")  # not rounded: a command must give them again
-COLOURS = 128
+COLOURS = 32
+MOST_WIDTH_PX = 1000
 # names of figures in the cells of a sweep, without the test before the colon
-UNREAD = re.compile(r"pin_error/.*/(?:missed|extra)_per_image|(?:swap/)?D[CS]\(.*\)/(?:mse|ssim)")
-UNREAD_DIFFERENCES = re.compile(r"(?:read|swap|pin_error)/.*")
+UNREAD = re.compile(
+    r"pin_error/(true_slide/.*|tap/rms_mm|.*/(missed|extra)_per_image)"
+    r"|(swap/)?D[CS]\(.*\)/(mse|ssim).*|.* \(linear\)/.*"
+    r"|(half_width|coverage)/(tap|sheared|partner)/.*|(pose_recovery|read/\w+)/partner/.*"
+)
+UNREAD_IN_TESTS = re.compile(r"(read/pins|swap)/.*")  # of further tests
+UNREAD_DIFFERENCES = re.compile(r"(read|swap|pin_error)/.*|(\w+/)+(tap|sheared)(/.*)?")
+SEEDED = re.compile(r"(pose|pins|coverage|difference|ms_ssim)/.*")
+UNREAD_COSTS = ("images_per_second", "peak_memory_bytes", "device", "host", "p95")
+UNREAD_PARTS = ("pose_by_stimulus", "pose_by_depth", "tests", "efficient")
+UNREAD_FIELDS = ("scene", "metric", "sense", "iou_felt", "height_rms_mm", "level", "object", "way")
 
 
 def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
@@ -71,7 +83,9 @@ def keep_picture(name: str, file: Path, folder: Path = RESULTS) -> Path:
     out = folder / f"{name}.png"
     buffer = io.BytesIO()
     with Image.open(file) as picture:
-        palette = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        small = picture.convert("RGB")
+        small.thumbnail((MOST_WIDTH_PX, 10 * MOST_WIDTH_PX), Image.Resampling.LANCZOS)
+        palette = small.quantize(COLOURS, dither=Image.Dither.NONE)
     palette.save(buffer, "PNG", optimize=True)
     write_bytes(out, buffer.getvalue())
     return out
@@ -84,29 +98,45 @@ def write_result(path: Path, result: Json) -> None:
 
 def shorten(result: Json) -> Json:
     """Return a result without what no page reads; see the module's docstring."""
-    short = _round(result)
-    for cell in short.get("cells", []):
-        for group in ("metrics", "difference", "ablation"):
-            if group in cell:
-                cell[group] = _select_figures(cell[group], group)
-        if cell is not short["cells"][0] and cell["metric"] == short["cells"][0]["metric"]:
-            del cell["metric"]
-    for row in short.get("rows", []):
-        row.pop("scene", None)
+    short = {name: value for name, value in _round(result).items() if name not in UNREAD_PARTS}
+    cells = short.get("cells", [])
+    for cell in cells:
+        for group in GROUPS & cell.keys():
+            cell[group] = _select_figures(cell[group], group)
+        cell["costs"] = _drop_fields(cell.get("costs", {}), UNREAD_COSTS)
+        if cell is not cells[0] and cell.get("metric") == cells[0].get("metric"):
+            cell.pop("metric", None)
+    for part in list_parts(short):
+        if "rows" in part:
+            part["rows"] = [_drop_fields(row, UNREAD_FIELDS) for row in part["rows"]]
     return short
+
+
+def _drop_fields(record: Json, names: Sequence[str]) -> Json:
+    """Return a record without these fields, however deep they lie."""
+    return {
+        name: _drop_fields(value, names) if isinstance(value, dict) else value
+        for name, value in record.items()
+        if name not in names
+    }
 
 
 def _select_figures(figures: Json, group: str) -> Json:
     """Return the figures of a cell that a page may read."""
     selected = {}
     for name, figure in figures.items():
-        test, colon, figure_name = name.rpartition(": ")
-        of_shape = colon and test.rpartition(", ")[2] in SHAPES
-        unread = UNREAD.fullmatch(figure_name)
+        test, _, figure_name = name.rpartition(": ")
+        unread = [UNREAD]
+        if test:
+            unread.append(UNREAD_IN_TESTS)
         if group == "difference":
-            unread = unread or UNREAD_DIFFERENCES.fullmatch(figure_name)
-        if not of_shape and not unread:
-            selected[name] = figure
+            unread.append(UNREAD_DIFFERENCES)
+        of_shape = test.rpartition(", ")[2] in SHAPES
+        if of_shape or any(pattern.fullmatch(figure_name) for pattern in unread):
+            continue
+        if group == "difference" or (group == "metrics" and not SEEDED.fullmatch(figure_name)):
+            figure.pop("per_seed", None)
+        selected[name] = figure
     return selected
 
 

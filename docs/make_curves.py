@@ -28,7 +28,7 @@ COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#b3554d", "#8250df", "#7c8b3d")
 
 
 def read_curves(folder: Path) -> list[dict[str, Any]]:
-    """Read the curves of each training: label, seed, and by step the losses and kernel sizes."""
+    """Read the curves of each training: label, seed, and by step kernel sizes and losses."""
     rows = sorted(folder.glob("rows/*/"))
     tasks = [(row, json.loads((row / "task.json").read_text())) for row in rows]
     if not tasks:
@@ -37,24 +37,21 @@ def read_curves(folder: Path) -> list[dict[str, Any]]:
     for row, task in tasks:
         lines = (row / NETWORK / "log.jsonl").read_text().splitlines()
         log = [json.loads(line) for line in lines]
-        curve = {
-            "label": task["label"],
-            "seed": task["seed"],
-            "step": [line["step"] for line in log],
-        }
-        for group in ("train", "validation", "kernels"):
-            curve[group] = {}
-            for name in log[0][group]:
-                curve[group][name] = [_round(line[group][name]) for line in log]
-        curve["inner"] = [_round(size) for size in _compute_inner_sizes(curve["kernels"])]
-        curves.append(curve)
+        curves.append(
+            {
+                "label": task["label"],
+                "seed": task["seed"],
+                "step": [line["step"] for line in log],
+                "validation": {LOSS: [_round(line["validation"][LOSS]) for line in log]},
+                "inner": [_round(_compute_inner_size(line["kernels"])) for line in log],
+            }
+        )
     return curves
 
 
-def _compute_inner_sizes(kernels: dict[str, list[float]]) -> list[float]:
-    """Compute the mean size of the kernels between the outermost layers, by step."""
-    inner = [sizes for name, sizes in kernels.items() if not _is_outermost(name)]
-    return [fmean(sizes) for sizes in zip(*inner, strict=True)]
+def _compute_inner_size(kernels: dict[str, float]) -> float:
+    """Compute the mean size of the kernels between the outermost layers."""
+    return fmean(size for layer, size in kernels.items() if not _is_outermost(layer))
 
 
 def _is_outermost(layer: str) -> bool:

@@ -25,16 +25,38 @@ SKIN, GEL, OBJECT, BLUE, ORANGE, GREEN = (
     "#d9822b",
     "#2a9d6f",
 )
-STEPS = (
-    ("your recordings", "taps and slides"),
-    ("scene", "shape, pose, slide"),
-    ("contact", "elastic dome, friction"),
-    ("image", "camera, threshold"),
-    ("dataset", "a tap for every slide"),
-    ("model", "sheared to tap"),
-    ("evaluation", "pose, MS-SSIM, pins"),
-    ("report", "one page"),
+LINE, CODE, SHEAR = "#cfe0fb", "#d5efe2", "#f6e3cc"
+NETWORK_BOXES = (  # x, y, width, height, text, colour
+    (0.6, 1.5, 1.3, 0.8, "sheared\nimage", GEL),
+    (2.6, 1.5, 1.1, 0.8, "E", LINE),
+    (4.7, 2.5, 1.5, 0.7, "pose code $z_p$", CODE),
+    (4.7, 0.5, 1.5, 0.7, "shear code $z_s$", SHEAR),
+    (7.0, 2.5, 1.1, 0.7, "DC", LINE),
+    (7.0, 0.5, 1.1, 0.7, "DS", LINE),
+    (9.3, 2.5, 1.5, 0.7, "tap", GEL),
+    (9.3, 0.5, 1.5, 0.7, "sheared\nimage", GEL),
 )
+NETWORK_ARROWS = (  # from x, y to x, y
+    (1.3, 1.5, 2.0, 1.5),
+    (3.2, 1.6, 3.9, 2.4),
+    (3.2, 1.4, 3.9, 0.6),
+    (5.5, 2.5, 6.4, 2.5),
+    (5.5, 0.5, 6.4, 0.5),
+    (5.5, 2.3, 6.5, 0.9),
+    (7.6, 2.5, 8.5, 2.5),
+    (7.6, 0.5, 8.5, 0.5),
+)
+STEPS = (  # x, y, name, text
+    (0.9, 0.4, "your recordings", "taps and slides"),
+    (0.9, 2.4, "scene", "shape, pose, slide"),
+    (3.2, 2.4, "contact", "elastic dome, friction"),
+    (5.5, 2.4, "image", "camera, threshold"),
+    (5.5, 0.4, "dataset", "a tap for every slide"),
+    (7.8, 0.4, "model", "sheared to tap"),
+    (7.8, 2.4, "evaluation", "pose, MS-SSIM, pins"),
+    (10.1, 2.4, "report", "one page"),
+)
+STEP_ARROWS = ((1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (5, 6), (6, 7))
 
 
 def make_figure(width: float, height: float, limits: Sequence[float]) -> tuple[Figure, Axes]:
@@ -167,52 +189,26 @@ def draw_tap_slide() -> Figure:
 
 def draw_networks() -> Figure:
     figure, axes = make_figure(8, 3, (-0.4, 10.2, -0.3, 3.3))
-    draw_box(axes, (0.6, 1.5), (1.3, 0.8), "sheared\nimage")
-    draw_box(axes, (2.6, 1.5), (1.1, 0.8), "E", "#cfe0fb")
-    draw_box(axes, (4.7, 2.5), (1.5, 0.7), "pose code $z_p$", "#d5efe2")
-    draw_box(axes, (4.7, 0.5), (1.5, 0.7), "shear code $z_s$", "#f6e3cc")
-    draw_box(axes, (7.0, 2.5), (1.1, 0.7), "DC", "#cfe0fb")
-    draw_box(axes, (7.0, 0.5), (1.1, 0.7), "DS", "#cfe0fb")
-    draw_box(axes, (9.3, 2.5), (1.5, 0.7), "tap")
-    draw_box(axes, (9.3, 0.5), (1.5, 0.7), "sheared\nimage")
-    for start, end in (
-        ((1.3, 1.5), (2.0, 1.5)),
-        ((3.2, 1.6), (3.9, 2.4)),
-        ((3.2, 1.4), (3.9, 0.6)),
-        ((5.5, 2.5), (6.4, 2.5)),
-        ((5.5, 0.5), (6.4, 0.5)),
-        ((5.5, 2.3), (6.5, 0.9)),
-        ((7.6, 2.5), (8.5, 2.5)),
-        ((7.6, 0.5), (8.5, 0.5)),
-    ):
-        draw_arrow(axes, start, end)
+    for x, y, width, height, text, colour in NETWORK_BOXES:
+        draw_box(axes, (x, y), (width, height), text, colour)
+    for x, y, end_x, end_y in NETWORK_ARROWS:
+        draw_arrow(axes, (x, y), (end_x, end_y))
     return figure
 
 
 def draw_flow() -> Figure:
     figure, axes = make_figure(9, 3, (-0.2, 11.2, -0.4, 3.2))
-    places = [
-        (0.9, 0.4),
-        (0.9, 2.4),
-        (3.2, 2.4),
-        (5.5, 2.4),
-        (5.5, 0.4),
-        (7.8, 0.4),
-        (7.8, 2.4),
-        (10.1, 2.4),
-    ]
-    for (name, what), place in zip(STEPS, places, strict=True):
-        draw_box(axes, place, (1.9, 0.9), "")
-        axes.text(place[0], place[1] + 0.13, name, ha="center", va="center", weight="bold")
-        axes.text(
-            place[0], place[1] - 0.2, what, ha="center", va="center", fontsize=7.5, color=SKIN
-        )
-    for start, end in ((1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (5, 6), (6, 7)):
-        (ax, ay), (bx, by) = places[start], places[end]
-        along = ay == by
-        tail = (ax + 1.0, ay) if along else (ax, ay + (0.5 if by > ay else -0.5))
-        head = (bx - 1.0, by) if along else (bx, by - (0.5 if by > ay else -0.5))
-        draw_arrow(axes, tail, head)
+    middle = {"ha": "center", "va": "center"}
+    for x, y, name, text in STEPS:
+        draw_box(axes, (x, y), (1.9, 0.9), "")
+        axes.text(x, y + 0.13, name, weight="bold", **middle)
+        axes.text(x, y - 0.2, text, fontsize=7.5, color=SKIN, **middle)
+    places = np.array([step[:2] for step in STEPS])
+    for start, end in STEP_ARROWS:
+        direction = np.sign(places[end] - places[start])
+        # along a row from side to side, else upwards or downwards
+        gap = [1.0, 0.0] * direction if direction[1] == 0 else [0.0, 0.5] * direction
+        draw_arrow(axes, tuple(places[start] + gap), tuple(places[end] - gap))
     return figure
 
 

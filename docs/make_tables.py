@@ -6,6 +6,7 @@ TABLES, write its first line into the page, and call `make tables`.
 """
 
 from collections.abc import Iterable
+from functools import partial
 
 from docs import (
     application_tables,
@@ -31,8 +32,8 @@ TABLES = {
     ),
     "docs/skin.md": (recorded_tables.tabulate_transfer,),
     "docs/unshear-or-directly.md": (
-        recorded_tables.tabulate_rivals,
-        recorded_tables.tabulate_rivals_block,
+        partial(recorded_tables.tabulate_rivals, "rivals"),
+        partial(recorded_tables.tabulate_rivals, "rivals_block"),
     ),
     "docs/calibration.md": (
         simulator_tables.tabulate_fits,

@@ -1,6 +1,6 @@
 """What tables take from docs/results, and how they print it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from statistics import fmean
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 from docs.provenance import read_result
 from jaxunshear.files import Json
 from jaxunshear.results.record_files import convert_record
-from jaxunshear.results.sweep import CellResult, Figure, SweepResult
+from jaxunshear.results.sweep import CellResult, Figure, Figures, SweepResult
 
 USED: list[str] = []  # results that were loaded since it was emptied
 KINDS = {  # what a pose is predicted from, or an image compared with
@@ -71,15 +71,29 @@ def start_table(header: str) -> list[str]:
     return [header, "|---" * (header.count("|") - 1) + "|"]
 
 
-def format_line(name: str, cells: Sequence[str]) -> str:
+def format_line(name: str, cells: Iterable[str]) -> str:
     """Format a line of a table."""
     return f"| {name} | {' | '.join(cells)} |"
+
+
+def tabulate_rows(header: str, rows: Iterable[Json], label: str, *templates: str) -> str:
+    """Tabulate rows: the label and the cells are templates of their fields."""
+    lines = start_table(header)
+    for row in rows:
+        cells = [template.format(**row) for template in templates]
+        lines.append(format_line(label.format(**row), cells))
+    return "\n".join(lines)
 
 
 def format_interval(figure: Figure, digits: int) -> str:
     """Format a mean with its interval."""
     low, high = figure.interval
     return f"{figure.mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def format_figures(figures: Figures, columns: Mapping[str, int], prefix: str = "") -> list[str]:
+    """Format figures by name, each with so many digits and its interval."""
+    return [format_interval(figures[prefix + name], digits) for name, digits in columns.items()]
 
 
 def format_range(values: Sequence[float], digits: int) -> str:
@@ -90,3 +104,9 @@ def format_range(values: Sequence[float], digits: int) -> str:
 def format_seeds(figure: Figure, digits: int = 2) -> str:
     """Format the mean of the seeds with the least and the largest one."""
     return format_range(list(figure.per_seed.values()), digits)
+
+
+def format_ratio(error: Figure, reference: Figure) -> str:
+    """Format the ratio of two errors, by seed."""
+    ratios = [error.per_seed[seed] / other for seed, other in reference.per_seed.items()]
+    return format_range(ratios, 2)

@@ -1,6 +1,7 @@
 """Tables of networks on recordings of a real sensor."""
 
 from docs.reading import (
+    format_figures,
     format_interval,
     format_line,
     format_range,
@@ -119,10 +120,7 @@ def tabulate_pairings() -> str:
     lines = start_table("| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |")
     for cell in load_cells("pairings"):
         name = next(shown for pairing, shown in PAIRINGS.items() if pairing in cell.label)
-        errors = [
-            format_interval(cell.metrics[f"pose/disentangled/{target}"], digits)
-            for target, digits in TARGETS.items()
-        ]
+        errors = format_figures(cell.metrics, TARGETS, "pose/disentangled/")
         lines.append(format_line(name, errors))
     return "\n".join(lines)
 
@@ -137,23 +135,15 @@ def tabulate_simulated_slides() -> str:
             cell.metrics for cell in load_cells("simulated_slides") if source in cell.label
         )
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
-        errors = [
-            format_interval(metrics["simulated"][f"{key}/{target}"], digits)
-            for target, digits in targets.items()
-        ]
+        errors = format_figures(metrics["simulated"], targets, f"{key}/")
         lines.append(format_line(name, ["taps", *errors]))
     for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
         for source, shown in SOURCES.items():
-            errors = [
-                format_interval(metrics[source][f"pose/{key}/{target}"], digits)
-                for target, digits in targets.items()
-            ]
+            errors = format_figures(metrics[source], targets, f"pose/{key}/")
             lines.append(format_line(name, [f"taps and {shown}", *errors]))
     for source, shown in SOURCES.items():
-        recoveries = [
-            format_interval(metrics[source][f"pose_recovery/disentangled/{target}"], 2)
-            for target in targets
-        ]
+        digits = dict.fromkeys(targets, 2)
+        recoveries = format_figures(metrics[source], digits, "pose_recovery/disentangled/")
         lines.append(format_line("recovery", [f"taps and {shown}", *recoveries]))
     return "\n".join(lines)
 
@@ -209,17 +199,7 @@ def _compute_recovery(errors: dict[str, float], table: str, target: str) -> floa
     return (sheared - errors[f"{table}.unsheared.{target}"]) / (sheared - tap)
 
 
-def tabulate_rivals() -> str:
-    """Tabulate errors of rivals on a random tenth of the poses."""
-    return _tabulate_rivals("rivals")
-
-
-def tabulate_rivals_block() -> str:
-    """Tabulate errors of rivals on a block of poses that was kept out."""
-    return _tabulate_rivals("rivals_block")
-
-
-def _tabulate_rivals(name: str) -> str:
+def tabulate_rivals(name: str) -> str:
     """Tabulate errors of unsheared and of directly learnt slides, by networks of the same make."""
     keys = {
         "unsheared": "pose/disentangled",
@@ -229,11 +209,9 @@ def _tabulate_rivals(name: str) -> str:
     heads = [f"{way}: {_name_target(target)}" for way in keys for target in EDGE_TARGETS]
     lines = start_table(format_line("recorded, pins", heads))
     for cell in load_cells(name):
-        errors = [
-            format_interval(cell.metrics[f"{key}/{target}"], digits)
-            for key in keys.values()
-            for target, digits in EDGE_TARGETS.items()
-        ]
+        errors = []
+        for key in keys.values():
+            errors += format_figures(cell.metrics, EDGE_TARGETS, f"{key}/")
         lines.append(format_line(cell.label, errors))
     return "\n".join(lines)
 

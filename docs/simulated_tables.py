@@ -1,6 +1,6 @@
 """Tables of networks on simulated contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import starmap
 from statistics import fmean, median
 
@@ -8,9 +8,10 @@ from docs.reading import (
     EDGE_TARGETS,
     KINDS,
     TARGETS,
+    format_figures,
     format_interval,
     format_line,
-    format_range,
+    format_ratio,
     load_cells,
     load_result,
     start_table,
@@ -40,10 +41,14 @@ def _format_errors(
     metrics: Figures, kind: str, targets: dict[str, int], table: str = "pose"
 ) -> list[str]:
     """Format the errors of poses predicted from one kind of image."""
-    return [
-        format_interval(metrics[f"{table}/{kind}/{target}"], digits)
-        for target, digits in targets.items()
-    ]
+    return format_figures(metrics, targets, f"{table}/{kind}/")
+
+
+def _list_edge_lines(metrics: Figures, note: str = "") -> Iterator[str]:
+    """Yield a line per edge error, with a column per main kind of image."""
+    for title, (target, digits) in EDGE_TITLES.items():
+        errors = [format_interval(metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS]
+        yield format_line(title + note, errors)
 
 
 def tabulate_demo() -> str:
@@ -52,12 +57,7 @@ def tabulate_demo() -> str:
     lines = start_table(format_line("`make demo`, simulated", MAIN_KINDS))
     likeness = _format_likeness(cell.metrics)
     lines.append(format_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
-    for title, (target, digits) in EDGE_TITLES.items():
-        errors = [
-            format_interval(cell.metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS
-        ]
-        lines.append(format_line(title, errors))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_list_edge_lines(cell.metrics)])
 
 
 def tabulate_standard() -> str:
@@ -109,10 +109,7 @@ def tabulate_standard_first() -> str:
     lines.append(format_line(title, _format_likeness(metrics)))
     paper = ["1", "0.32", "0.90", "0.93"]
     lines.append(format_line("MS-SSIM, real, 256 px (paper, Table 1)", paper))
-    for title, (target, digits) in EDGE_TITLES.items():
-        errors = [format_interval(metrics[f"pose/{kind}/{target}"], digits) for kind in MAIN_KINDS]
-        lines.append(format_line(f"{title}, simulated", errors))
-    return "\n".join(lines)
+    return "\n".join([*lines, *_list_edge_lines(metrics, ", simulated")])
 
 
 def tabulate_tenth() -> str:
@@ -320,11 +317,7 @@ def _tabulate_tests(name: str, tests: dict[str, str]) -> str:
                 error = cell.metrics[f"{test}: pose/{kind}/{target}"]
                 first = cells[0].metrics[f"{next(iter(tests))}: pose/disentangled/{target}"]
                 errors.append(format_interval(error, digits))
-                ratio = ""
-                if kind == "disentangled":
-                    values = [error.per_seed[seed] / one for seed, one in first.per_seed.items()]
-                    ratio = format_range(values, 2)
-                ratios.append(ratio)
+                ratios.append(format_ratio(error, first) if kind == "disentangled" else "")
             lines.append(format_line(f"{slides} | {label}", [pins, *errors, *ratios]))
     return "\n".join(lines)
 
@@ -347,7 +340,7 @@ def tabulate_few_pairs() -> str:
     )
     for cell in cells:
         names = {"ms_ssim/disentangled": 3} | errors
-        shown = [format_interval(cell.metrics[name], digits) for name, digits in names.items()]
+        shown = format_figures(cell.metrics, names)
         multiples = [f"{cell.metrics[name].mean / least[name]:.2f}" for name in errors]
         lines.append(format_line(cell.label, [*shown, " / ".join(multiples)]))
     return "\n".join(lines)

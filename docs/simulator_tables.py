@@ -3,7 +3,7 @@
 import re
 from statistics import fmean
 
-from docs.reading import format_line, load_result, load_rows, start_table
+from docs.reading import format_line, load_result, load_rows, start_table, tabulate_rows
 
 FITS = {
     "calibrate_edge_2d": "edge, taps and slides",
@@ -248,10 +248,11 @@ def tabulate_inference() -> str:
 
 def tabulate_omissions() -> str:
     """Tabulate operations and milliseconds of work with and without a part."""
-    lines = start_table("| work | left out | Mflop, before and after | ms, before and after |")
+    rows = []
     for row in load_result("bench_needs")["rows"]:
         both = (row["with"], row["without"])
         operations = ", ".join(f"{each['operations'] / 1e6:.0f}" for each in both)
         times = ", ".join(f"{1e3 * each['seconds']:.1f}" for each in both)
-        lines.append(format_line(row["name"], [row["left_out"], operations, times]))
-    return "\n".join(lines)
+        rows.append(row | {"operations": operations, "times": times})
+    header = "| work | left out | Mflop, before and after | ms, before and after |"
+    return tabulate_rows(header, rows, "{name}", "{left_out}", "{operations}", "{times}")

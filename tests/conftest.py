@@ -24,9 +24,8 @@ if OWN:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 # without the second flag doubles are wrong
 FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"
-if version("jaxlib").startswith(
-    "0.10."
-):  # later ones do not know the flag; older emitters compile in half the time
+# later ones do not know the flag; older emitters compile in half the time
+if version("jaxlib").startswith("0.10."):
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -77,13 +76,10 @@ def strict(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 # They take a worker longest; started last, they would keep one waiting for the other.
-FIRST = (
-    "test_run.py",
-    "test_laboratory.py",
-    "test_gradient.py",
-    "test_trainer.py",
-    "test_notebooks.py",
-)
+FIRST = {
+    *("test_run.py", "test_laboratory.py", "test_notebooks.py", "test_probes.py"),
+    *("test_leakage.py", "test_pose_estimators.py", "test_calibrate.py", "test_trainer.py"),
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -140,7 +136,7 @@ def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
 
 @pytest.fixture
 def verification(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
-    """`verification("plan")`: `python -m verification plan`."""
+    """`verification("verify")`: `python -m verification verify`."""
     from verification.commands import main
 
     return call_with(main, capsys)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 
 import pytest
 from PIL import Image
@@ -16,6 +15,7 @@ from docs.code_changes import (
 )
 from docs.keep import keep
 from docs.provenance import (
+    RESULTS,
     ROOT,
     describe_origin,
     find_changed_code,
@@ -71,7 +71,7 @@ def test_commands_give_the_settings_of_their_results(name):
     assert bool(found) == (name in read_stale().settings), f"docs/stale.toml: {name}: {found}"
 
 
-THEN = '''"""A module."""
+STEP = '''"""A module."""
 from jaxunshear.models.net import layer
 
 SCALE = 2.0  # of what is returned
@@ -82,75 +82,67 @@ def step(x):
 '''
 NET = "def layer(x):\n    return x + 1\n\ndef other(x):\n    return x\n"
 TEXTS = {
-    "jaxunshear.training.step": THEN,
+    "jaxunshear.training.step": STEP,
     "jaxunshear.models.net": NET,
     "jaxunshear.perception.draw": "def draw(): ...\n",
 }
-START = ("jaxunshear.training.step",)
-
-
-def lost_with(**texts):
-    today = TEXTS | {f"jaxunshear.{name.replace('_', '.')}": text for name, text in texts.items()}
-    return compare_modules(TEXTS, today, START)
+REWORDED = STEP.replace("twice", "some multiple of").replace("# of what", "# a factor on what")
+SPREAD = STEP.replace("SCALE * layer(x)", "(SCALE\n        * layer(x))")
 
 
 @pytest.mark.parametrize(
     ("texts", "expected"),
     [
         ({}, []),
-        (
-            {
-                "training_step": THEN.replace("twice", "some multiple of").replace(
-                    "  # of what", "  # the factor on what"
-                )
-            },
-            [],
-        ),
-        ({"training_step": THEN.replace("SCALE * layer(x)", "(SCALE\n        * layer(x))")}, []),
-        ({"training_step": THEN + "\ndef more(): ...\n"}, []),
-        ({"models_net": "", "models_layers": NET}, []),  # moved
-        ({"image_draw": ""}, []),  # not used
-        ({"training_step": THEN.replace("2.0", "3.0")}, ["jaxunshear.training.step: SCALE"]),
-        ({"models_net": NET.replace("x + 1", "x + 2")}, ["jaxunshear.models.net: layer"]),
+        ({"training.step": REWORDED}, []),
+        ({"training.step": SPREAD}, []),
+        ({"training.step": STEP + "\ndef more(): ...\n"}, []),
+        ({"models.net": "", "models.layers": NET}, []),  # moved
+        ({"perception.draw": ""}, []),  # not used
+        ({"training.step": STEP.replace("2.0", "3.0")}, ["jaxunshear.training.step: SCALE"]),
+        ({"models.net": NET.replace("x + 1", "x + 2")}, ["jaxunshear.models.net: layer"]),
     ],
 )
 def test_changes_by_more_than_words_are_named(texts, expected):
-    assert lost_with(**texts) == expected
+    today = TEXTS | {f"jaxunshear.{name}": text for name, text in texts.items()}
+    assert compare_modules(TEXTS, today, ("jaxunshear.training.step",)) == expected
 
 
-def test_what_moved_out_of_the_package_is_not_lost():
-    today = {"jaxunshear.training.step": THEN, "verification.net": NET}
-    assert not compare_modules(TEXTS, today, START)
+def test_what_moved_out_of_the_package_or_only_shows_is_not_lost():
+    today = {"jaxunshear.training.step": STEP, "verification.net": NET}
+    assert not compare_modules(TEXTS, today, ("jaxunshear.training.step",))
     assert compare_modules({"verification.net": NET}, {}, ("verification.net",))
+    shown = {"jaxunshear.report.html": NET, "jaxunshear.config.data": NET}
+    assert not compare_modules(shown, {}, tuple(shown))
 
 
-def test_what_only_shows_or_starts_does_not_count():
-    texts = {
-        "jaxunshear.report.html": "def page(): ...\n",
-        "jaxunshear.config.data": "def data(): ...\n",
-    }
-    assert not compare_modules(texts, {}, tuple(texts))
-
-
-def test_changes_on_a_bridge_do_not_count(tmp_path):
+@pytest.fixture
+def repository(tmp_path):
+    """Return a folder with one module, and a function that commits another text of it."""
     if shutil.which("git") is None:
         pytest.skip("git is not installed")
     module = tmp_path / "jaxunshear" / "models" / "net.py"
     module.parent.mkdir(parents=True)
     run_git(tmp_path, "init", "-q")
-    commits = []
-    renamed = NET.replace("def other", "def another")
-    for text in (NET, renamed, renamed.replace("x + 1", "1 + x")):
+
+    def commit(text: str) -> str:
         module.write_text(text)
         run_git(tmp_path, "add", "-A")
         run_git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "Change")
-        commits.append(run_git(tmp_path, "rev-parse", "HEAD").decode().strip())
+        return run_git(tmp_path, "rev-parse", "HEAD").decode().strip()
+
+    return module, commit
+
+
+def test_changes_on_a_bridge_do_not_count(repository, tmp_path):
+    module, commit = repository
+    renamed = NET.replace("def other", "def another")
+    first, second, third = map(commit, (NET, renamed, renamed.replace("x + 1", "1 + x")))
+    name = "jaxunshear.models.net"
 
     def changed_since(commit, *bridges):
-        return list_lost_definitions(tmp_path, commit, ("jaxunshear.models.net",), bridges)
+        return list_lost_definitions(tmp_path, commit, (name,), bridges)
 
-    first, second, third = commits
-    name = "jaxunshear.models.net"
     assert changed_since(first) == [f"{name}: layer", f"{name}: other"]
     assert changed_since(first, (second, third)) == [f"{name}: other"]
     assert changed_since(first, (first, third)) == changed_since(third) == []
@@ -159,22 +151,12 @@ def test_changes_on_a_bridge_do_not_count(tmp_path):
     assert changed_since(first, (first, third)) == [f"{name}: layer"]
 
 
-def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
-    if shutil.which("git") is None:
-        pytest.skip("git is not installed")
-    (tmp_path / "jaxunshear" / "models").mkdir(parents=True)
-    (tmp_path / "jaxunshear" / "__init__.py").write_text("")
-    (tmp_path / "jaxunshear" / "models" / "net.py").write_text("MORE = 'ü'\n")
-    who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
-    for words in (("init", "-q"), ("add", "-A"), (*who, "commit", "-q", "-m", "first")):
-        subprocess.run(["git", *words], cwd=tmp_path, check=True)
-    commit = run_git(tmp_path, "rev-parse", "HEAD").decode().strip()
-    (tmp_path / "jaxunshear" / "models" / "net.py").write_text("MORE = 2\n")
-    assert read_modules(tmp_path, commit) == {
-        "jaxunshear": "",
-        "jaxunshear.models.net": "MORE = 'ü'\n",
-    }
-    assert read_modules(tmp_path)["jaxunshear.models.net"] == "MORE = 2\n"
+def test_modules_of_a_commit_are_those_that_were_committed(repository, tmp_path):
+    module, commit = repository
+    first = commit("MORE = 'ü'\n")
+    module.write_text("MORE = 2\n")
+    assert read_modules(tmp_path, first) == {"jaxunshear.models.net": "MORE = 'ü'\n"}
+    assert read_modules(tmp_path) == {"jaxunshear.models.net": "MORE = 2\n"}
     with pytest.raises(LookupError):
         read_modules(tmp_path, "0" * 40)
 
@@ -202,69 +184,61 @@ def test_commands_of_earlier_versions_have_the_programs_of_today(command, starts
 
 def test_a_command_names_where_its_file_is_today():
     assert "(now `python -m benchmarks train`)" in format_note(["bench_train"], "docs/speed.md")
-    assert "(now experiments/ablations/lambda_split.py)" in format_note(
-        ["lambda_split"], "README.md"
-    )
+    moved = format_note(["lambda_split"], "README.md")
+    assert "(now experiments/ablations/lambda_split.py)" in moved
     assert "(now" not in format_note(["standard"], "README.md")
     assert format_note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
 
 
+CODE = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
+
+
 def test_a_note_says_what_a_file_knows():
-    code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
-    one = {"command": "jaxunshear sweep experiments/demo.py", "sources": [code]}
-    assert (
-        describe_origin(one)
-        == "`jaxunshear sweep experiments/demo.py`, commit 0123456 of 2030-01-02"
-    )
-    unclean = {"source": code | {"clean": False}}
+    one = {"command": "jaxunshear sweep a", "sources": [CODE]}
+    assert describe_origin(one) == "`jaxunshear sweep a`, commit 0123456 of 2030-01-02"
+    unclean = {"source": CODE | {"clean": False}}
     assert describe_origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
     assert describe_origin(one | {"trained_on": {"posenet": {}}}).endswith(", commit not kept")
-    several = {"runs": {"a": {"command": "x", "source": code}, "b": {"command": "y"}}}
+    several = {"runs": {"a": {"command": "x", "source": CODE}, "b": {"command": "y"}}}
     assert describe_origin(several) == "`x`, and 1 more commands, commit not kept"
 
 
 def result(**more):
-    code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
-    return {
-        "command": "jaxunshear sweep a.py",
-        "source": code,
-        "rows": [{"name": "mm/deg", "value": 1.5}],
-        **more,
-    }
+    rows = [{"name": "mm/deg", "value": 1.5}]
+    return {"command": "jaxunshear sweep a.py", "source": CODE, "rows": rows, **more}
 
 
 def test_a_result_is_kept_with_its_command_and_rows(tmp_path):
-    for seed in (0, 1):
-        write_json(tmp_path / f"{seed}.json", result(seed=seed))
-    out = keep("one", [str(tmp_path / "0.json")], tmp_path)
-    assert (
-        read_json(out) == read_json(tmp_path / "0.json") and len(out.read_text().splitlines()) == 1
-    )
-    several = keep(
-        "two", [f"a, seed {seed}={tmp_path / f'{seed}.json'}" for seed in (0, 1)], tmp_path
-    )
+    files = [tmp_path / f"{seed}.json" for seed in (0, 1)]
+    for seed, file in enumerate(files):
+        write_json(file, result(seed=seed))
+    kept = keep("one", [str(files[0])], tmp_path)
+    assert read_json(kept) == read_json(files[0]) and len(kept.read_text().splitlines()) == 1
+    several = keep("two", [f"a, seed {file.stem}={file}" for file in files], tmp_path)
     assert read_json(several) == {"runs": {f"a, seed {seed}": result(seed=seed) for seed in (0, 1)}}
 
 
 def test_what_no_page_reads_is_left_out(tmp_path):
-    names = (
-        "pose/tap/x_mm",
-        "swap/DC(z_p)/ms_ssim",
-        "pin_error/tap/rms_px",
-        "found: pose/tap/x_mm",
-    )
+    read = ("pose/unet/x_mm", "swap/DC(z_p)/ms_ssim", "pin_error/tap/rms_px")
+    read += ("found: pose/tap/x_mm",)
     unread = ("disk: pose/tap/x_mm", "found, disk: pose/tap/x_mm", "swap/DC(z_p)/mse")
-    unread += ("DS(z_p,z_s)/ssim", "pin_error/tap/missed_per_image")
-    figures = {name: {"mean": 1 / 3} for name in (*names, *unread)}
+    unread += ("DS(z_p,z_s)/ssim", "pin_error/tap/missed_per_image", "found: read/pins/tap/x_mm")
+    figure = {"mean": 1 / 3, "per_seed": {"0": 1 / 3}}
+    costs = {"0": {"ms_per_image": {"unet": {"median": 1.0, "p95": 2.0}}, "host": "a"}}
     metric = {"ms_ssim": "ms_ssim@4"}
-    cells = [{"metric": metric, "metrics": figures, "difference": figures} for _ in range(2)]
-    write_json(tmp_path / "a.json", result(cells=cells, base={"loss": 1 / 3}))
+    cell = {"metric": metric, "costs": costs}
+    for group in ("metrics", "difference"):
+        cell[group] = dict.fromkeys((*read, *unread), figure)
+    write_json(tmp_path / "a.json", result(cells=[cell, cell], base={"loss": 1 / 3}))
     kept = read_json(keep("one", [str(tmp_path / "a.json")], tmp_path))
     assert kept["base"] == {"loss": 1 / 3} and kept["rows"] == result()["rows"]
-    assert [cell.get("metric") for cell in kept["cells"]] == [metric, None]
-    for cell in kept["cells"]:
-        assert cell["metrics"] == {name: {"mean": 0.333333} for name in names}
-        assert cell["difference"].keys() == {"pose/tap/x_mm", "found: pose/tap/x_mm"}
+    assert [each.get("metric") for each in kept["cells"]] == [metric, None]
+    for each in kept["cells"]:
+        assert each["metrics"].keys() == set(read)
+        assert each["metrics"]["pose/unet/x_mm"] == {"mean": 0.333333, "per_seed": {"0": 0.333333}}
+        assert each["metrics"]["pin_error/tap/rms_px"] == {"mean": 0.333333}
+        assert each["difference"] == {"pose/unet/x_mm": {"mean": 0.333333}}
+        assert each["costs"] == {"0": {"ms_per_image": {"unet": {"median": 1.0}}}}
 
 
 def test_a_picture_is_kept_with_a_palette(tmp_path):
@@ -273,11 +247,16 @@ def test_a_picture_is_kept_with_a_palette(tmp_path):
         assert picture.mode == "P" and picture.size == (256, 256)
 
 
+def test_results_are_small():
+    """All of them at most 2 MB: `docs/keep.py` has the rule for what a result keeps."""
+    assert sum(path.stat().st_size for path in RESULTS.rglob("*.*")) <= 2_000_000
+
+
 @pytest.mark.parametrize(
     ("held", "reason"),
     [
         ({"source": None}, "no commit has"),
-        ({"source": result()["source"] | {"clean": False}}, "no commit has"),
+        ({"source": CODE | {"clean": False}}, "no commit has"),
         ({"command": "jaxunshear sweep a.py --recordings /home/me/taps"}, "a place of one machine"),
         ({"settings": {"paired": {"tap_folder": "/home/me/taps"}}}, "a place of one machine"),
     ],

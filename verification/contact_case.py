@@ -1,17 +1,18 @@
-"""A contact case: its name, a way to solve it at a level, and the Python that does so."""
+"""A contact case: its name, a way to solve it at a level, and what it must be refused for."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.level import Level
 from jaxunshear.simulator.paths import Paths
+from jaxunshear.simulator.shapes import make_disk, make_stroke
 from jaxunshear.simulator.simulate import follow
 from jaxunshear.simulator.stimuli import Stimulus
-from verification.stimuli import SHAPES
 
 # The standard sensor at half its size: the same shape, materials and spacing of nodes with a
 # quarter of the nodes. It serves where the solver and not the mesh is tested.
@@ -25,6 +26,27 @@ HALF_SIZE = replace(
     dome_radius_mm=10.0,
     skin_mm=0.5,
 )
+_ARM = np.array([[(3 + a) * np.cos(a), (3 + a) * np.sin(a)] for a in np.linspace(0, 4 * np.pi, 81)])
+_HAIR = np.array([[-40.0, 0.0], [40.0, 0.0]])
+_MIDDLE = (0.0, 0.0, 0.0)
+
+
+def _make_constant(value: float) -> Callable:
+    return lambda p: jnp.full(p.shape[:-1], value, p.dtype)
+
+
+# narrow, extreme and senseless ones: distance function, target and extent
+STIMULI = {
+    "2-mm spiral arm": (make_stroke(_ARM, 1.0), (3 + 2 * np.pi + 1.0, 0.0, 0.0), 17.0),
+    "smaller than a pin": (make_disk(0.3), _MIDDLE, 0.3),
+    "a point": (make_disk(0.0), _MIDDLE, 0.0),
+    "a hair": (make_stroke(_HAIR, 0.0), (0.0, 0.0, 90.0), 40.0),
+    "empty": (_make_constant(1e3), _MIDDLE, 0.0),
+    "everywhere": (_make_constant(-1e3), _MIDDLE, 1e3),
+    "NaN": (lambda p: p[..., 0] * jnp.nan, _MIDDLE, 1.0),
+    "infinite": (_make_constant(np.inf), _MIDDLE, 1.0),
+    "NaN target": (make_disk(50.0), (np.nan, 0.0, 0.0), 50.0),
+}
 # solves at a level, with or without a retry at a stronger one
 Solve = Callable[[str | Level, bool], Contacts]
 
@@ -35,7 +57,6 @@ class Case:
 
     name: str
     solve: Solve
-    line: str  # of Python that runs it again
     sensor: Sensor = TACTIP_331
     refused: str | None = None  # what the message must name; None: it must be solved
     twin: Solve | None = None  # computes the same pins in another way
@@ -47,11 +68,10 @@ def make_motion(
     slide: tuple[float, float] = (0.0, 0.0),
     twist: float = 0.0,
     tilt: tuple[float, float] = (0.0, 0.0),
-    yaw: float = 0.0,
 ) -> np.ndarray:
     """Make points (3, 6): at rest over `at`, pressed there, then slid and twisted."""
     points = np.zeros((3, 6))
-    points[:, :2], points[:, 2], points[:, 4:] = at, yaw, tilt
+    points[:, :2], points[:, 4:] = at, tilt
     points[1:, 3] = depth
     points[2, :2] += slide
     points[2, 2] += twist
@@ -67,21 +87,10 @@ def make_path_case(
     refused: str | None = None,
 ) -> Case:
     """Make a case of one path (K, 6) over a shape."""
-    stimuli: tuple[str | Stimulus, ...] = (SHAPES.get(shape, shape),)
-    stimulus = f"SHAPES[{shape!r}]" if shape in SHAPES else repr(shape)
+    stimulus = Stimulus(shape, *STIMULI[shape]) if shape in STIMULI else shape
     paths = Paths(np.array([0]), np.array([friction]), np.asarray(points, float)[None])
-    line = (
-        f"follow({format_sensor(sensor)}, ({stimulus},), "
-        f"Paths(array([0]), array([{friction!r}]), array({paths.points.tolist()})), 'auto')"
-    )
 
     def solve(level: str | Level, retry: bool) -> Contacts:
-        return follow(sensor, stimuli, paths, level, retry=retry)[0]
+        return follow(sensor, (stimulus,), paths, level, retry=retry)[0]
 
-    return Case(name, solve, line, sensor, refused)
-
-
-def format_sensor(sensor: Sensor) -> str:
-    """Format the sensor as Python, by its differences from the standard one."""
-    changed = [f for f in fields(sensor) if getattr(sensor, f.name) != getattr(TACTIP_331, f.name)]
-    return f"Sensor({', '.join(f'{f.name}={getattr(sensor, f.name)!r}' for f in changed)})"
+    return Case(name, solve, sensor, refused)

@@ -19,7 +19,7 @@ from jaxunshear.simulator.elasticity import (
     compute_lame_constants,
 )
 from jaxunshear.simulator.mesh import Mesh, make_dome_mesh, sample_elements
-from verification.verification_rows import Row, fit_order, make_zero_row
+from verification.verification_rows import Row, Rows, fit_order
 
 GROUP = "elements"
 CHUNK = 4096
@@ -82,8 +82,10 @@ def run_patch_test() -> list[Row]:
             stiffness.compute_harmonic(m), np.repeat(edge, 3), exact.ravel(), no_load
         )
         worst = max(worst, np.abs(solution - exact.ravel()).max() / np.abs(exact).max())
+    rows = Rows(GROUP)
     words = "patch test on distorted elements: worst of 6 homogeneous strains"
-    return [make_zero_row(GROUP, words, worst, 1.0, 1e-9)]
+    rows.expect_zero(words, worst, 1.0, 1e-9)
+    return rows
 
 
 def _solve_displacement(
@@ -227,14 +229,14 @@ def measure_manufactured_orders() -> list[Row]:
     Displacements of Q8 elements should converge with h^3, their slopes with h^2.
     """
     sizes = np.array([0.25, 0.125, 0.0625])
-    rows = []
+    rows = Rows(GROUP)
     for m in (0, 1, 2):
         errors = np.array(
             [measure_manufactured_errors(make_dome_mesh(1.0, 0.25, h), m, 0.49) for h in sizes]
         )
         for column, name, least in ((0, "displacement", 2.7), (1, "slopes", 1.7)):
             error = errors[:, column]
-            more = {"order": fit_order(sizes, error), "least_order": least, "note": "order in h"}
+            convergence = {"order": fit_order(sizes, error), "least_order": least}
             words = f"made-up field, m = {m}, nu = 0.49: {name}"
-            rows.append(make_zero_row(GROUP, words, error[-1], 1.0, 0.01, **more))
+            rows.expect_zero(words, error[-1], 1.0, 0.01, note="order in h", **convergence)
     return rows

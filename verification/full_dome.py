@@ -16,7 +16,7 @@ from jaxunshear.simulator.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.simulate import follow
 from verification.pin_distance import compute_pin_distance
-from verification.verification_rows import Row, make_zero_row
+from verification.verification_rows import Row, Rows
 
 GROUP = "the dome"
 FINE = "fine tolerance"
@@ -65,6 +65,19 @@ def make_slide(
     return points
 
 
+class DomeRows(Rows):
+    """Rows of contacts, all of which must have converged."""
+
+    def __init__(self, ends: Contacts | None = None) -> None:
+        super().__init__(GROUP, ends is None or bool(ends.converged.all()))
+
+    def expect_same_pins(
+        self, problem: str, px: np.ndarray, bar: float | None, note: str = ""
+    ) -> None:
+        """Add a row of the largest distance of any pin."""
+        self.expect_zero(f"{problem}, px", px.max(), 1.0, bar, note=note, px=True)
+
+
 def check_rotation(sensor: Sensor) -> list[Row]:
     """Check that a sensor turned about its axis over an edge has the same skin, turned."""
     angles = (0.0, 60.0, 17.0)
@@ -78,12 +91,11 @@ def check_rotation(sensor: Sensor) -> list[Row]:
     note = "the contact nodes' lattice; pins from the 4th ring on, interpolated"
     words = "slide over an edge, all turned by 17 deg: change of the force"
     size = float(np.linalg.norm(ends.force_n[0]))
-    good = bool(ends.converged.all())
-    return [
-        _px("slide over an edge, all turned by 60 deg", sixth, 0.02, good, FINE),
-        _px("slide over an edge, all turned by 17 deg", other[outer], None, good, note),
-        make_zero_row(GROUP, words, float(np.linalg.norm(force)), size, 0.01, settled=good),
-    ]
+    rows = DomeRows(ends)
+    rows.expect_same_pins("slide over an edge, all turned by 60 deg", sixth, 0.02, FINE)
+    rows.expect_same_pins("slide over an edge, all turned by 17 deg", other[outer], None, note)
+    rows.expect_zero(words, float(np.linalg.norm(force)), size, 0.01)
+    return rows
 
 
 def _interpolate_turned(sensor: Sensor, pins: np.ndarray, degrees: float) -> np.ndarray:
@@ -116,8 +128,10 @@ def check_mirroring(sensor: Sensor) -> list[Row]:
     tips = compute_pin_tips(sensor)
     mirrored = np.linalg.norm((tips * [1, -1, 1])[:, None] - tips[None], axis=-1).argmin(1)
     distance = compute_pin_distance(sensor, ends.pins[0] * [1, -1, 1], ends.pins[1][mirrored])
+    rows = DomeRows(ends)
     words = "slide with a twist to the right against to the left"
-    return [_px(words, distance, 0.02, bool(ends.converged.all()), FINE)]
+    rows.expect_same_pins(words, distance, 0.02, FINE)
+    return rows
 
 
 def check_resuming(sensor: Sensor) -> list[Row]:
@@ -125,14 +139,15 @@ def check_resuming(sensor: Sensor) -> list[Row]:
     shallow = make_slide(-1.0, 0.0, (0.8, 1.5), depth=2.0)
     deep = make_slide(-1.0, 0.0, (0.8, 1.5), depth=3.5, twist=15.0)
     full = np.array([shallow, deep])
-    rows = []
+    rows = DomeRows()
     for level, bar, note in (("auto", 0.1, ""), (EXACT, 0.02, FINE)):
         at_once, _ = follow(sensor, (EDGE,), make_paths(full), level)
         _, pressed = follow(sensor, (EDGE,), make_paths(full[:, :2]), level)
         later, _ = follow(sensor, (EDGE,), make_paths(full[:, 1:]), level, pressed)
         distance = compute_pin_distance(sensor, at_once.pins, later.pins)
-        good = bool(at_once.converged.all() and later.converged.all())
-        rows.append(_px("press and slide in one call against in two", distance, bar, good, note))
+        rows.settled = bool(at_once.converged.all() and later.converged.all())
+        words = "press and slide in one call against in two"
+        rows.expect_same_pins(words, distance, bar, note)
     return rows
 
 
@@ -145,27 +160,30 @@ def check_frictionless(sensor: Sensor) -> list[Row]:
     roundabout = make_slide(-1.0, 0.5, (2.0, -1.5), yaw=-20.0, twist=30.0)
     ends = _solve_ends(sensor, [end, roundabout], friction=0.0)
     distance = compute_pin_distance(sensor, ends.pins[0], ends.pins[1])
+    rows = DomeRows(ends)
     words = "no friction: pressed straight down against from the side"
-    return [_px(words, distance, 0.1, bool(ends.converged.all()), FINE)]
+    rows.expect_same_pins(words, distance, 0.1, FINE)
+    return rows
 
 
 def check_edge_sweep(sensor: Sensor) -> list[Row]:
     """Check that no pin jumps where nodes begin to touch: ends 0.05 mm apart at an edge."""
     places = np.arange(-3.0, 3.0 + 1e-9, 0.05)
-    rows = []
+    rows: list[Row] = []
     for words, move, yaw in (
         ("taps", (0.0, 0.0), 0.0),
         ("slides of 1.5 mm along it", (0.0, 1.5), 10.0),
     ):
         motions = [make_slide(x, 0.0, move, yaw, depth=3.0) for x in places]
         ends = _solve_ends(sensor, motions, "auto")
-        pins, good = ends.pins.astype(float), bool(ends.converged.all())
+        pins = ends.pins.astype(float)
         step = compute_pin_distance(sensor, pins[1:], pins[:-1])
         change = compute_pin_distance(sensor, pins[2:] + pins[:-2] - pins[1:-1], pins[1:-1])
-        rows += [
-            _px(f"edge passed in steps of 0.05 mm by {words}: step", step, None, good),
-            _px(f"edge passed by {words}: step against the step before", change, 0.3, good),
-        ]
+        passed = DomeRows(ends)
+        passed.expect_same_pins(f"edge passed in steps of 0.05 mm by {words}: step", step, None)
+        words = f"edge passed by {words}: step against the step before"
+        passed.expect_same_pins(words, change, 0.3)
+        rows += passed
     return rows
 
 
@@ -184,25 +202,18 @@ def check_tilt(sensor: Sensor) -> list[Row]:
     force = np.linalg.norm(ends.force_n, axis=-1)
     turned_back = ends.pins[1][make_sixfold_permutations(sensor.pins)[1]]
     sixth = compute_pin_distance(sensor, turned_back, ends.pins[0] @ _make_rotation(60.0).T)
-    words = "slide on the flat, tilted by 20 deg, turned by 17 deg: change of the force"
-    good = bool(ends.converged.all())
-    rows = [
-        _px("slide on the flat, tilted by 20 deg, turned by 60 deg", sixth, 0.02, good, FINE),
-        make_zero_row(GROUP, words, force[2] - force[0], force[0], 0.01, settled=good),
-    ]
+    rows = DomeRows(ends)
+    words = "slide on the flat, tilted by 20 deg, turned by"
+    rows.expect_same_pins(f"{words} 60 deg", sixth, 0.02, FINE)
+    words += " 17 deg: change of the force"
+    rows.expect_zero(words, force[2] - force[0], force[0], 0.01)
     tilts = (0.0, 10.0, 20.0)
     presses = np.array([make_slide(-FLAT_MM, 0.0, (0.0, 0.0)) for _ in tilts])
     presses[:, :, TILT_X + 1] = np.array(tilts)[:, None]
     ends = _solve_ends(sensor, presses, friction=0.0)
     force = np.linalg.norm(ends.force_n, axis=-1)
-    good = bool(ends.converged.all())
+    rows.settled = bool(ends.converged.all())
     for tilt, change in zip(tilts[1:], force[1:] - force[0], strict=True):
         words = f"frictionless press on the flat, tilted by {tilt:g} deg: change of the force"
-        rows.append(make_zero_row(GROUP, words, change, force[0], 0.03, settled=good))
+        rows.expect_zero(words, change, force[0], 0.03)
     return rows
-
-
-def _px(problem: str, px: np.ndarray, bar: float | None, settled: bool, note: str = "") -> Row:
-    return make_zero_row(
-        GROUP, f"{problem}, px", px.max(), 1.0, bar, settled=settled, note=note, px=True
-    )

@@ -15,7 +15,7 @@ from jaxunshear.simulator.mesh import make_dome_mesh
 from verification.half_space import SPACING_MM, HalfSpace, Trace, make_press_poses, trace_forces
 from verification.normal_contact import SPHERE_MM, compute_hertz_depth
 from verification.tangential_contact import FRICTION, compute_slip_distance
-from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
+from verification.verification_rows import Row, Rows, fit_order
 
 GROUP = "laws of every answer"
 RADIUS_MM = 5.5 * SPACING_MM  # of the contact
@@ -56,12 +56,10 @@ def check_random_paths(body: HalfSpace) -> list[Row]:
     heat = FRICTION * np.sum(push * np.linalg.norm(slip, axis=-1))
     adhesion, excess = max(-push.min(), 0.0), (pull - FRICTION * push).max()
     note = "over 8 random paths of 24 increments with twists and lift-offs"
-    rows = [
-        make_zero_row(
-            GROUP, "adhesion: least pressure, of the largest", adhesion, most, 1e-12, note=note
-        ),
-        make_zero_row(GROUP, "pull beyond mu p, of the largest pressure", excess, most, 1e-9),
-    ]
+    rows = Rows(GROUP)
+    words = "adhesion: least pressure, of the largest"
+    rows.expect_zero(words, adhesion, most, 1e-12, note=note)
+    rows.expect_zero("pull beyond mu p, of the largest pressure", excess, most, 1e-9)
     gained = -np.minimum(power, 0).sum()
     product = np.abs(push * gap).max()
     for words, value, scale in (
@@ -70,7 +68,7 @@ def check_random_paths(body: HalfSpace) -> list[Row]:
         ("dissipation below zero, summed, of all heat", gained, heat),
         ("pull that is not against the slip, of all heat", heat - power.sum(), heat),
     ):
-        rows.append(make_zero_row(GROUP, words, value, scale, 1e-3, settled=trace.settled))
+        rows.expect_zero(words, value, scale, 1e-3, settled=trace.settled)
     return rows
 
 
@@ -79,18 +77,20 @@ def check_compliance(body: HalfSpace) -> list[Row]:
     values = np.linalg.eigvalsh(body.w)
     ratio, error = values[0] / values[-1], min(values[0], 0.0) / values[-1]
     asymmetry = np.abs(body.w - body.w.T).max()
+    rows = Rows(GROUP)
     words = "compliance W: asymmetry, of its largest entry"
-    return [
-        make_zero_row(GROUP, words, asymmetry, body.w.max(), 1e-12),
-        Row(GROUP, "compliance W: least eigenvalue over the largest", None, ratio, error, 0.0),
-    ]
+    rows.expect_zero(words, asymmetry, body.w.max(), 1e-12)
+    words = "compliance W: least eigenvalue over the largest"
+    return [*rows, Row(GROUP, words, None, ratio, error, 0.0)]
 
 
 def check_no_contact(body: HalfSpace) -> list[Row]:
     poses = np.zeros((4, 1, 6))
     poses[:, 0, 0], poses[:, 0, 3] = np.linspace(0, 1, 4), -0.01
     force = np.abs(_trace(body, poses).force).max()
-    return [make_zero_row(GROUP, "no contact: largest force, exactly zero", force, 1.0, 0.0)]
+    rows = Rows(GROUP)
+    rows.expect_zero("no contact: largest force, exactly zero", force, 1.0, 0.0)
+    return rows
 
 
 def _make_slides(body: HalfSpace, angles: np.ndarray, share: float, steps: int) -> np.ndarray:
@@ -111,20 +111,20 @@ def check_rotation(body: HalfSpace) -> list[Row]:
     x, y, z = trace.total[-1].T
     back = np.stack([cos * x + sin * y, -sin * x + cos * y, z], -1)
     change = np.linalg.norm(back - back[0], axis=-1) / np.linalg.norm(back[0])
+    rows = Rows(GROUP)
     words = "slide turned by 60 deg: change of the force"
-    others = "slide turned by 17, 30, 45 deg: change of the force"
-    note = "lattice of the nodes"
-    return [
-        make_zero_row(GROUP, words, change[1], 1.0, 1e-5, settled=trace.settled),
-        make_zero_row(GROUP, others, change[2:].max(), 1.0, 1e-3, note=note),
-    ]
+    rows.expect_zero(words, change[1], 1.0, 1e-5, settled=trace.settled)
+    words = "slide turned by 17, 30, 45 deg: change of the force"
+    rows.expect_zero(words, change[2:].max(), 1.0, 1e-3, note="lattice of the nodes")
+    return rows
 
 
 def check_full_slip(body: HalfSpace) -> list[Row]:
     trace = _trace(body, _make_slides(body, np.zeros(1), 2.0, 4))
     x, y, z = trace.total[-1, 0]
-    ratio, settled = np.hypot(x, y) / z, trace.settled
-    return [make_comparison_row(GROUP, "full slip: Q / P", FRICTION, ratio, 1e-4, settled=settled)]
+    rows = Rows(GROUP, trace.settled)
+    rows.compare("full slip: Q / P", FRICTION, np.hypot(x, y) / z, 1e-4)
+    return rows
 
 
 def check_closed_loop(body: HalfSpace) -> list[Row]:
@@ -140,18 +140,14 @@ def check_closed_loop(body: HalfSpace) -> list[Row]:
     poses[..., 3] = compute_hertz_depth(RADIUS_MM) * depth
     trace = _trace(body, poses)
     work, heat, stored = compute_energies(body, trace, poses)
-    convergence = {
-        "order": fit_order(1 / counts, heat / work - 1),
-        "least_order": 0.8,
-        "settled": trace.settled,
-        "note": f"order in increments; {counts[-1]} of them",
-    }
+    rows = Rows(GROUP)
     words = "closed loop: heat of all slips over the motion's work"
-    still = "closed loop: energy still stored, of the work"
-    return [
-        make_comparison_row(GROUP, words, 1.0, heat[-1] / work[-1], 0.03, **convergence),
-        make_zero_row(GROUP, still, stored[-1], work[-1], 1e-9),
-    ]
+    convergence = {"order": fit_order(1 / counts, heat / work - 1), "least_order": 0.8}
+    details = {"settled": trace.settled, "note": f"order in increments; {counts[-1]} of them"}
+    rows.compare(words, 1.0, heat[-1] / work[-1], 0.03, **convergence, **details)
+    words = "closed loop: energy still stored, of the work"
+    rows.expect_zero(words, stored[-1], work[-1], 1e-9)
+    return rows
 
 
 def check_increment_order(body: HalfSpace) -> list[Row]:
@@ -163,14 +159,11 @@ def check_increment_order(body: HalfSpace) -> list[Row]:
     trace = _trace(body, poses)
     force = trace.force[-1]
     change = np.linalg.norm(np.diff(force, axis=0), axis=(1, 2)) / np.linalg.norm(force[-1])
-    convergence = {
-        "order": fit_order(1 / counts[1:], change),
-        "least_order": 0.8,
-        "settled": trace.settled,
-        "note": "order in increments",
-    }
+    rows = Rows(GROUP, trace.settled)
     words = f"quarter circle in {counts[-1]} increments against {counts[-2]}: nodal forces"
-    return [make_zero_row(GROUP, words, change[-1], 1.0, 0.02, **convergence)]
+    convergence = {"order": fit_order(1 / counts[1:], change), "least_order": 0.8}
+    rows.expect_zero(words, change[-1], 1.0, 0.02, note="order in increments", **convergence)
+    return rows
 
 
 def _make_arc(radius_mm: float, angle: np.ndarray) -> np.ndarray:
@@ -207,13 +200,11 @@ def check_tolerance_order(body: HalfSpace) -> list[Row]:
     exact = _trace(body, poses, 1e-8).force[-1]
     misses = [_trace(body, poses, tolerance).force[-1] - exact for tolerance in tolerances]
     errors = np.array([np.linalg.norm(miss) for miss in misses]) / np.linalg.norm(exact)
-    convergence = {
-        "order": fit_order(tolerances, errors),
-        "least_order": 0.7,
-        "note": "order in the tolerance",
-    }
+    rows = Rows(GROUP)
     words = "nodal forces at tolerance 1e-6 against 1e-8"
-    return [make_zero_row(GROUP, words, errors[-1], 1.0, 1e-3, **convergence)]
+    convergence = {"order": fit_order(tolerances, errors), "least_order": 0.7}
+    rows.expect_zero(words, errors[-1], 1.0, 1e-3, note="order in the tolerance", **convergence)
+    return rows
 
 
 def check_scaling() -> list[Row]:
@@ -238,12 +229,11 @@ def check_scaling() -> list[Row]:
         change_g = np.abs(factor * other.g - base.g).max() / np.abs(base.g).max()
         return float(max(change_w, change_g))
 
-    stiff = compute_change(compute_scaled_compliance(1.0, 1e6), 1e6)
-    large = compute_change(compute_scaled_compliance(3.0, 1.0), 3)
-    rows = []
-    for words, change in (
-        ("moduli x 1e6: compliances W, G x 1e-6", stiff),
-        ("lengths x 3: compliances W, G / 3", large),
+    rows = Rows(GROUP)
+    for words, size, modulus in (
+        ("moduli x 1e6: compliances W, G x 1e-6", 1.0, 1e6),
+        ("lengths x 3: compliances W, G / 3", 3.0, 1.0),
     ):
-        rows.append(make_zero_row(GROUP, f"{words}, largest change", change, 1.0, 1e-9))
+        change = compute_change(compute_scaled_compliance(size, modulus), size * modulus)
+        rows.expect_zero(f"{words}, largest change", change, 1.0, 1e-9)
     return rows

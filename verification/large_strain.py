@@ -14,7 +14,7 @@ is halved.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,7 +22,6 @@ from jaxtyping import Bool, Float
 from scipy.sparse.linalg import splu
 
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.elasticity import compute_lame_constants
 from jaxunshear.simulator.mesh import Mesh, compute_edge_shapes, find_inner_face, make_dome_mesh
@@ -52,16 +51,12 @@ _EDGE_GAUSS = np.array([-1, 1]) / np.sqrt(3)
 class LargeStrain(NamedTuple):
     """Presses to D depths (numpy). The physical fields of one that did not converge are NaN."""
 
-    depth_mm: np.ndarray  # (D,)
     force_n: np.ndarray  # (D,) along z, on the sensor
     contact_radius_mm: np.ndarray  # (D,) on the plate
     pins: np.ndarray  # (D, P, 3) mm, displaced pin tips in the sensor frame
-    max_stretch: np.ndarray  # (D,) largest principal stretch anywhere
     # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
     strained: np.ndarray
-    residual: np.ndarray  # (D,) largest unbalanced nodal force over the largest nodal force
     converged: np.ndarray  # (D,) bool
-    iterations: np.ndarray  # (D,) of Newton's method since the depth before
 
 
 class Face(NamedTuple):
@@ -74,7 +69,6 @@ class Face(NamedTuple):
 class State(NamedTuple):
     displacement: np.ndarray  # (V, 2) mm
     push: np.ndarray  # (C,) N at the points of the face
-    residual: float
     iterations: int
     converged: bool
 
@@ -86,27 +80,18 @@ def press_dome(
     density: Density = neo_hookean,
     progress: Progress | None = None,
 ) -> LargeStrain:
-    """Press the dome to each of D depths in mm, with rows in the order given.
+    """Press the dome to D rising depths in mm, below half its radius.
 
     `density` is as `hyperelastic.neo_hookean`.
     """
-    depths, most = np.asarray(depths_mm, float), sensor.dome_radius_mm / 2
-    valid = depths.ndim == 1 and len(depths) > 0
-    if not valid or not np.all(np.isfinite(depths) & (depths < most)):
-        raise UserError(
-            f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's "
-            f"radius, {most:g} mm"
-        )
     body = make_dome_body(sensor, mesh_mm, density)
     face = make_face(body.mesh)
-    order = np.argsort(depths, kind="stable")
-    states = follow_depths(body, face, depths[order], progress)
+    states = follow_depths(body, face, np.asarray(depths_mm, float), progress)
     rows = [
         _describe_press(sensor, body, face, state, depth)
-        for state, depth in zip(states, depths[order], strict=True)
+        for state, depth in zip(states, depths_mm, strict=True)
     ]
-    back = np.argsort(order)
-    return LargeStrain(*(np.array(field)[back] for field in zip(*rows, strict=True)))
+    return LargeStrain(*map(np.array, zip(*rows, strict=True)))
 
 
 def make_dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
@@ -138,18 +123,18 @@ def follow_depths(
     body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None
 ) -> list[State]:
     """Follow rising `depths` (mm of the plate's z); after one that fails, all fail."""
-    state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
+    state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0, True)
     # per mm of depth
     moving, pushing = np.zeros_like(state.displacement), np.zeros_like(state.push)
     at, step, states = min(float(depths[0]), 0.0), STEP_MM, []
     for end in depths:
-        spent, first = 0, True
+        first = True
         while state.converged and (at < end or first):
             there = min(at + step, end)
             moved = state.displacement + (there - at) * moving
-            guess = State(moved, state.push + (there - at) * pushing, 0.0, 0, False)
+            guess = State(moved, state.push + (there - at) * pushing, 0, False)
             after = solve_equilibrium(body, face, there, guess, body.fixed_unknowns)
-            spent, first = spent + after.iterations, False
+            first = False
             if after.converged:
                 if there > at:
                     moving = (after.displacement - state.displacement) / (there - at)
@@ -157,7 +142,7 @@ def follow_depths(
                 state, at, step = after, there, min(2 * step, STEP_MM)
             elif (step := step / 2) < SMALLEST_STEP_MM:
                 state = after
-        states.append(state._replace(iterations=spent))
+        states.append(state)
         if progress is not None:
             progress.advance(1)
     return states
@@ -183,7 +168,7 @@ def solve_equilibrium(
         residual = unbalanced / max(np.abs(inner).max(), stiff * GAP_MM)
         wrong = np.where(active, np.abs(gap), np.abs(push) / stiff).max(initial=0.0)
         if residual < TOLERANCE and wrong < GAP_MM:
-            return State(moved, push, float(residual), count, True)
+            return State(moved, push, count, True)
         if count == ITERATIONS or not np.isfinite(residual):
             break
         touching = normal[active][:, free]
@@ -200,7 +185,7 @@ def solve_equilibrium(
         if share < SMALLEST_SHARE:
             break
         moved, push = moved + share * step.reshape(moved.shape), push + share * (goal - push)
-    return State(moved, push, float(residual), count, False)
+    return State(moved, push, count, False)
 
 
 def _choose_share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
@@ -216,12 +201,11 @@ def _choose_share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
 
 def _describe_press(
     sensor: Sensor, body: Body, face: Face, state: State, depth: float
-) -> tuple[Any, ...]:
-    """Compute the fields of `LargeStrain` at one depth, without their first axis."""
-    quality = (state.residual, state.converged, state.iterations)
+) -> LargeStrain:
+    """Compute the fields at one depth, without their first axis."""
     if not state.converged:
         pins = np.full((sensor.pins, 3), np.nan)
-        return (depth, np.nan, np.nan, pins, np.nan, np.nan, *quality)
+        return LargeStrain(np.nan, np.nan, pins, np.nan, False)  # type: ignore[arg-type]
     stretches, _ = compute_deformation(body, state.displacement)
     volume = body.volume[~body.mesh.skin]
     beyond = np.any(np.abs(stretches[~body.mesh.skin] - 1) > LARGE_STRAIN, axis=-1)
@@ -229,8 +213,7 @@ def _describe_press(
     radius = fit_contact_radius(place[:, 0], place[:, 1] - depth, state.push > 0)
     pins = compute_deformed_tips(sensor, body.mesh, state.displacement)
     strained = np.sum(volume * beyond) / np.sum(volume)
-    force = state.push.sum()
-    return (depth, force, radius, pins, stretches.max(), strained, *quality)
+    return LargeStrain(state.push.sum(), radius, pins, strained, True)  # type: ignore[arg-type]
 
 
 def fit_contact_radius(

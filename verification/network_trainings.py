@@ -98,9 +98,7 @@ def make_steps_case(
         return change(step, corrupt_images(convert_to_floats, make_batch(net, step, count)))
 
     run = partial(run_steps, net, training, make, steps=steps)
-    return NetworkCase(
-        f"network {get_kind(net)}, {name}", run, f"{net}, {training}", expects, words
-    )
+    return NetworkCase(f"network {get_kind(net)}, {name}", run, expects, words)
 
 
 def get_kind(net: Net) -> str:
@@ -117,32 +115,21 @@ def change_every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
 
 def _list_settings() -> Iterator[NetworkCase]:
     for weight in PATCH_WEIGHTS:
-        yield make_steps_case(
-            f"patch weight {weight:g}",
-            NET if weight else SHALLOW,
-            replace(TRAINING, losses={**TRAINING.losses, "patch": weight}),
-        )
+        training = replace(TRAINING, losses={**TRAINING.losses, "patch": weight})
+        yield make_steps_case(f"patch weight {weight:g}", NET if weight else SHALLOW, training)
     for pose, shear in ((64, 64), (128, 0)):
-        yield make_steps_case(
-            f"codes {pose}:{shear}", replace(SHALLOW, pose_channels=pose, shear_channels=shear)
-        )
+        net = replace(SHALLOW, pose_channels=pose, shear_channels=shear)
+        yield make_steps_case(f"codes {pose}:{shear}", net)
+    refused = partial(make_steps_case, expects=(REFUSED,))
     for pose, shear, field in ((0, 128, "pose_channels"), (128, -1, "shear_channels")):
         net = replace(SHALLOW, pose_channels=pose, shear_channels=shear)
-        yield make_steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
-    for training, field in (
-        (replace(TRAINING, crops=0), "crops"),
-        (replace(TRAINING, crop_px=65), "crop_px"),
-    ):
-        yield make_steps_case(
-            f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,)
-        )
+        yield refused(f"codes {pose}:{shear}", net, words=(field,))
+    for field, value in (("crops", 0), ("crop_px", 65)):
+        training = replace(TRAINING, **{field: value})  # type: ignore[arg-type]
+        yield refused(f"{field} that cannot be", SHALLOW, training, words=(field,))
     yield make_steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
-    yield make_steps_case(
-        "of the usual 128 px and widths",
-        UnshearNet(),
-        replace(TRAINING, batch=2),
-        steps=SAVED_EVERY,
-    )
+    name, training = "of the usual 128 px and widths", replace(TRAINING, batch=2)
+    yield make_steps_case(name, UnshearNet(), training, steps=SAVED_EVERY)
 
 
 def _list_decays(net: Net) -> Iterator[NetworkCase]:
@@ -175,17 +162,14 @@ def _list_rates(net: Net) -> Iterator[NetworkCase]:
 def _list_images(net: Net) -> Iterator[NetworkCase]:
     for name, kind in KINDS.items():
         yield make_steps_case(f"images {name}", net, change=change_every_second(kind))
+    stopped = partial(make_steps_case, net=net, expects=(STOPPED,))
     words = _list_words("of examples 1;", REMEDY)
-    yield make_steps_case(
-        "images with a NaN", net, change=_put_nan, expects=(STOPPED,), words=words
-    )
+    yield stopped("images with a NaN", change=_put_nan, words=words)
     words = _list_words("to 1e+25;", "learning_rate")
-    yield make_steps_case("images of 1e25", net, change=_scale_up, expects=(STOPPED,), words=words)
+    yield stopped("images of 1e25", change=_scale_up, words=words)
     if isinstance(net, PoseNet):
         words = _list_words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
-        yield make_steps_case(
-            "infinite labels", net, change=_make_labels_infinite, expects=(STOPPED,), words=words
-        )
+        yield stopped("infinite labels", change=_make_labels_infinite, words=words)
 
 
 def _list_words(*more: str) -> tuple[str, ...]:
@@ -213,10 +197,8 @@ def _list_batches(net: Net) -> Iterator[NetworkCase]:
     yield make_steps_case("batches of one image", alone, single)
     # so small that a channel of the last convolution is one number, which normalisation makes zero
     narrow = replace(alone, size=16 if isinstance(net, PoseNet) else 4)
-    yield make_steps_case(
-        "batches of one image, codes of one pixel", narrow, replace(single, crop_px=4)
-    )
-
+    name = "batches of one image, codes of one pixel"
+    yield make_steps_case(name, narrow, replace(single, crop_px=4))
     one = corrupt_images(convert_to_floats, make_batch(net, 0, 1))
 
     def one_pose(step: int, batch: Batch) -> Batch:
@@ -232,9 +214,7 @@ def _list_trainings(net: Net) -> Iterator[NetworkCase]:
     trainings = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
     for name, training, expects in trainings[: 1 if isinstance(net, UNet) else 2]:
         run = partial(run_training, net, training)
-        yield NetworkCase(
-            f"network {get_kind(net)}, {name}", run, f"{net}, {training}", (expects,), words
-        )
+        yield NetworkCase(f"network {get_kind(net)}, {name}", run, (expects,), words)
 
 
 def run_training(net: Net, training: Training, folder: Path) -> CaseOutput:

@@ -43,7 +43,6 @@ SATURATED = 1e4  # a logit whose sigmoid is 0 or 1 to the last bit
 FLOAT64_MOST = 1e-5  # by which any output in [0, 1] may differ between float32 and float64
 # largest allowed gradient where it is zero by definition: of an image's similarity to itself
 EQUAL_SLOPE = 1e-6
-VALUE, CAST = "value and gradient", "parameters, statistics and images cast"
 SIZES = {"ms_ssim": 128, "ssim": 64}
 Metric = Callable[..., jax.Array]
 
@@ -57,9 +56,9 @@ def list_value_cases() -> Iterator[NetworkCase]:
 
 
 def _make_case(
-    name: str, line: str, measure: Callable[..., CaseOutput], *inputs: object, **options: object
+    name: str, measure: Callable[..., CaseOutput], *inputs: object, **options: object
 ) -> NetworkCase:
-    return NetworkCase(f"network {name}", lambda folder: measure(*inputs, **options), line)
+    return NetworkCase(f"network {name}", lambda folder: measure(*inputs, **options))
 
 
 # Losses: of logits, as the trainings take them.
@@ -71,15 +70,13 @@ def _list_losses() -> Iterator[NetworkCase]:
     sharp = SATURATED * (2 * dots - 1)
     for logit in (SATURATED, -SATURATED):
         logits = np.full_like(sharp, logit)
-        yield _make_case(f"losses, logits {logit:g}", VALUE, _measure_losses, logits, others)
+        yield _make_case(f"losses, logits {logit:g}", _measure_losses, logits, others)
     for name, kind in KINDS.items():
         name = f"losses, images {name}"
-        yield _make_case(name, VALUE, _measure_losses, sharp, kind(others))
-    yield _make_case("losses, equal images", VALUE, _measure_losses, sharp, dots, equal=True)
+        yield _make_case(name, _measure_losses, sharp, kind(others))
+    yield _make_case("losses, equal images", _measure_losses, sharp, dots, equal=True)
     for net in (NET, POSENET):
-        yield _make_case(
-            f"{get_kind(net)}, saturated outputs", "a training step", _step_when_saturated, net
-        )
+        yield _make_case(f"{get_kind(net)}, saturated outputs", _step_when_saturated, net)
 
 
 def _measure_losses(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> CaseOutput:
@@ -156,11 +153,11 @@ def _list_metrics() -> Iterator[NetworkCase]:
             ("other dots", dots, other),
             ("one pixel apart", dots, near),
         ):
-            yield _make_case(f"{name}, {title}", VALUE, _measure_score, metric, a, b)
+            yield _make_case(f"{name}, {title}", _measure_score, metric, a, b)
         for title, a in (("black", black), ("white", white), ("grey", grey), ("dots", dots)):
             itself = f"{name}, {title} against itself"
-            yield _make_case(itself, VALUE, _measure_score, metric, a, a, equal=True)
-        yield _make_case(f"{name}, a NaN", VALUE, _measure_nan_score, metric, dots, other)
+            yield _make_case(itself, _measure_score, metric, a, a, equal=True)
+        yield _make_case(f"{name}, a NaN", _measure_nan_score, metric, dots, other)
 
 
 def get_metric(name: str) -> Metric:
@@ -211,8 +208,8 @@ def _make_floats(net: Net, step: int) -> dict[str, np.ndarray]:
 def _list_inference(net: Net) -> Iterator[NetworkCase]:
     name = f"{get_kind(net)}, inference"
     nan = f"{name}, one image with a NaN"
-    yield _make_case(nan, "outputs image by image", _infer_with_nan, net)
-    yield _make_case(f"{name} in float64", CAST, _infer_in, net, jnp.float64, FLOAT64_MOST)
+    yield _make_case(nan, _infer_with_nan, net)
+    yield _make_case(f"{name} in float64", _infer_in, net, jnp.float64, FLOAT64_MOST)
 
 
 def _infer_with_nan(net: Net) -> CaseOutput:

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from verification.half_space import SPACING_MM, HalfSpace, make_press_poses, trace_forces
-from verification.verification_rows import Row, fit_order, make_comparison_row
+from verification.verification_rows import Row, Rows, fit_order
 
 SPHERE_MM = 50.0
 Length = TypeVar("Length", float, np.ndarray)
@@ -44,19 +44,16 @@ def check_hertz(body: HalfSpace) -> list[Row]:
     shape = np.sqrt(np.maximum(1 - (body.radius / a[:, None]) ** 2, 0))
     shape = shape * (body.radius < 0.7 * a[:, None])
     fitted = np.sum(force * shape, -1) / np.sum(shape**2, -1) / body.node_area
-    rows = []
+    rows = Rows("Hertz", trace.settled)
     for problem, exact, measured, bar, least in (
         ("force P = 4/3 E* sqrt(R) d^1.5, N", load, force.sum(-1), 0.01, 1.5),
         ("contact radius sqrt(R d), by second moment, mm", a, radius, 0.02, 1.5),
         ("peak pressure 2 E* a / (pi R), fitted within 0.7 a, MPa", peak, fitted, 0.02, None),
     ):
-        details = {
-            "order": None if least is None else fit_order(1 / SIZES, measured / exact - 1),
-            "least_order": least,
-            "settled": trace.settled,
-            "note": f"a = {SIZES[-1]:g} spacings of the nodes",
-        }
-        rows.append(make_comparison_row("Hertz", problem, exact[-1], measured[-1], bar, **details))
+        order = None if least is None else fit_order(1 / SIZES, measured / exact - 1)
+        note = f"a = {SIZES[-1]:g} spacings of the nodes"
+        convergence = {"order": order, "least_order": least, "note": note}
+        rows.compare(problem, exact[-1], measured[-1], bar, **convergence)
     return rows
 
 
@@ -81,16 +78,11 @@ def check_flat_punch(body: HalfSpace) -> list[Row]:
         "stuck pull 8 a G* x, N": 8 * a * body.pull_modulus * push / 2,
         "stuck moment 16/3 G a^3 theta, N mm": 16 / 3 * body.shear_modulus * a**3 * angle,
     }
-    rows = []
+    rows = Rows("flat punch", settled)
     for (problem, exact), values in zip(closed_forms.items(), measured.T, strict=True):
-        details = {
-            "order": fit_order(1 / sizes, values / exact - 1),
-            "least_order": 0.7,
-            "settled": settled,
-            "note": f"a = {sizes[-1]:g} spacings",
-        }
-        row = make_comparison_row("flat punch", problem, exact[-1], values[-1], 0.03, **details)
-        rows.append(row)
+        convergence = {"order": fit_order(1 / sizes, values / exact - 1), "least_order": 0.7}
+        note = f"a = {sizes[-1]:g} spacings"
+        rows.compare(problem, exact[-1], values[-1], 0.03, note=note, **convergence)
     return rows
 
 

@@ -13,7 +13,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from jaxunshear.files import Json
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts
 from jaxunshear.simulator.level import LEVELS
+from jaxunshear.text_table import format_text_table
 from verification import stability_networks
 from verification.contact_case import Case
 from verification.contact_cases import list_cases
@@ -63,21 +64,15 @@ class StabilityRow:
     nodes: int = 0
     ms: float = np.nan  # of auto, once compiled
     said: str = ""  # the complaint of what was refused
-    scene: str = ""  # Python that runs it again
 
 
-def _find_similar_words(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
-    """Find words of the cases' names: those spelt like `word`, or the most frequent."""
-    words: Counter[str] = Counter()
-    for case in cases:
-        words.update(set(re.findall(r"[A-Za-z]\w{3,}", case.name)))
-    similar = difflib.get_close_matches(word or "", words, n=5)
-    return similar or [name for name, _ in words.most_common(8)]
+AnyCase = Case | NetworkCase
+AnyRow = StabilityRow | NetworkRow
 
 
 def run_stability(
-    only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None
-) -> list[StabilityRow | NetworkRow]:
+    only: str | None = None, cases: Sequence[AnyCase] | None = None
+) -> Sequence[AnyRow]:
     """Run all cases, or those whose name contains `only`.
 
     Raises `UserError` if there is none.
@@ -88,7 +83,7 @@ def run_stability(
     if not selected:
         words = ", ".join(_find_similar_words(only, cases))
         raise UserError(f"--only '{only}': no case's name contains this; some do {words}")
-    rows: list[StabilityRow | NetworkRow] = []
+    rows = []
     with Progress("stability", len(selected), unit="cases") as progress:
         for case in selected:
             rows.append(examine_case(case))
@@ -96,24 +91,28 @@ def run_stability(
     return rows
 
 
-def select_failed(rows: Sequence[StabilityRow | NetworkRow]) -> list[StabilityRow | NetworkRow]:
+def _find_similar_words(word: str | None, cases: Sequence[AnyCase]) -> list[str]:
+    """Find words of the cases' names: those spelt like `word`, or the most frequent."""
+    words: Counter[str] = Counter()
+    for case in cases:
+        words.update(set(re.findall(r"[A-Za-z]\w{3,}", case.name)))
+    similar = difflib.get_close_matches(word or "", words, n=5)
+    return similar or [name for name, _ in words.most_common(8)]
+
+
+def select_failed(rows: Sequence[AnyRow]) -> Sequence[AnyRow]:
     """Select the rows that break the promise."""
     return [row for row in rows if not row.holds]
 
 
-def select_given_up(rows: Sequence[StabilityRow]) -> list[StabilityRow]:
-    return [row for row in rows if row.outcome == UNSOLVED]
-
-
-def examine_case(case: Case | NetworkCase) -> StabilityRow | NetworkRow:
+def examine_case(case: AnyCase) -> AnyRow:
     """Run and judge one case; an exception is a judgement too, and the other cases still run."""
     if isinstance(case, NetworkCase):
         return stability_networks.examine(case)
     try:
         return _examine(case)
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        return StabilityRow(case.name, "crashed", False, said=said, scene=case.line)
+        return StabilityRow(case.name, "crashed", False, said=f"{type(error).__name__}: {error}")
 
 
 def _examine(case: Case) -> StabilityRow:
@@ -122,8 +121,7 @@ def _examine(case: Case) -> StabilityRow:
     except UserError as error:
         return _judge_refusal(case, str(error))
     if case.refused is not None:
-        outcome = f"not refused: {case.refused} is senseless"
-        return StabilityRow(case.name, outcome, False, scene=case.line)
+        return StabilityRow(case.name, f"not refused: {case.refused} is senseless", False)
     start = time.perf_counter()
     case.solve("auto", True)
     row = StabilityRow(
@@ -136,7 +134,6 @@ def _examine(case: Case) -> StabilityRow:
         iterations=int(np.max(contacts.iterations)),
         nodes=int(np.max(contacts.nodes)),
         ms=1e3 * (time.perf_counter() - start),
-        scene=case.line,
     )
     if not row.finite or not row.converged:
         outcome = UNSOLVED if row.finite else "not finite"
@@ -181,61 +178,40 @@ def _judge_refusal(case: Case, said: str) -> StabilityRow:
         outcome, holds = "refused, though it can be solved", False
     elif case.refused not in said or "\n" in said:
         outcome, holds = f"refused by a line that does not name '{case.refused}'", False
-    return StabilityRow(case.name, outcome, holds, said=said, scene=case.line)
+    return StabilityRow(case.name, outcome, holds, said=said)
 
 
-def as_dicts(rows: Sequence[StabilityRow | NetworkRow]) -> list[Json]:
+def as_dicts(rows: Sequence[AnyRow]) -> list[Json]:
     return [asdict(row) for row in rows]
 
 
-def format_table(rows: Sequence[StabilityRow | NetworkRow]) -> str:
+def format_table(rows: Sequence[AnyRow]) -> str:
     """Format a line per case, then what went wrong and how to run it again.
 
     Contacts come first, then networks.
     """
-    networks = [row for row in rows if isinstance(row, NetworkRow)]
-    contacts = [row for row in rows if isinstance(row, StabilityRow)]
-    parts = [_format_contacts(contacts)] if contacts else []
-    if networks:
-        parts.append(stability_networks.format_network_table(networks))
-    return "\n\n".join(parts)
-
-
-def _format_contacts(rows: Sequence[StabilityRow]) -> str:
-    width = max(len(row.case) for row in rows)
-    head = "finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
-    lines = [f"{'case':{width}}  {head}", *(_format_line(row, width) for row in rows)]
-    broken = [row for row in rows if not row.holds]
-    for title, some in (("GIVEN UP", select_given_up(rows)), ("FAILED", broken)):
-        for row in some:
-            lines += [
-                f"\n{title}: {row.case}: {row.outcome}",
-                f"  again: python -m verification stability --only {row.case!r}",
-                f"  scene: {row.scene}",
-            ]
-    outcomes = Counter(row.outcome for row in rows)
-    counted = ", ".join(f"{outcomes[kind]} {kind}" for kind in PROMISED)
-    widest = max((row.float_px for row in rows if not np.isnan(row.float_px)), default=0.0)
-    lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
-    solved = [row for row in rows if row.iterations]
-    if solved:
-        slowest = max(solved, key=lambda row: row.iterations)
-        median = np.median([row.iterations for row in solved])
-        lines.append(
-            f"slowest: {slowest.case}: {slowest.iterations} iterations, "
-            f"the median case {median:.0f}"
-        )
-    lines.append(f"float32 against float64: at most {widest:.2g} px")
-    return "\n".join(lines)
-
-
-def _format_line(row: StabilityRow, width: int) -> str:
-    if row.finite is None:
-        return f"{row.case:{width}}  {row.outcome}: {row.said}"
-    finite, converged = "yes" if row.finite else "NO", "yes" if row.converged else "NO"
-    short = stability_networks.format_short
-    return (
-        f"{row.case:{width}}  {finite:6} {converged:5}  {short(row.residual_mm):9}  "
-        f"{short(row.float_px):7}  {short(row.twin_px):7}  {short(row.tight_px):7}  "
-        f"{row.iterations:<5}  {row.nodes:<5}  {row.ms:<7.4g}  {row.outcome}"
+    parts = []
+    kinds = (
+        (StabilityRow, "contacts", PROMISED),
+        (NetworkRow, "networks", stability_networks.PROMISED),
     )
+    for kind, title, promised in kinds:
+        selected = [row for row in rows if isinstance(row, kind)]
+        if not selected:
+            continue
+        columns = [field.name for field in fields(kind) if field.name not in ("outcome", "holds")]
+        measured = [
+            {name: value for name, value in asdict(row).items() if value == value}  # not NaN
+            for row in selected
+        ]
+        parts.append(format_text_table(measured, [*columns, "outcome"]))
+        for row in selected:
+            if not row.holds or row.outcome == UNSOLVED:
+                again = f"python -m verification stability --only {row.case!r}"
+                verdict = "GIVEN UP" if row.holds else "FAILED"
+                parts.append(f"{verdict}: {row.case}: {row.outcome}\n  again: {again}")
+        outcomes = Counter(row.outcome for row in selected)
+        counted = ", ".join(f"{outcomes[outcome]} {outcome}" for outcome in promised)
+        broken = len(select_failed(selected))
+        parts.append(f"{len(selected)} cases of {title}: {counted}; {broken} break the promise")
+    return "\n\n".join(parts)

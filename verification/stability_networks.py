@@ -12,8 +12,7 @@ import contextlib
 import io
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -51,7 +50,6 @@ class NetworkCase:
 
     name: str
     run: Callable[[Path], CaseOutput]  # in an empty folder
-    line: str  # for people: what was run
     expects: tuple[str, ...] = (FINITE,)  # outcomes that it promises
     words: tuple[str, ...] = ()  # that the message of a stop must hold
 
@@ -73,7 +71,6 @@ class NetworkRow:
     kept: int | None = None
     seconds: float = np.nan
     said: str = ""
-    scene: str = ""
 
 
 def examine(case: NetworkCase) -> NetworkRow:
@@ -85,7 +82,7 @@ def examine(case: NetworkCase) -> NetworkRow:
 
 
 def _examine(case: NetworkCase, folder: Path) -> NetworkRow:
-    row = NetworkRow(case.name, "", False, scene=case.line)
+    row = NetworkRow(case.name, "", False)
     try:
         # each little training prints its progress
         with contextlib.redirect_stderr(io.StringIO()):
@@ -152,36 +149,3 @@ def list_not_finite(tree: Mapping[str, object]) -> list[str]:
         if not np.isfinite(np.asarray(leaf, np.float64)).all():
             names.append(name)
     return names
-
-
-def format_network_table(rows: Sequence[NetworkRow]) -> str:
-    """Format a line per case, then what went wrong and how to run it again."""
-    width = max(len(row.case) for row in rows)
-    lines = [f"{'case':{width}}  steps  loss     gradient  error    allowed  kept  s      outcome"]
-    for row in rows:
-        loss, gradient = format_short(row.loss), format_short(row.gradient)
-        error, bar = format_short(row.error), format_short(row.bar)
-        kept = "" if row.kept is None else row.kept
-        lines.append(
-            f"{row.case:{width}}  {row.steps or '':<5}  {loss:7}  {gradient:8}  {error:7}  "
-            f"{bar:7}  {kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
-        )
-        if row.said:
-            lines.append(f"{'':{width}}  {row.said}")
-    for row in rows:
-        if not row.holds:
-            again = f"python -m verification stability --only {row.case!r}"
-            lines += [
-                f"\nFAILED: {row.case}: {row.outcome}",
-                f"  again: {again}",
-                f"  scene: {row.scene}",
-            ]
-    outcomes = Counter(row.outcome for row in rows)
-    counted = ", ".join(f"{outcomes[kind]} {kind}" for kind in PROMISED)
-    broken = sum(not row.holds for row in rows)
-    lines.append(f"\n{len(rows)} cases of networks: {counted}; {broken} break the promise")
-    return "\n".join(lines)
-
-
-def format_short(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.2g}"

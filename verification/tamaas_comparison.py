@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from verification.half_space import SPACING_MM, HalfSpace, make_press_poses, trace_forces
-from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
+from verification.verification_rows import Row, Rows, fit_order
 
 GROUP = "normal contact against tamaas"
 PERIOD_MM, CELLS = 12.0, 480  # of its square grid
@@ -79,17 +79,15 @@ def _compare_profile(
         theirs = exact.pressure / (scale**2 * total)
         cell = (scale * (line[1] - line[0])) ** 2
         distances.append(np.abs(shapes[-1] - theirs).sum() / 2 * cell)
-    words = f"{name}: depth at the same force, mm"
-    elsewhere = f"{name}: share of the force at another place"
-    order = {"order": fit_order(1 / SCALES, distances), "least_order": 1.0}
-    rows = [
-        make_comparison_row(GROUP, words, exact.depth, depth, 0.01, settled=settled),
-        make_zero_row(GROUP, elsewhere, distances[-1], 1.0, 0.05, settled=settled, **order),
-    ]
+    rows = Rows(GROUP, settled)
+    rows.compare(f"{name}: depth at the same force, mm", exact.depth, depth, 0.01)
+    words = f"{name}: share of the force at another place"
+    order = fit_order(1 / SCALES, distances)
+    rows.expect_zero(words, distances[-1], 1.0, 0.05, order=order, least_order=1.0)
     ours, theirs = _measure_extent(shapes[-1], line), _measure_extent(exact.pressure, line)
     for i, axis in enumerate("xy"):
         words = f"{name}: extent of the pressure along {axis}, mm"
-        rows.append(make_comparison_row(GROUP, words, theirs[i], ours[i], 0.02, settled=settled))
+        rows.compare(words, theirs[i], ours[i], 0.02)
     return rows
 
 

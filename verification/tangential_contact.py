@@ -17,10 +17,11 @@ from verification.normal_contact import (
     compute_hertz_load,
     compute_moment,
 )
-from verification.verification_rows import Row, fit_order, make_comparison_row, make_zero_row
+from verification.verification_rows import Row, Rows, fit_order
 
 FRICTION = 0.5
 CYCLES = "Mindlin-Deresiewicz"
+IN_INCREMENTS = "order in increments"
 
 
 def compute_slip_distance(body: HalfSpace, radius_mm: Length) -> Length:
@@ -52,25 +53,23 @@ def check_cattaneo_mindlin(
     a = np.repeat(sizes * SPACING_MM, len(shares))
     slides = _make_slides(body, a, np.tile(shares, len(sizes)))
     trace = trace_forces(body, body.sphere(SPHERE_MM), slides, FRICTION)
-    settled = {"settled": trace.settled}
     pull = -trace.total[-1, :, 0] / (FRICTION * compute_hertz_load(body, a))
     pull = pull.reshape(len(sizes), -1)
     stick = compute_hemisphere_radius(body, compute_stuck_part(trace.force[-1])) / a
     stick = stick.reshape(len(sizes), -1)[:, :-1]
     expected, radius = 1 - np.maximum(0, 1 - shares) ** 1.5, np.sqrt(1 - shares[:-1])
-    rows = []
+    rows = Rows(group, trace.settled)
     for share, right, measured in zip(shares, expected, pull[-1], strict=True):
-        words = f"pull after {share:g} slip distances, Q / (mu P)"
-        rows.append(make_comparison_row(group, words, right, measured, bar, **settled))
+        rows.compare(f"pull after {share:g} slip distances, Q / (mu P)", right, measured, bar)
     for right, measured in zip(radius, stick[-1], strict=True):
         words = f"stick radius there, c / a = {right:.3f}, by second moment"
         note = f"c = {sizes[-1] * right:.1f} spacings"
-        rows.append(make_comparison_row(group, words, right, measured, bar, note=note, **settled))
+        rows.compare(words, right, measured, bar, note=note)
     if exact:
         errors = np.sqrt(np.mean((stick / radius - 1) ** 2, axis=1))
         words = "relative error of these stick radii, rms"
-        details = {"order": fit_order(1 / sizes, errors), "least_order": 1.0, **settled}
-        rows.append(make_zero_row(group, words, errors[-1], 1.0, bar, **details))
+        order = fit_order(1 / sizes, errors)
+        rows.expect_zero(words, errors[-1], 1.0, bar, order=order, least_order=1.0)
     return rows
 
 
@@ -97,14 +96,11 @@ def check_oblique(body: HalfSpace, size: float = 7.5) -> list[Row]:
     total = trace.total[-1]
     ratio = -total[:, 0] / total[:, 2]
     exact = slope * 2 * (1 - body.poisson) / (2 - body.poisson)
-    details = {
-        "order": fit_order(1 / counts[:-1], np.diff(ratio)),
-        "least_order": 0.8,
-        "settled": trace.settled,
-        "note": "order in increments",
-    }
+    rows = Rows(CYCLES, trace.settled)
     words = "oblique press without slip (Mindlin and Deresiewicz), Q / P"
-    return [make_comparison_row(CYCLES, words, exact, ratio[-1], 0.02, **details)]
+    convergence = {"order": fit_order(1 / counts[:-1], np.diff(ratio)), "least_order": 0.8}
+    rows.compare(words, exact, ratio[-1], 0.02, note=IN_INCREMENTS, **convergence)
+    return rows
 
 
 def check_cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
@@ -127,29 +123,24 @@ def check_cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[
     loss = 9 * full**2 / (10 * a * body.pull_modulus)
     loss *= 1 - (1 - x) ** (5 / 3) - 5 * x / 6 * (1 + (1 - x) ** (2 / 3))
     words = "loss of a cycle (Mindlin and Deresiewicz), N mm"
-    settled = {"settled": trace.settled}
-    order = {
-        "order": fit_order(1 / counts, work - heat[-1]),
-        "least_order": 1.0,
-        "note": "order in increments",
-    }
+    rows = Rows(CYCLES, trace.settled)
+    convergence = {"order": fit_order(1 / counts, work - heat[-1]), "least_order": 1.0}
     pulled = f"{words}: the pull's work"
-    return [
-        make_comparison_row(CYCLES, pulled, loss, work[-1], 0.03, **order, **settled),
-        make_comparison_row(CYCLES, f"{words}: heat", loss, heat[-1], 0.03, **settled),
-    ]
+    rows.compare(pulled, loss, work[-1], 0.03, note=IN_INCREMENTS, **convergence)
+    rows.compare(f"{words}: heat", loss, heat[-1], 0.03)
+    return rows
 
 
 def check_torsion(body: HalfSpace) -> list[Row]:
     """Check a sphere, pressed and then twisted about its normal: fully stuck, and slipping."""
-    return [
-        _twist_stuck(body, np.array([4.5, 6.5, 8.5, 10.5]), midway=True),
-        _twist_stuck(body, np.array([5.0, 7.0, 9.0, 11.0]), midway=False),
-        _twist_slipping(body),
-    ]
+    rows = Rows("torsion")
+    _twist_stuck(rows, body, np.array([4.5, 6.5, 8.5, 10.5]), midway=True)
+    _twist_stuck(rows, body, np.array([5.0, 7.0, 9.0, 11.0]), midway=False)
+    _twist_slipping(rows, body)
+    return rows
 
 
-def _twist_stuck(body: HalfSpace, sizes: np.ndarray, midway: bool) -> Row:
+def _twist_stuck(rows: Rows, body: HalfSpace, sizes: np.ndarray, midway: bool) -> None:
     """Check stuck torsion; a rim on a ring, not midway between two, only informs."""
     a, angle = sizes * SPACING_MM, 1e-3
     poses = make_press_poses(compute_hertz_depth(a), 1)
@@ -157,20 +148,17 @@ def _twist_stuck(body: HalfSpace, sizes: np.ndarray, midway: bool) -> Row:
     trace = trace_forces(body, body.sphere(SPHERE_MM), poses, np.inf)
     exact = 16 / 3 * body.shear_modulus * a**3 * angle
     measured = compute_moment(body, trace.force[-1])
-    details = {
-        "order": fit_order(1 / sizes, measured / exact - 1),
-        "least_order": 0.7 if midway else None,
-        "settled": trace.settled,
-        "note": ""
-        if midway
-        else "the rim's place between two rings is worth up to half a spacing of radius",
-    }
-    words = f"stuck, M = 16/3 G a^3 theta, N mm{'' if midway else ', rim on a ring'}"
-    bar = 0.03 if midway else None
-    return make_comparison_row("torsion", words, exact[-1], measured[-1], bar, **details)
+    bar, least = (0.03, 0.7) if midway else (None, None)
+    words, note = "stuck, M = 16/3 G a^3 theta, N mm", ""
+    if not midway:
+        words += ", rim on a ring"
+        note = "the rim's place between two rings is worth up to half a spacing of radius"
+    order = fit_order(1 / sizes, measured / exact - 1)
+    convergence = {"order": order, "least_order": least, "settled": trace.settled, "note": note}
+    rows.compare(words, exact[-1], measured[-1], bar, **convergence)
 
 
-def _twist_slipping(body: HalfSpace) -> Row:
+def _twist_slipping(rows: Rows, body: HalfSpace) -> None:
     a, steps = np.array([10.5]) * SPACING_MM, 6
     load = compute_hertz_load(body, a)
     slip_angle = 3 * np.pi / 16 * FRICTION * load / (16 / 3 * body.shear_modulus * a**2)
@@ -180,4 +168,4 @@ def _twist_slipping(body: HalfSpace) -> Row:
     exact = (3 * np.pi / 16 * FRICTION * load * a)[0]
     measured = compute_moment(body, trace.force[-1])[0]
     words = "slipping, M = 3 pi / 16 mu P a, N mm"
-    return make_comparison_row("torsion", words, exact, measured, 0.03, settled=trace.settled)
+    rows.compare(words, exact, measured, 0.03, settled=trace.settled)

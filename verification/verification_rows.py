@@ -1,5 +1,6 @@
 """Rows of a verification: a problem, its closed form, what was measured, and the bar."""
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -7,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.files import Json
-
-WIDTH = 76  # of the problems' column
+from jaxunshear.text_table import format_text_table
 
 
 @dataclass(frozen=True)
@@ -42,24 +42,34 @@ class Row:
         return bool(abs(self.error) <= self.bar and enough and self.settled)
 
 
-def make_comparison_row(
-    group: str,
-    problem: str,
-    closed_form: float,
-    measured: float,
-    bar: float | None = None,
-    **more: Any,
-) -> Row:
-    """Make a row against a closed form other than zero; `more` are further fields of `Row`."""
-    error = float(measured / closed_form - 1)
-    return Row(group, problem, float(closed_form), float(measured), error, bar, **more)
+class Rows(list[Row]):
+    """Rows of a group whose increments were solved below their tolerance if `settled`."""
 
+    def __init__(self, group: str, settled: bool = True) -> None:
+        super().__init__()
+        self.group, self.settled = group, settled
 
-def make_zero_row(
-    group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
-) -> Row:
-    """Make a row of what should be zero, judged against `scale`."""
-    return Row(group, problem, 0.0, float(measured), float(measured / scale), bar, **more)
+    def compare(
+        self,
+        problem: str,
+        closed_form: float,
+        measured: float,
+        bar: float | None = None,
+        **more: Any,
+    ) -> None:
+        """Add a row against a closed form other than zero; `more` are further fields of `Row`."""
+        error = float(measured / closed_form - 1)
+        fields = {"settled": self.settled} | more
+        row = Row(self.group, problem, float(closed_form), float(measured), error, bar, **fields)
+        self.append(row)
+
+    def expect_zero(
+        self, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any
+    ) -> None:
+        """Add a row of what should be zero, judged against `scale`."""
+        fields = {"settled": self.settled} | more
+        error = float(measured / scale)
+        self.append(Row(self.group, problem, 0.0, float(measured), error, bar, **fields))
 
 
 def fit_order(sizes: Iterable[float], errors: Iterable[float]) -> float:
@@ -79,32 +89,30 @@ def convert_row(row: Row) -> Json:
 
 
 def format_rows(rows: Iterable[Row]) -> str:
-    """Format rows as plain text, with a heading for each group.
+    """Format rows as a table for each group.
 
     Rows with a bar are `ok` or `MISSED`; a row without one is `info`.
     """
-    lines, group = [], None
-    for row in rows:
-        if row.group != group:
-            group = row.group
-            head = f"{'closed form':>12} {'measured':>12} {'error':>10} {'allowed':>9}  order"
-            lines += ["", group, f"  {'':{WIDTH}} {head}"]
-        closed = "-" if row.closed_form is None else f"{row.closed_form:.5g}"
-        order = "" if row.order is None else f"{row.order:.2f}"
-        if row.least_order is not None:
-            order += f" (>= {row.least_order:g})"
-        verdict = "info" if row.bar is None else "ok" if row.holds else "MISSED"
-        if not row.settled:
-            verdict += ", not converged"
-        error, bar = _format_error(row, row.error), _format_error(row, row.bar)
-        lines.append(
-            f"  {row.problem:{WIDTH}} {closed:>12} {row.measured:>12.5g} {error:>10}"
-            f" {bar:>9}  {order:13} {verdict}" + (f"  ({row.note})" if row.note else "")
-        )
-    return "\n".join(lines).lstrip("\n")
+    tables = []
+    for group, members in itertools.groupby(rows, key=lambda row: row.group):
+        lines = [_format_cells(row) for row in members]
+        tables.append(f"{group}\n{format_text_table(lines, tuple(lines[0]))}")
+    return "\n\n".join(tables)
 
 
-def _format_error(row: Row, value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.3g} px" if row.px else f"{100 * value:.3g} %"
+def _format_cells(row: Row) -> Json:
+    verdict = "info" if row.bar is None else "ok" if row.holds else "MISSED"
+    if not row.settled:
+        verdict += ", not converged"
+    unit, factor = ("px", 1.0) if row.px else ("%", 100.0)
+    return {
+        "problem": row.problem,
+        "closed form": row.closed_form,
+        "measured": row.measured,
+        "error": f"{factor * row.error:.3g} {unit}",
+        "allowed": "-" if row.bar is None else f"{factor * row.bar:.3g} {unit}",
+        "order": row.order,
+        "at least": row.least_order,
+        "verdict": verdict,
+        "note": row.note,
+    }

@@ -24,7 +24,7 @@ from verification import (
     tangential_contact,
 )
 from verification.half_space import make_half_space
-from verification.verification_rows import Row, make_zero_row
+from verification.verification_rows import Row, Rows
 
 INCOMPRESSIBLE = 0.499
 
@@ -46,8 +46,9 @@ def report_large_strain() -> list[Row]:
     """Report what the model itself leaves out: no bar, as no solver of it could meet one."""
     from verification.model_error import measure_model_error
 
-    group = "the model's own error: linear dome against neo-Hookean, pressed flat without friction"
-    rows = []
+    rows = Rows(
+        "the model's own error: linear dome against neo-Hookean, pressed flat without friction"
+    )
     for error in measure_model_error(TACTIP_331):
         note = (
             f"p95 {error.p95_px:.2f}, largest {error.max_px:.2f} px; "
@@ -59,8 +60,8 @@ def report_large_strain() -> list[Row]:
             f"{error.depth_mm:g} mm deep: rms error of the pins, "
             f"px of their {error.motion_px:.1f} px rms motion"
         )
-        details = {"settled": error.converged, "note": note}
-        rows.append(make_zero_row(group, words, error.rms_px, error.motion_px, None, **details))
+        settled = error.converged
+        rows.expect_zero(words, error.rms_px, error.motion_px, note=note, settled=settled)
     return rows
 
 

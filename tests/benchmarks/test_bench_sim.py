@@ -15,35 +15,7 @@ from jaxunshear.simulator.scene import Scenes
 from verification.clock import time_repeats
 from verification.contact_case import HALF_SIZE
 from verification.paper import NAMES, sample_paper_scenes
-from verification.pin_distance import compute_pin_error
 
-FIELDS = {
-    *(
-        "name",
-        "level",
-        "kind",
-        "batch",
-        "precision",
-        "solver",
-        "mesh_mm",
-        "ms_per_state",
-        "ms_p95",
-        "ratio",
-        "compile_s",
-    ),
-    *(
-        "rms_px",
-        "p95_px",
-        "rms_mm",
-        "p95_mm",
-        "iterations",
-        "converged",
-        "nodes",
-        "plan_ms",
-        "failed",
-        "against",
-    ),
-}
 LOOSE = replace(LEVELS["auto"], tolerance=0.3)
 
 
@@ -78,7 +50,7 @@ def test_a_row_says_all_there_is_to_say():
     )
     assert [row["kind"] for row in rows] == ["slide", "tap"] and kept == [1, 2]
     for row in rows:
-        assert set(row) >= FIELDS
+        assert set(row) >= {*bench_sim.COLUMNS, "level", "batch", "solver", "mesh_mm", "against"}
         assert row["converged"] == 1 and not row["failed"] and row["nodes"] > 0
         assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
         assert row["ms_per_state"] > 0 and row["ratio"] > 0
@@ -88,20 +60,10 @@ def test_a_row_says_all_there_is_to_say():
 
 @pytest.mark.long
 def test_a_solver_that_does_not_converge_fails_and_is_shown():
-    impatient = Setting(
-        "impatient",
-        "auto",
-        replace(LEVELS["auto"], limit=5, tolerance=1e-3),
-        2,
-        "projected gradient",
-        kinds=("slide",),
-    )
-    (row,) = run(impatient)
-    assert (
-        row["converged"] < 1
-        and "do not converge" in row["failed"]
-        and "FAILED" in bench_sim.format_table([row])
-    )
+    level = replace(LEVELS["auto"], limit=5, tolerance=1e-3)
+    (row,) = run(Setting("slow", "auto", level, 2, "projected gradient", kinds=("slide",)))
+    assert row["converged"] < 1 and "do not converge" in row["failed"]
+    assert "do not converge" in bench_sim.format_table([row])
 
 
 @pytest.mark.parametrize(
@@ -116,6 +78,8 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
         raise error
 
     monkeypatch.setitem(other_solvers.OTHER_SOLVERS, "broken", crash)
+    none = np.zeros((2, HALF_SIZE.pins, 3))  # no error is measured
+    monkeypatch.setattr(bench_sim, "solve_reference_pins", lambda *_: none)
     (row,) = run(Setting("broken", "auto", LOOSE, 2, "broken", kinds=("slide",)))
     assert "crashed" in row["failed"] and said in row["failed"]
     assert "crashed" in bench_sim.format_table([row]) and bench_figure.plot_work_precision([row])
@@ -126,16 +90,8 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)],
 )
 def test_rivals_find_the_same_contact(solver):
-    (row,) = run(
-        Setting(
-            "rival",
-            "auto",
-            replace(LEVELS["auto"], tolerance=0.02, limit=2000),
-            2,
-            solver,
-            kinds=("slide",),
-        )
-    )
+    level = replace(LEVELS["auto"], tolerance=0.02, limit=2000)
+    (row,) = run(Setting("rival", "auto", level, 2, solver, kinds=("slide",)))
     assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
 
 
@@ -153,9 +109,8 @@ def test_what_is_chosen():
     assert {s.batch for s in bench_sim.select_settings(Effort(), None, 16)} == {16}
     everything = bench_sim.select_settings(Effort(), None, None)
     assert {"fast", "auto", "default", "reference", "unabridged"} <= {s.level for s in everything}
-    assert set(other_solvers.OTHER_SOLVERS) == {s.solver for s in everything} and len(
-        {s.name for s in everything}
-    ) == len(everything)
+    assert {s.solver for s in everything} == set(other_solvers.OTHER_SOLVERS)
+    assert len({s.name for s in everything}) == len(everything)
     with pytest.raises(UserError, match="--level 'best'"):
         bench_sim.select_settings(Effort(), "best", None)
     with pytest.raises(UserError, match="--batch 0"):
@@ -172,22 +127,11 @@ def test_scenes_are_the_same_again_and_few_are_the_first_of_many():
     assert few.pose[:, 3].min() >= 1 and few.pose[:, 3].max() <= 6
 
 
-def test_px_are_those_of_the_image():
-    pins = np.zeros((2, HALF_SIZE.pins, 3))
-    moved = pins + np.array([0.1, 0, 0])
-    error = compute_pin_error(HALF_SIZE, pins, moved)
-    assert error.rms_mm == pytest.approx(0.1) and error.rms_px == pytest.approx(error.max_px)
-    assert error.rms_px == pytest.approx(
-        0.1 * 256 / 33.5, rel=0.01
-    )  # px of the frame across its width in mm
-    assert np.isnan(compute_pin_error(HALF_SIZE, pins, moved * np.nan).rms_px)
-
-
 def test_another_spacing_is_another_sensor():
     coarse = set_ring_spacing(HALF_SIZE, 1.5)
-    assert coarse.name != HALF_SIZE.name and compute_ring_spacing(coarse) == pytest.approx(
-        10 * np.pi / 3 / 8
-    )  # not beyond 8 rings
+    assert coarse.name != HALF_SIZE.name
+    most = 10 * np.pi / 3 / 8  # not beyond 8 rings
+    assert compute_ring_spacing(coarse) == pytest.approx(most)
     assert compute_ring_spacing(set_ring_spacing(HALF_SIZE, 0.8)) == 0.8
     assert set_ring_spacing(HALF_SIZE, 1.0) is HALF_SIZE
     assert compute_ring_spacing(HALF_SIZE) == 1.0
@@ -197,6 +141,5 @@ def test_laps_stop_when_the_budget_is_spent():
     calls = []
     spent = time_repeats(lambda: calls.append(0), lambda: None, repeats=4)
     assert len(calls) == len(spent.work) == len(spent.product) == 4
-    assert (
-        len(time_repeats(lambda: calls.append(0), lambda: None, repeats=4, budget_s=0.0).work) == 1
-    )
+    spent = time_repeats(lambda: calls.append(0), lambda: None, repeats=4, budget_s=0.0)
+    assert len(spent.work) == 1

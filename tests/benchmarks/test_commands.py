@@ -37,32 +37,31 @@ def test_what_cannot_be_is_refused_in_one_line(benchmarks, monkeypatch, tmp_path
 
 def test_each_command_has_its_own_help(benchmarks):
     shown = benchmarks("--help").out
-    for name in commands.COMMANDS:
+    for name, benchmark in commands.COMMANDS.items():
         text = benchmarks(name, "--help").out
         assert f"  {name}" in shown and "--json" in text
-        assert ("--size" in text) == ("size" in commands.OPTIONS.get(name, ()))
+        assert ("--size" in text) == ("size" in benchmark.options)
 
 
 def test_rows_are_written_with_the_command_and_the_rivals_versions(
     benchmarks, monkeypatch, tmp_path
 ):
     rows = [{"name": "one", "seconds": 1.0}]
+    asked = []
+
+    def list_versions(*more):
+        asked.append(more)
+        return {"python": "3"}
+
     monkeypatch.setattr("benchmarks.bench_networks.bench_train", lambda size, batch: rows)
     monkeypatch.setattr("benchmarks.bench_networks.format_table", lambda rows: "a table")
-    asked = []
-    monkeypatch.setattr(
-        "jaxunshear.metrics.machine.list_versions",
-        lambda *more: asked.append(more) or {"python": "3"},
-    )
+    monkeypatch.setattr("jaxunshear.metrics.machine.list_versions", list_versions)
     file = tmp_path / "rows.json"
     answer = benchmarks("train", "--size", "64", "--json", file)
     written = json.loads(file.read_text())
-    assert (answer.code, answer.out) == (0, "a table\n")
-    assert (
-        written["rows"] == rows
-        and written["command"] == f"python -m benchmarks train --size 64 --json {file}"
-    )
-    assert asked == [("torch",)]
+    assert (answer.code, answer.out) == (0, "a table\n") and asked == [("torch",)]
+    assert written["rows"] == rows
+    assert written["command"] == f"python -m benchmarks train --size 64 --json {file}"
 
 
 def test_it_is_run_as_a_module():

@@ -1,18 +1,19 @@
-"""Files in which one bit has turned over: refused by name, or read as before; never a wrong figure."""
+"""Files in which one bit has flipped: refused by name, or read as before; never a wrong figure."""
 
-import hashlib
+import contextlib
 import random
 import shutil
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
+import pytest
 
 from jaxunshear.api import load_model
 from jaxunshear.config.configs import get_set_folder, get_set_name
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
+from jaxunshear.config.reach import set_ring_spacing
+from jaxunshear.config.sensor import TACTIP_127, Sensor
 from jaxunshear.config.serialization import from_json
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import load_chunk
@@ -27,210 +28,152 @@ from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
 from jaxunshear.serialization import to_builtins
+from jaxunshear.simulator.dome import load_dome
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim
-from tests.faults.outcome import Row, Size, attempt, commanded, digest
-from tests.faults.places import TINY, Places, flipped
+from tests.faults.outcome import (
+    Outcome,
+    Row,
+    Size,
+    compute_array_digest,
+    compute_digest,
+    flip_bit,
+    judge_reading,
+    run_cases,
+    run_command,
+)
+from tests.faults.places import TINY, Places
 
-Act = Callable[[], object]
+Read = Callable[[], object]
 
 
-def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
-    """A row for each kind of file and the command that reads it."""
+def list_rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
+    """Yield a row for each kind of file and the command that reads it."""
+
+    def flip(fault: str, command: str, files: Sequence[Path], read: Read, times: int = 1) -> Row:
+        return _flip(Row(f"a bit flipped: {fault}", command, size.seed), files, read, size, times)
+
     run = shutil.copytree(places.run, scratch / "tiny")
-    shown = _read_by_report(run)
-    yield _flip("results, images, logs", "report", shown, _report(run), size)
-    yield _flip("results, images, logs", "report, its reading", shown, _inputs(run), size, 10)
-    yield _flip("JSON of a run", "all that read it", _files(run, ".json"), _json(run), size, 10)
+    shown = [run / "results.json", run / "montage.npz", run / "times.json"]
+    shown += run.rglob("log.jsonl")
+    kind = "results, images, logs"
+    yield flip(kind, "report", shown, lambda: _make_report(run))
+    yield flip(kind, "report, its reading", shown, lambda: _read_report_inputs(run), 10)
+    records = _list_files(run, ".json")
+    yield flip("JSON of a run", "all that read it", records, lambda: _read_json(records), 10)
     networks = [file for file in run.rglob("*") if file.is_file() and file.parent != run]
     inputs = [file for file in networks if file.suffix != ".jsonl" and file.name != "summary.json"]
-    yield _flip(
-        "checkpoints",
-        "release",
-        [*inputs, run / "experiment.json"],
-        _release(run, scratch / "out"),
-        size,
-    )
-    yield _flip("checkpoints", "networks as all read them", inputs, _networks(run), size)
+    released = [*inputs, run / "experiment.json"]
+    yield flip("checkpoints", "release", released, lambda: _release(run, scratch / "out"))
+    yield flip("checkpoints", "networks as all read them", inputs, lambda: _read_networks(run))
     weights = shutil.copytree(places.weights, scratch / "weights")
-    yield _flip(
-        "weights", "all that load a model", _files(weights, ".json", ".npz"), _model(weights), size
-    )
+    files = _list_files(weights, ".json", ".npz")
+    yield flip("weights", "all that load a model", files, lambda: _load_weights(weights))
     data = shutil.copytree(places.data, scratch / "datasets")
     tiny, pins = load_experiment(TINY), from_json(read_json(places.pins / "experiment.json"))
-    for settings, experiment in ((tiny.paired, tiny), (pins.paired, pins)):
-        folder = get_set_folder(settings, experiment.sensor, data)
-        act = _set(settings, experiment, data)
-        yield _flip(
-            f"stored set {get_set_name(settings)}",
-            "run",
-            [f for f in folder.iterdir() if f.is_file()],
-            act,
-            size,
-        )
-    yield _flip(
-        "contacts made so far", "data", *_unfinished(tiny.pose, scratch / "unfinished"), size
-    )
-    images = shutil.copytree(places.frames, scratch / "few")
-    yield _flip(
-        "recorded PNG", "all that read images", _files(images, ".png"), _images(images), size
-    )
-    yield _cache(scratch / "cache", size)
+    for experiment in (tiny, pins):
+        folder = get_set_folder(experiment.paired, experiment.sensor, data)
+        read = _make_set_reader(experiment.paired, experiment.sensor, data)
+        name = f"stored set {get_set_name(experiment.paired)}"
+        yield flip(name, "run", [file for file in folder.iterdir() if file.is_file()], read)
+    chunks = _make_unfinished_set(tiny.pose, scratch / "unfinished")
+    read_chunks = lambda: [compute_array_digest(load_chunk(file)) for file in chunks]  # noqa: E731
+    yield flip("contacts made so far", "data", chunks, read_chunks)
+    images = _list_files(shutil.copytree(places.frames, scratch / "few"), ".png")
+    yield flip("recorded PNG", "all that read images", images, lambda: _read_images(images))
+    with pytest.MonkeyPatch.context() as patch:
+        # the response of a coarse dome is made again if its file is damaged, so it is the same
+        patch.setenv("JAXUNSHEAR_CACHE", str(scratch / "cache"))
+        coarse = set_ring_spacing(TACTIP_127, 3.0)
+        read = lambda: compute_array_digest(vars(load_dome(coarse)))  # noqa: E731
+        read()
+        files = list((scratch / "cache").glob("dome-*.bin"))
+        yield flip("cache of the simulator", "all that simulate", files, read)
 
 
-def _flip(
-    fault: str, command: str, files: Sequence[Path], act: Act, size: Size, times: int = 1
-) -> Row:
-    row = Row(f"a bit flipped: {fault}", command, size.seed)
-    began, draw = time.monotonic(), random.Random(size.seed)
-    right = act()
+def _flip(row: Row, files: Sequence[Path], read: Read, size: Size, times: int) -> Row:
+    right, ordered = read(), sorted(files)
     names = tuple({name for file in files for name in (file.name, str(file.parent))})
-    for _ in size.places(size.bits * times):
-        file = draw.choice(files)
+
+    def flip_one(draw: random.Random) -> Outcome:
+        file = draw.choice(ordered)
         before = file.read_bytes()
         bit = draw.randrange(8 * len(before))
-        file.write_bytes(flipped(before, bit))
-        attempt(row, act, right, f"{file.name}, bit {bit}", names)
+        file.write_bytes(flip_bit(before, bit))
+        outcome = judge_reading(read, right, f"{file.name}, bit {bit}", names)
         file.write_bytes(before)
-    row.seconds = time.monotonic() - began
-    return row
+        return outcome
+
+    return run_cases(row, size, size.bits * times, flip_one)
 
 
-def _files(folder: Path, *suffixes: str) -> list[Path]:
+def _list_files(folder: Path, *suffixes: str) -> list[Path]:
     return sorted(file for file in folder.rglob("*") if file.suffix in suffixes)
 
 
-def _read_by_report(run: Path) -> list[Path]:
-    return [run / "results.json", run / "montage.npz", run / "times.json", *run.rglob("log.jsonl")]
+def _make_report(run: Path) -> object:
+    """Make the page, which has the same bytes each time."""
+    run_command("report", run)
+    return compute_digest([run / "report.html", run / "montage.png"])
 
 
-def _report(run: Path) -> Act:
-    """Pages, which are made of the same bytes each time."""
-
-    def act() -> object:
-        commanded("report", run)
-        return digest([run / "report.html", run / "montage.png"])
-
-    return act
+def _read_report_inputs(run: Path) -> object:
+    logs = [read_history(file) for file in sorted(run.rglob("log.jsonl"))]
+    results = read_record(run / "results.json", Results, "again")
+    images = compute_array_digest(montage.read_montage(run / "montage.npz"))
+    return str((logs, results, read_times(run))), images
 
 
-def _inputs(run: Path) -> Act:
-    """What a report is made of."""
-
-    def act() -> object:
-        logs = [read_history(file) for file in sorted(run.rglob("log.jsonl"))]
-        results = read_record(run / "results.json", Results, "again")
-        return str((logs, results, read_times(run))), bits(
-            montage.read_montage(run / "montage.npz")
-        )
-
-    return act
+def _read_json(files: Sequence[Path]) -> object:
+    return {str(file): to_builtins(read_json(file)) for file in files}
 
 
-def _json(run: Path) -> Act:
-    def act() -> object:
-        return {str(file): to_builtins(read_json(file)) for file in sorted(run.rglob("*.json"))}
-
-    return act
-
-
-def _release(run: Path, out: Path) -> Act:
-    def act() -> object:
-        shutil.rmtree(out, ignore_errors=True)
-        commanded("release", run, "--out", out)
-        return digest(_files(out, ".json", ".npz"))
-
-    return act
+def _release(run: Path, out: Path) -> object:
+    shutil.rmtree(out, ignore_errors=True)
+    run_command("release", run, "--out", out)
+    return compute_digest(_list_files(out, ".json", ".npz"))
 
 
-def _networks(run: Path) -> Act:
-    def act() -> object:
-        folders = sorted(file.parent for file in run.rglob("model.json"))
-        return [(bits(load_best(one)), read_net(one), read_targets(one)) for one in folders]
-
-    return act
-
-
-def bits(tree: object) -> str:
-    found = hashlib.sha256()
-    if isinstance(tree, dict):
-        for name in sorted(tree):
-            found.update(f"{name} {bits(tree[name])}".encode())
-    else:
-        array = np.asarray(tree)
-        found.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
-    return found.hexdigest()
+def _read_networks(folder: Path) -> list[object]:
+    folders = sorted(file.parent for file in folder.rglob("model.json"))
+    return [
+        (compute_array_digest(load_best(each)), read_net(each), read_targets(each))
+        for each in folders
+    ]
 
 
-def _model(weights: Path) -> Act:
-    def act() -> object:
-        model = load_model(weights)
-        folders = sorted(file.parent for file in weights.rglob("model.json"))
-        parts = [(bits(load_best(one)), read_net(one), read_targets(one)) for one in folders]
-        return parts, to_builtins(read_json(weights / "experiment.json")), type(model)
-
-    return act
+def _load_weights(weights: Path) -> object:
+    settings = to_builtins(read_json(weights / "experiment.json"))
+    return type(load_model(weights)), settings, *_read_networks(weights)
 
 
-def _set(settings: PairedData | Recorded, experiment: object, data: Path) -> Act:
-    sensor = experiment.sensor  # type: ignore[attr-defined]
-
-    def act() -> object:
+def _make_set_reader(settings: PairedData | Recorded, sensor: Sensor, data: Path) -> Read:
+    def read() -> object:
         reader = open_set(settings, data, sensor)
-        return [bits(reader.rows(split)) for split in SPLITS], to_builtins(reader.metadata)
+        rows = [compute_array_digest(reader.rows(split)) for split in SPLITS]
+        return rows, to_builtins(reader.metadata)
 
-    return act
+    return read
 
 
-def _unfinished(settings: PoseData, data: Path) -> tuple[list[Path], Act]:
-    """A set whose contacts are made and whose shards are not: the disk was full."""
+def _make_unfinished_set(settings: PoseData, data: Path) -> list[Path]:
+    """Make a set whose contacts are made and whose shards are not, as the disk was full."""
     shim.arm(data, 0)
     make_set(settings, data_dir=data)
-    count = shim.seen()
+    count = shim.count_writes()
     shutil.rmtree(data)
     shim.arm(data, count - 4, "ENOSPC")
-    try:
+    with contextlib.suppress(UserError):
         make_set(settings, data_dir=data)
-    except UserError:
-        pass
-    finally:
-        shim.disarm()
-    files = sorted((data / ".partial").rglob("*.npz"))
-
-    def act() -> object:
-        return [bits(load_chunk(file)) for file in files]
-
-    return files, act
+    shim.disarm()
+    return list((data / ".partial").rglob("*.npz"))
 
 
-def _images(folder: Path) -> Act:
-    def act() -> object:
-        found = []
-        for file in _files(folder, ".png"):
-            try:
-                found.append(bits(read_image(file)))
-            except UserError as error:
-                raise UserError(
-                    f"{file.name}: {error}"
-                ) from None  # readers of folders add the name
-        return found
-
-    return act
-
-
-def _cache(folder: Path, size: Size) -> Row:
-    """The response of a coarse dome: made again where its file is damaged, so the same."""
-    from jaxunshear.config.reach import set_ring_spacing
-    from jaxunshear.config.sensor import TACTIP_127
-    from jaxunshear.simulator.dome import load_dome
-
-    coarse = set_ring_spacing(TACTIP_127, 3.0)
-    with shim.environment("JAXUNSHEAR_CACHE", str(folder)):
-        load_dome(coarse)
-        files = sorted(folder.glob("dome-*.bin"))
-
-        def act() -> object:
-            return bits(vars(load_dome(coarse)))
-
-        row = _flip("cache of the simulator", "all that simulate", files, act, size)
-    return row
+def _read_images(files: Sequence[Path]) -> object:
+    digests = []
+    for file in files:
+        try:
+            digests.append(compute_array_digest(read_image(file)))
+        except UserError as error:  # readers of folders add the name
+            raise UserError(f"{file.name}: {error}") from None
+    return digests

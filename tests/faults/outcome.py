@@ -1,14 +1,17 @@
-"""What becomes of a case, and the rows that count it."""
+"""Outcomes of cases, and the rows that count them."""
 
 import contextlib
 import hashlib
 import io
+import random
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
 
 from jaxunshear.cli import main
 from jaxunshear.errors import Note, UserError
@@ -17,48 +20,45 @@ ERROR = "jaxunshear: error: "
 EXAMPLES = 5
 
 
-class Answer(NamedTuple):
-    """Of a command in this process."""
+def run_command(*words: object) -> None:
+    """Run a command in this process.
 
-    code: int
-    out: str
-    refusals: list[str]  # lines on stderr that are errors
-
-
-def call(*words: object) -> Answer:
-    """Whatever a command raises, it raises here, too."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    Raises UserError if it ends with exit code 2 and one line, RuntimeError if with another but 0.
+    """
+    err = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
         code = main([str(word) for word in words])
-    return Answer(
-        code,
-        out.getvalue(),
-        [line for line in err.getvalue().splitlines() if line.startswith(ERROR)],
-    )
+    refusals = [line for line in err.getvalue().splitlines() if line.startswith(ERROR)]
+    if code == 2 and len(refusals) == 1:
+        raise UserError(refusals[0])
+    if code:
+        raise RuntimeError(f"exit code {code}: {refusals}")
 
 
-def commanded(*words: object) -> str:
-    """What it prints. Raises UserError where it ends with exit code 2 and one line; RuntimeError where with anything else but 0."""
-    answer = call(*words)
-    if answer.code == 2 and len(answer.refusals) == 1:
-        raise UserError(answer.refusals[0])
-    if answer.code:
-        raise RuntimeError(f"exit code {answer.code}: {answer.refusals}")
-    return answer.out
+def compute_digest(files: Iterable[Path]) -> str:
+    """Compute a digest of the files' bytes."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(files))).hexdigest()
 
 
-def digest(files: list[Path]) -> str:
-    """Of the files' bytes."""
-    found = hashlib.sha256()
-    for file in sorted(files):
-        found.update(file.read_bytes())
-    return found.hexdigest()
+def compute_array_digest(tree: object) -> str:
+    """Compute a digest of arrays by name."""
+    digest = hashlib.sha256()
+    if isinstance(tree, dict):
+        for name in sorted(tree):
+            digest.update(f"{name} {compute_array_digest(tree[name])}".encode())
+    else:
+        array = np.asarray(tree)
+        digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 @dataclass
 class Row:
-    """Cases of one fault and command. `lost`: work that a rerun did not bring back, or a crash without a line for people; `silent`: another
-    result without a word."""
+    """The cases of one fault and command.
+
+    `lost`: work that a rerun did not bring back, or a crash without a line for people; `silent`:
+    another result without a word.
+    """
 
     fault: str
     command: str
@@ -78,6 +78,13 @@ class Row:
             self.examples.append(f"{kind}: {where}"[:300])
 
 
+class Outcome(NamedTuple):
+    """The outcome of a case: a count of `Row`, and where it was; None if nothing was tried."""
+
+    kind: str | None
+    where: str = ""
+
+
 @dataclass(frozen=True)
 class Size:
     """How much of the campaign to run."""
@@ -89,29 +96,49 @@ class Size:
     cases: int  # of fuzz
     seconds: float  # that a row may take; the rest of its cases is left out
 
-    def places(self, most: int) -> Iterator[int]:
-        """Numbers below `most` until the time is over."""
-        end = time.monotonic() + self.seconds
-        for number in range(most):
-            if time.monotonic() > end:
-                return
-            yield number
+
+def run_cases(
+    row: Row,
+    size: Size,
+    most: int,
+    try_case: Callable[[random.Random], Outcome],
+    tries: int | None = None,
+) -> Row:
+    """Try cases until `most` are counted, `tries` are made, or the time is over."""
+    start, draw = time.monotonic(), random.Random(size.seed)
+    for _ in range(tries or most):
+        if row.cases >= most or time.monotonic() > start + size.seconds:
+            break
+        outcome = try_case(draw)
+        if outcome.kind is not None:
+            row.count(*outcome)
+    row.seconds = time.monotonic() - start
+    return row
 
 
-def attempt(
-    row: Row, act: Callable[[], object], right: object, where: str, names: tuple[str, ...] = ()
-) -> None:
-    """Counts one case: `act` gives what is right, refuses or notes in a line that has one of `names`, or is at fault."""
+def judge_reading(
+    read: Callable[[], object], right: object, where: str, names: tuple[str, ...]
+) -> Outcome:
+    """Judge what reads a damaged file.
+
+    It reads what is right, or refuses, or notes, in a line that has one of `names`; or is at fault.
+    """
     try:
         with warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter("always", Note)
-            found = act()
+            found = read()
     except UserError as error:
-        named = not names or any(name in str(error) for name in names)
-        row.count("refused" if named and "\n" not in str(error) else "lost", f"{where}: {error}")
+        named = "\n" not in str(error) and any(name in str(error) for name in names)
+        return Outcome("refused" if named else "lost", f"{where}: {error}")
     except Exception as error:
-        row.count("lost", f"{where}: {type(error).__name__}: {error}")
-    else:
-        said = " ".join(str(note.message) for note in noted if issubclass(note.category, Note))
-        named = any(name in said for name in names)
-        row.count("harmless" if found == right else "refused" if named else "silent", where)
+        return Outcome("lost", f"{where}: {type(error).__name__}: {error}")
+    said = " ".join(str(note.message) for note in noted if issubclass(note.category, Note))
+    if found == right:
+        return Outcome("harmless", where)
+    return Outcome("refused" if any(name in said for name in names) else "silent", where)
+
+
+def flip_bit(data: bytes, bit: int) -> bytes:
+    array = np.frombuffer(data, np.uint8).copy()
+    array[bit // 8] ^= np.uint8(1 << (bit % 8))
+    return array.tobytes()

@@ -1,35 +1,27 @@
 """Arms `shim.c`, which is loaded before all else in the process of the campaign."""
 
-import contextlib
 import ctypes
 import errno
 import os
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 SOURCE = Path(__file__).with_name("shim.c")
 
 
 def build(folder: Path) -> Path:
-    """The library; needs a C compiler ($CC, or cc)."""
+    """Build the library; needs a C compiler ($CC, or cc)."""
     library = folder / "shim.so"
-    words = [
-        os.environ.get("CC", "cc"),
-        "-O1",
-        "-shared",
-        "-fPIC",
-        "-o",
-        str(library),
-        str(SOURCE),
-        "-ldl",
-    ]
-    subprocess.run(words, check=True)
+    compiler = [os.environ.get("CC", "cc"), "-O1", "-shared", "-fPIC"]
+    subprocess.run([*compiler, "-o", str(library), str(SOURCE), "-ldl"], check=True)
     return library
 
 
 def arm(under: Path, nth: int, error: str = "ENOSPC") -> None:
-    """The `nth` write below `under` from now on fails with this error, and so do all that follow; none does where it is 0."""
+    """Let the `nth` write below `under` from now on, and all that follow, fail with an error.
+
+    None fails if `nth` is 0.
+    """
     ctypes.CDLL(None).fault_arm(str(under).encode(), ctypes.c_long(nth), getattr(errno, error))
 
 
@@ -37,34 +29,17 @@ def disarm() -> None:
     ctypes.CDLL(None).fault_arm(b"", ctypes.c_long(0), 0)
 
 
-def seen() -> int:
-    """Writes since it was armed."""
+def count_writes() -> int:
+    """Count the writes since it was armed."""
     return int(ctypes.CDLL(None).fault_seen())
 
 
-def killing(library: Path, under: Path, nth: int) -> dict[str, str]:
-    """The environment of a process that is to die, by SIGKILL, at its `nth` write below `under`."""
-    return {
-        "LD_PRELOAD": str(library),
-        "FAULT_UNDER": str(under),
-        "FAULT_NTH": str(nth),
-        "FAULT_ERRNO": "0",
-    }
+def kill_at_write(under: Path, nth: int) -> dict[str, str]:
+    """Return the environment of a process that dies, by SIGKILL, at its `nth` write below `under`."""
+    faults = {"FAULT_UNDER": str(under), "FAULT_NTH": str(nth), "FAULT_ERRNO": "0"}
+    return faults | {"LD_PRELOAD": os.environ["FAULTS"]}
 
 
-def starving(library: Path, nth: int) -> dict[str, str]:
-    """The environment of a process that gets no large block of memory from its `nth` on."""
-    return {"LD_PRELOAD": str(library), "FAULT_MEMORY": str(nth)}
-
-
-@contextlib.contextmanager
-def environment(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment, for a while."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        del os.environ[name]
-        if before is not None:
-            os.environ[name] = before
+def refuse_memory(nth: int) -> dict[str, str]:
+    """Return the environment of a process that gets no large block of memory from its `nth` on."""
+    return {"LD_PRELOAD": os.environ["FAULTS"], "FAULT_MEMORY": str(nth)}

@@ -12,7 +12,6 @@ from scipy.optimize import brentq, nnls
 from scipy.sparse.linalg import splu
 
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.errors import UserError
 from jaxunshear.simulator.elasticity import (
     assemble_stiffness,
     compute_isotropic_stiffness,
@@ -47,20 +46,12 @@ def tube(inner, outer, height, columns, rows):
     r, z = np.linspace(inner, outer, 2 * columns + 1), np.linspace(0, height, 2 * rows + 1)
     grid = np.stack(np.meshgrid(r, z, indexing="ij"), -1).reshape(-1, 2)
     at = np.arange(len(grid)).reshape(len(r), len(z))
-    offsets = [(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)]
-    elements = np.array(
-        [
-            [at[2 * i + a, 2 * j + b] for a, b in offsets]
-            for i in range(columns)
-            for j in range(rows)
-        ]
-    )
-    used, numbered = np.unique(
-        elements, return_inverse=True
-    )  # a grid has a middle that an 8-node element has not
-    surface = np.searchsorted(
-        used, [[at[2 * i, 0], at[2 * i + 1, 0], at[2 * i + 2, 0]] for i in range(columns)]
-    )
+    offsets = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
+    i, j = (2 * index.reshape(-1, 1) for index in np.mgrid[:columns, :rows])
+    elements = at[i + offsets[:, 0], j + offsets[:, 1]]
+    # a grid has a middle that an 8-node element has not
+    used, numbered = np.unique(elements, return_inverse=True)
+    surface = np.searchsorted(used, at[2 * np.arange(columns)[:, None] + np.arange(3), 0])
     nothing = np.zeros(len(elements), bool)
     return Mesh(grid[used], numbered.reshape(elements.shape), nothing, np.zeros(0, int), surface)
 
@@ -79,7 +70,7 @@ def on(mesh, axis, value):
 
 
 def started(moved, points):
-    return State(moved, np.zeros(points), 0.0, 0, False)
+    return State(moved, np.zeros(points), 0, False)
 
 
 @pytest.fixture(scope="module")
@@ -95,16 +86,14 @@ def test_forces_and_tangent_are_derivatives_of_the_energy():
     body = uniform(tube(0.0, 1.0, 1.0, 3, 2), 1.0, 0.49)
     moved = 0.03 * generator.normal(size=body.mesh.nodes.shape)
     way, h = generator.normal(size=moved.shape), 1e-6
-    slope = (compute_energy(body, moved + h * way) - compute_energy(body, moved - h * way)) / (
-        2 * h
-    )
+
+    def differentiate(function):
+        return (function(body, moved + h * way) - function(body, moved - h * way)) / (2 * h)
+
+    slope, change = differentiate(compute_energy), differentiate(compute_forces)
     assert compute_forces(body, moved) @ way.ravel() == pytest.approx(slope, rel=1e-7)
-    change = (compute_forces(body, moved + h * way) - compute_forces(body, moved - h * way)) / (
-        2 * h
-    )
-    np.testing.assert_allclose(
-        compute_tangent(body, moved) @ way.ravel(), change, atol=1e-6 * np.abs(change).max()
-    )
+    along = compute_tangent(body, moved) @ way.ravel()
+    np.testing.assert_allclose(along, change, atol=1e-6 * np.abs(change).max())
 
 
 def test_rigid_motions_cost_nothing():
@@ -131,9 +120,8 @@ def test_patch_a_boundary_stretched_evenly_stretches_everything_evenly():
     r, z = mesh.nodes.T
     inside = (r < 3) & (z > 0) & (z < 2)
     r, z = np.interp(r, range(4), [0.0, 0.5, 1.3, 2.0]), np.interp(z, range(3), [0.0, 0.4, 1.0])
-    mesh = replace(
-        mesh, nodes=np.stack([r, z + 0.2 * r], -1)
-    )  # uneven and skewed; curved sides need more points
+    # uneven and skewed; curved sides need more points
+    mesh = replace(mesh, nodes=np.stack([r, z + 0.2 * r], -1))
     body = uniform(mesh, 1.0, 0.45)
     even = mesh.nodes * [0.25, -0.35]  # stretches 1.25 and 0.65
     held = np.union1d(2 * np.flatnonzero(~inside)[:, None] + np.arange(2), 2 * mesh.axis)
@@ -158,22 +146,22 @@ def test_a_cylinder_squeezed_without_friction(stretch):
         made = solve_equilibrium(body, face, depth, made, held)
         assert made.converged
     shear, first = compute_lame_constants(0.1, 0.49)
-    side = brentq(
-        lambda t: shear * (t * t - 1) + first * np.log(t * t * stretch), 1.0, 2.0
-    )  # no stress at the side
+    # no stress at the side
+    side = brentq(lambda t: shear * (t * t - 1) + first * np.log(t * t * stretch), 1.0, 2.0)
     nominal = shear * (stretch - 1 / stretch) + first * np.log(side**2 * stretch) / stretch
-    np.testing.assert_allclose(
-        made.displacement, mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch], atol=1e-7
-    )
+    moved = mesh.nodes * [side - 1, stretch - 1] + [0, 1 - stretch]
+    np.testing.assert_allclose(made.displacement, moved, atol=1e-7)
     assert made.push.sum() == pytest.approx(-nominal * np.pi * 2**2, rel=1e-7)
-    np.testing.assert_allclose(
-        compute_deformation(body, made.displacement)[1], side**2 * stretch, rtol=1e-7
-    )
+    _, volume_ratios = compute_deformation(body, made.displacement)
+    np.testing.assert_allclose(volume_ratios, side**2 * stretch, rtol=1e-7)
 
 
-def inflation_error(columns, rows):
-    """Relative error of the pressure that widens a tube's bore from 1 to 1.6 of 2 mm."""
-    mesh = tube(1.0, 2.0, 0.5, columns, rows)
+def test_a_thick_tube_blown_up():
+    """Plane strain, incompressible: sigma_theta - sigma_r = mu (l^2 - l^-2), over dr / r.
+
+    A tube's bore is widened from 1 to 1.6 of 2 mm. See Ogden 1984, sec. 5.3.
+    """
+    mesh = tube(1.0, 2.0, 0.5, 6, 1)
     body = uniform(mesh, 1.0, 0.4999)
     bore = on(mesh, 0, 1.0)
     held = np.union1d(2 * np.arange(len(mesh.nodes)) + 1, 2 * bore)
@@ -182,29 +170,19 @@ def inflation_error(columns, rows):
         change = wide**2 - 1  # r^2 = R^2 + change where no volume is lost
         moved = np.zeros_like(mesh.nodes)
         moved[:, 0] = np.sqrt(mesh.nodes[:, 0] ** 2 + change) - mesh.nodes[:, 0]
-        moved[:, 0] += np.where(
-            mesh.nodes[:, 0] > 1, 0.2 * (made.displacement[:, 0] - moved[:, 0]), 0
-        )
+        inside = mesh.nodes[:, 0] > 1
+        moved[inside, 0] += 0.2 * (made.displacement - moved)[inside, 0]
         made = solve_equilibrium(body, unloaded(mesh), 0.0, started(moved, 0), held)
         assert made.converged
     pressure = compute_forces(body, made.displacement)[2 * bore].sum() / (2 * np.pi * 1.6 * 0.5)
     shear, _ = compute_lame_constants(1.0, 0.4999)
-    exact, _ = quad(
-        lambda r: shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r,
-        1.6,
-        np.sqrt(4 + change),
-    )
-    return abs(pressure / exact - 1)
 
+    def integrand(r):
+        return shear * (r**2 / (r**2 - change) - (r**2 - change) / r**2) / r
 
-def test_a_thick_tube_blown_up():
-    """Plane strain, incompressible: sigma_theta - sigma_r = mu (l^2 - l^-2), over dr / r.
-
-    See Ogden 1984, sec. 5.3.
-    """
-    assert (
-        inflation_error(6, 1) < 2e-4
-    )  # a Poisson ratio of 0.4999 instead of 0.5 is worth about 1e-4
+    exact, _ = quad(integrand, 1.6, np.sqrt(4 + change))
+    # a Poisson ratio of 0.4999 instead of 0.5 is worth about 1e-4
+    assert pressure == pytest.approx(exact, rel=2e-4)
 
 
 def test_a_small_press_is_the_linear_one():
@@ -228,11 +206,9 @@ def test_a_small_press_is_the_linear_one():
     assert made.converged.all()
     assert made.force_n[0] == pytest.approx(push.sum(), rel=0.01)
     tiny = 1e-3  # a linear lever: the limit of a turned one
-    linear = (
-        compute_deformed_tips(TACTIP_331, mesh, tiny * moved.reshape(-1, 2))
-        - compute_pin_tips(TACTIP_331)
-    ) / tiny
-    far = np.linalg.norm(made.pins[0] - compute_pin_tips(TACTIP_331) - linear, axis=-1).max()
+    rest = compute_pin_tips(TACTIP_331)
+    linear = (compute_deformed_tips(TACTIP_331, mesh, tiny * moved.reshape(-1, 2)) - rest) / tiny
+    far = np.linalg.norm(made.pins[0] - rest - linear, axis=-1).max()
     assert far < 0.02 * np.linalg.norm(linear, axis=-1).max()
 
 
@@ -244,11 +220,8 @@ def test_pins_are_levers_on_the_inner_face():
     inward = (centre - rest) / np.linalg.norm(centre - rest, axis=-1, keepdims=True)
     base = rest - TACTIP_331.pin_length_mm * inward
     normal = inward @ np.linalg.inv(squeeze)  # of a face that deforms: F^-T n
-    expected = (
-        base @ squeeze
-        + lift
-        + TACTIP_331.pin_length_mm * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-    )
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    expected = base @ squeeze + lift + TACTIP_331.pin_length_mm * normal
     np.testing.assert_allclose(compute_deformed_tips(TACTIP_331, mesh, moved), expected, atol=2e-3)
 
 
@@ -269,23 +242,18 @@ def test_the_force_is_the_slope_of_the_energy_over_depth(pressed):
 
 
 def test_the_force_converges_with_the_mesh():
-    coarse, middle, fine = (press_dome(TACTIP_331, [3.0], h) for h in (4.0, 2.0, 1.25))
+    coarse, middle, fine = (press_dome(TACTIP_331, [2.0], h) for h in (4.0, 2.0, 1.5))
     assert all(made.converged.all() for made in (coarse, middle, fine))
     assert middle.force_n[0] == pytest.approx(fine.force_n[0], rel=0.02)
     assert abs(middle.force_n[0] - fine.force_n[0]) < abs(coarse.force_n[0] - fine.force_n[0])
     np.testing.assert_allclose(middle.pins, fine.pins, atol=0.06)
 
 
-def test_rows_follow_the_order_given_and_no_contact_moves_nothing():
-    made = press_dome(TACTIP_331, [0.5, -1.0, 0.2, 0.0], 4.0)
-    np.testing.assert_array_equal(made.depth_mm, [0.5, -1.0, 0.2, 0.0])
-    assert made.converged.all() and made.force_n[0] > made.force_n[2] > 0
-    for row in (1, 3):
-        assert (
-            made.force_n[row] == 0
-            and made.contact_radius_mm[row] == 0
-            and made.max_stretch[row] == 1
-        )
+def test_no_contact_moves_nothing():
+    made = press_dome(TACTIP_331, [-1.0, 0.0, 0.2, 0.5], 4.0)
+    assert made.converged.all() and made.force_n[3] > made.force_n[2] > 0
+    for row in (0, 1):
+        assert made.force_n[row] == made.contact_radius_mm[row] == made.strained[row] == 0
         np.testing.assert_array_equal(made.pins[row], compute_pin_tips(TACTIP_331))
 
 
@@ -297,17 +265,7 @@ def test_what_does_not_converge_is_said_and_not_shown():
 
     made = press_dome(TACTIP_331, [-1.0, 2.0, 3.0], 4.0, hesitant)
     np.testing.assert_array_equal(made.converged, [True, False, False])
-    assert (
-        np.isnan(made.pins[1:]).all()
-        and np.isnan(made.force_n[1:]).all()
-        and made.residual[1] > 1e-9
-    )
-
-
-@pytest.mark.parametrize("depths", [[], [np.nan], [-np.inf], [12.0], 3.0])
-def test_depths_out_of_reach_are_refused(depths):
-    with pytest.raises(UserError, match="depths_mm"):
-        press_dome(TACTIP_331, depths)
+    assert np.isnan(made.pins[1:]).all() and np.isnan(made.force_n[1:]).all()
 
 
 def test_the_rim_lies_between_the_points():

@@ -1,5 +1,6 @@
 """The judge of networks at their extremes: what passes, and what does not."""
 
+import itertools
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -59,7 +60,7 @@ def compiled_anew():
 
 
 def made_up(run, **more) -> judge.NetworkCase:
-    return judge.NetworkCase("network made up", run, "the line", **more)
+    return judge.NetworkCase("network made up", run, **more)
 
 
 def refusing(line):
@@ -91,29 +92,23 @@ def test_only_those_asked_for_run(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("found", "outcome"),
+    ("found", "outcome", "said"),
     [
-        (judge.CaseOutput({"a": {"b": [1.0, np.nan]}}), "not finite"),
-        (judge.CaseOutput({"a": jnp.array([np.inf], jnp.bfloat16)}), "not finite"),
-        (judge.CaseOutput({}), "nothing was measured"),
-        (judge.CaseOutput({"a": 1.0}, error=0.1, bar=0.05), "off by more than allowed"),
-        (judge.CaseOutput({"a": 1.0}, error=np.nan, bar=0.05), "off by more than allowed"),
-        (judge.CaseOutput({"a": 1.0}, {"b": np.ones(2)}), "hides a NaN"),
-        (judge.CaseOutput({"a": 1.0}, wrong="DS was built"), "wrong"),
+        (judge.CaseOutput({"a": {"b": [1.0, np.nan]}}), "not finite", "a.b.1"),
+        (judge.CaseOutput({"a": jnp.array([np.inf], jnp.bfloat16)}), "not finite", "a"),
+        (judge.CaseOutput({}), "nothing was measured", ""),
+        (judge.CaseOutput({"a": 1.0}, error=0.1, bar=0.05), "off by more than allowed", ""),
+        (judge.CaseOutput({"a": 1.0}, error=np.nan, bar=0.05), "off by more than allowed", ""),
+        (judge.CaseOutput({"a": 1.0}, {"b": np.ones(2)}), "hides a NaN", "b"),
+        (judge.CaseOutput({"a": 1.0}, wrong="DS was built"), "wrong", "DS was built"),
     ],
 )
-def test_what_is_wrong_does_not_pass(found, outcome):
+def test_what_is_wrong_does_not_pass(found, outcome, said):
     row = judge.examine(made_up(lambda folder: found))
-    assert row.outcome == outcome and not row.holds and stability.select_failed([row]) == [row]
+    assert (row.outcome, row.said) == (outcome, said) and not row.holds
+    assert stability.select_failed([row]) == [row]
     text = stability.format_table([row])
-    assert "FAILED: network made up" in text and "the line" in text and "--only" in text
-
-
-def test_the_array_that_is_not_finite_is_named():
-    assert (
-        judge.examine(made_up(lambda folder: judge.CaseOutput({"a": {"b": [1.0, np.nan]}}))).said
-        == "a.b.1"
-    )
+    assert "FAILED: network made up" in text and "--only" in text
 
 
 def test_a_traceback_is_a_failure():
@@ -164,23 +159,11 @@ def test_the_papers_start_is_that_of_its_experiment():
         network_trainings.PAPER_POSENET,
     )
     ours = network_trainings.PAPER
-    for field in (
-        "optimiser",
-        "learning_rate",
-        "beta1",
-        "beta2",
-        "l1",
-        "l2",
-        "kernels",
-        "averaging",
-    ):
-        assert (
-            getattr(ours, field)
-            == getattr(paper.train, field)
-            == getattr(paper.train_posenet, field)
-        )
     for field in ("losses", "crops", "crop_px"):
         assert getattr(ours, field) == getattr(paper.train, field)
+    shared = ("optimiser", "learning_rate", "beta1", "beta2", "l1", "l2", "kernels", "averaging")
+    for field, theirs in itertools.product(shared, (paper.train, paper.train_posenet)):
+        assert getattr(ours, field) == getattr(theirs, field)
 
 
 @pytest.mark.long
@@ -199,13 +182,6 @@ def test_steps_pass_with_their_figures():
     row = judge.examine(make_steps_case("usual", SHALLOW))
     assert row.outcome == judge.FINITE and row.holds and row.steps == network_steps.STEPS
     assert 0 < row.loss < 1 and row.gradient > 0 and not row.said
-
-
-def test_a_network_that_learns_nothing_more_is_reported():
-    row = judge.examine(
-        made_up(lambda folder: judge.CaseOutput({"a": 1.0}, note="the gradient is 0"))
-    )
-    assert row.holds and row.said == "the gradient is 0"
 
 
 def test_a_nan_stops_a_training_and_the_row_says_what_is_kept():
@@ -299,24 +275,18 @@ def test_images_are_what_their_names_say():
     assert batch["canonical"].dtype == np.uint8 and set(np.unique(batch["canonical"])) == {0, 255}
     assert (batch["canonical"] != batch["sheared"]).any((1, 2, 3)).all()
     np.testing.assert_array_equal(batch["sheared"], make_pairs(3, 4, 32)["sheared"])
-    floats = corrupt_images(convert_to_floats, batch)
-    assert floats["sheared"].dtype == np.float32 and set(np.unique(floats["sheared"])) == {0, 1}
-    made = {name: kind(floats["canonical"]) for name, kind in KINDS.items()}
-    constants = [
-        np.unique(made[name]).tolist() for name in ("constant grey", "all black", "all white")
-    ]
-    assert constants == [[0.5], [0], [1]]
-    np.testing.assert_array_equal(made["inverted"], 1 - floats["canonical"])
+    floats = corrupt_images(convert_to_floats, batch)["canonical"]
+    assert floats.dtype == np.float32 and set(np.unique(floats)) == {0, 1}
+    made = {name: kind(floats) for name, kind in KINDS.items()}
+    for name, value in (("constant grey", 0.5), ("all black", 0), ("all white", 1)):
+        assert (made[name] == value).all()
+    np.testing.assert_array_equal(made["inverted"], 1 - floats)
     assert (np.diff(made["alike"], axis=0) == 0).all()
     apart = np.count_nonzero(np.diff(made["one pixel apart"], axis=0), axis=(1, 2, 3))
     assert (apart == 2).all()  # each has its own pixel inverted
     assert np.argwhere(np.isnan(insert_nan(batch["canonical"]))).tolist() == [[1, 16, 16, 0]]
     labels = make_poses(3, 4, 32)
-    assert (
-        labels["pose"].shape == (4, 4)
-        and labels["edge"].shape == (4, 2)
-        and np.isfinite(labels["pose"]).all()
-    )
+    assert labels["pose"].shape == (4, 4) and labels["edge"].shape == (4, 2)
 
 
 @pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.CaseOutput({"a": np.nan}), 1)])

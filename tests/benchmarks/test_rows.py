@@ -1,0 +1,97 @@
+"""Benchmarks at a small size: their rows, and that what they say of known work is right."""
+
+import numpy as np
+import pytest
+
+from benchmarks import bench_data, bench_explore, bench_omissions, bench_pin_networks, bench_pins
+from benchmarks import bench_input_pipeline as bench_input
+from jaxunshear.config.experiment import PIN_TRAINING
+from jaxunshear.errors import UserError
+from tests.perception.test_pin_refinement import LATTICE, picture, slid
+
+
+@pytest.mark.long
+def test_every_step_of_a_set_has_its_time_and_its_bytes():
+    rows = bench_data.bench_data(5)
+    steps = ["plan", "simulate and draw", "stored", "read into memory"]
+    assert [row["name"] for row in rows] == steps
+    assert all(set(row) == set(bench_data.COLUMNS) for row in rows)
+    _, chunk, stored, read = rows
+    assert chunk["cpu_ms"] > read["cpu_ms"] > 0
+    pins, bits = 331 * 2 * 4, 128 * 128 / 8
+    assert chunk["bytes"] > pins + bits
+    assert stored["bytes"] > pins * 4 / 3  # of a slide and its tap, for two contacts of three
+    assert read["bytes"] >= (pins + bits) * 4 / 3
+
+
+@pytest.mark.long
+def test_pictures_of_the_explorer():
+    rows = bench_explore.bench_explore(stimuli=("disk", "edge"), pictures=3, warm=False)
+    assert [row["name"] for row in rows] == ["disk", "edge"]
+    for row in rows:
+        assert set(row) == set(bench_explore.COLUMNS) and row["pictures"] + row["refused"] == 3
+        assert 0 < row["ms"] <= row["ms_p95"] <= row["most_ms"]
+
+
+@pytest.mark.long
+def test_steps_with_examples_in_memory_and_drawn():
+    rows = bench_input.bench_input(seconds=0.0, widths=(4, 8))
+    assert [row["name"] for row in rows] == ["images", "pins"]
+    for row in rows:
+        assert set(row) == set(bench_input.COLUMNS)
+        assert row["ratio_low"] <= row["ratio"] <= row["ratio_high"]
+        assert row["ms_there"] > 0 and 0.5 < row["ratio"] <= row["ratio_p95"]
+
+
+@pytest.mark.long
+def test_every_network_over_pins_and_use_has_a_row():
+    rows = bench_pin_networks.bench_pinnets(rounds=2, turn_s=0.0)
+    uses = [("training step", PIN_TRAINING.batch)]
+    uses += [("a frame", batch) for batch in bench_pin_networks.BATCHES]
+    expected = [(name, *use) for name in bench_pin_networks.NETS for use in uses]
+    assert [(row["name"], row["what"], row["batch"]) for row in rows] == expected
+    for row in rows:
+        assert set(row) == set(bench_pin_networks.COLUMNS)
+        assert 0 < row["ms"] <= row["ms_p95"] and row["plain_ms"] > 0
+    alone, of_many = (row["ms"] for row in rows[1:3])
+    assert alone < of_many  # 64 frames at once
+
+
+@pytest.mark.long
+def test_every_part_left_out_saves_operations():
+    rows = bench_omissions.bench_needs(size=32, widths=(4, 8), rounds=1)
+    ratios = {row["left_out"]: row["operations_ratio"] for row in rows}
+    assert all(ratio < 1 for ratio in ratios.values())
+    assert ratios["shear code and DS"] < 0.75
+    assert ratios["shear channels"] < 0.75
+    assert ratios["networks that are not asked for"] < 0.5
+    for row in rows:
+        for kind in ("with", "without"):
+            assert row[kind]["operations"] > 0 and row[kind]["compile_s"] > 0
+            assert 0 < row[kind]["seconds"] <= row[kind]["p95"]
+    assert "lambda 0" in bench_omissions.format_table(rows)
+
+
+def test_a_size_that_cannot_be_halved_is_refused():
+    with pytest.raises(UserError, match="100 px"):
+        bench_omissions.bench_needs(size=100)
+
+
+def test_errors_identities_and_times_of_found_pins():
+    true = np.stack([slid(), slid() + np.array([0.5, 0])])
+    row = bench_pins.compare_pins(LATTICE, np.stack([picture(each) for each in true]), true)
+    assert (row["frames"], row["sure"], row["wrong"]) == (2, 1, 0)
+    assert row["missed"] == row["extra"] == 0 and 0 < row["rms_px"] < 0.15
+    assert row["find_ms"] > 0 and row["follow_ms"] > 0 and row["ms"] <= row["ms_p95"]
+
+
+def test_a_wrong_name_in_a_sure_frame_is_counted():
+    others = slid()
+    others[[10, 11]] = others[[11, 10]]
+    row = bench_pins.compare_pins(LATTICE, picture(slid())[None], others[None])
+    assert row["sure"] == 1 and row["wrong"] == 1
+
+
+def test_frames_without_pins_are_not_sure():
+    row = bench_pins.compare_pins(LATTICE, np.zeros((1, 256, 256), np.uint8), slid()[None])
+    assert (row["sure"], row["wrong"], row["missed"], row["rms_px"]) == (0, 0, 331, None)
