@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import compute_rings, estimate_rings, make_lattice
@@ -50,9 +51,8 @@ def test_missing_and_extra_pins_are_counted():
         [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
     )
     track = track_pins(make_lattice(place), DetectedPins(found))
-    assert (
-        track.missed <= 3 and track.extra >= 1
-    )  # an extra pin may stand in for a missing neighbour
+    # an extra pin may stand in for a missing neighbour
+    assert track.missed <= 3 and track.extra >= 1
     assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
 
 
@@ -71,11 +71,7 @@ def test_lattice_is_found_turned_and_shifted():
     Each pin is within a tenth of a pixel, up to the lattice's symmetry.
     """
     place = _flat(TACTIP_331) - 64
-    turn = np.radians(17)
-    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [
-        60.0,
-        66.0,
-    ]
+    turned = place @ rotation_2d(-np.radians(17)) + [60.0, 66.0]
     rng = np.random.default_rng(2)
     frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
     lattice = fit_lattice(frames, make_layout(TACTIP_331))
@@ -116,8 +112,7 @@ def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
     if lattice == "square":
         flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
     flat = flat / np.linalg.norm(flat, axis=-1).max()
-    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    place = 46 * flat @ np.array([[cos, sin], [-sin, cos]]) + 64
+    place = 46 * flat @ rotation_2d(-np.radians(turn_deg)) + 64
     rng = np.random.default_rng(seed)
     frames = [
         place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
