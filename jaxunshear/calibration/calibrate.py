@@ -12,10 +12,11 @@ from pathlib import Path
 
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.fit import FitResult, fit
-from jaxunshear.calibration.prediction import SensorValues, make_values
+from jaxunshear.calibration.labels import make_paths
+from jaxunshear.calibration.prediction import SensorValues, make_values, solve_contacts
 from jaxunshear.calibration.problem import SURFACE, RecordedGroup
 from jaxunshear.calibration.recorded_groups import choose_sensor, observe_groups
-from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius, simulate_tips
+from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius
 from jaxunshear.calibration.report import (
     SimulatedGroups,
     build_rows,
@@ -128,9 +129,10 @@ def _fit_in_two_stages(
 
 
 def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGroups:
-    tips = []
+    tips, sensor = [], values.sensor
     for group, surface_mm in zip(groups, values.surface_mm, strict=True):
-        tips.append(simulate_tips(group, values, surface_mm))
+        paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
+        tips.append(solve_contacts(sensor, paths))
     return SimulatedGroups(values, tips)
 
 

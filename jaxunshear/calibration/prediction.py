@@ -7,6 +7,7 @@ and the camera can be fitted without a new simulation.
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -121,6 +122,24 @@ def _interpolate_circle(count: int, turn: np.ndarray) -> np.ndarray:
     return np.where(on_point, 1.0, np.sin(count * turn / 2) / (count * safe))
 
 
+class SolvedContacts(NamedTuple):
+    """The pins of N simulated contacts."""
+
+    tips: np.ndarray  # (N, P, 3) mm, undisturbed in contacts that are out of reach
+    converged: np.ndarray  # (N,) bool
+
+
+def solve_contacts(sensor: Sensor, paths: Paths) -> SolvedContacts:
+    """Simulate the contacts that are within reach of the sensor, with an edge."""
+    tips = np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0)
+    converged = np.zeros(len(paths), bool)
+    reachable = np.flatnonzero(is_within_reach(sensor, paths))
+    if len(reachable):
+        solved, _ = follow(sensor, (EDGE_STIMULUS,), paths.take(reachable))
+        tips[reachable], converged[reachable] = solved.pins, solved.converged
+    return SolvedContacts(tips, converged)
+
+
 def simulate_displacements(
     values: SensorValues,
     contacts: LabelledMotions,
@@ -137,13 +156,9 @@ def simulate_displacements(
     paths = make_paths(
         contacts, probe, surface_mm, side, values.friction if friction is None else friction
     )
-    reachable = np.flatnonzero(is_within_reach(probe, paths))
-    displacement = np.full((len(paths), probe.pins, 3), np.nan, np.float32)
-    if len(reachable):
-        solved, _ = follow(probe, (EDGE_STIMULUS,), paths.take(reachable))
-        moved = solved.pins - compute_pin_tips(probe).astype(np.float32)
-        displacement[reachable[solved.converged]] = moved[solved.converged]
-    return displacement
+    tips, converged = solve_contacts(probe, paths)
+    displacement = tips.astype(np.float32) - compute_pin_tips(probe).astype(np.float32)
+    return np.where(converged[:, None, None], displacement, np.nan)
 
 
 def find_converged(displacement: np.ndarray) -> np.ndarray:

@@ -7,47 +7,24 @@ rendered images as white as the recorded ones.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths
 from jaxunshear.calibration.pin_statistics import measure_pin_diameters
-from jaxunshear.calibration.prediction import SensorValues, is_within_reach
+from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.perception.preprocess import binarise
 from jaxunshear.simulator.camera import compute_outer_fraction, render_frame
-from jaxunshear.simulator.pin_layout import compute_pin_tips
-from jaxunshear.simulator.simulate import follow
 
 FRAME_PX = 256  # least size of a camera frame before it is resized
 SIZE_IMAGES = 16  # images from which the size of pins and housing is fitted
 RADIUS_STEPS = 3
 HOUSING_ROUNDS = 3  # the threshold follows the local mean, so white is not only the ring's area
-
-
-class SimulatedTips(NamedTuple):
-    """Pin tips of a group's contacts."""
-
-    tips: np.ndarray  # (N, P, 3) mm
-    converged: np.ndarray  # (N,) bool
-
-
-def simulate_tips(group: RecordedGroup, values: SensorValues, surface_mm: float) -> SimulatedTips:
-    """Simulate the pin tips of a group's contacts; undisturbed ones if a contact is not solved."""
-    sensor = values.sensor
-    paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
-    reachable = is_within_reach(sensor, paths)
-    solved, _ = follow(sensor, (EDGE_STIMULUS,), paths.take(np.flatnonzero(reachable)))
-    tips = np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0)
-    converged = np.zeros(len(paths), bool)
-    tips[reachable], converged[reachable] = solved.pins, solved.converged
-    return SimulatedTips(tips, converged)
 
 
 def render_images(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:

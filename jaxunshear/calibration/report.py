@@ -14,9 +14,9 @@ from jaxunshear.calibration.pin_statistics import (
     summarise_pins,
     summarise_slides,
 )
-from jaxunshear.calibration.prediction import SensorValues
+from jaxunshear.calibration.prediction import SensorValues, SolvedContacts
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.calibration.rendering import SimulatedTips, render_images
+from jaxunshear.calibration.rendering import render_images
 from jaxunshear.files import Json
 from jaxunshear.style import STYLE, encode_png
 from jaxunshear.text_table import format_text_table
@@ -31,7 +31,7 @@ class SimulatedGroups:
     """The contacts of all groups, simulated with one set of values."""
 
     values: SensorValues
-    tips: list[SimulatedTips]  # of each group
+    tips: list[SolvedContacts]  # of each group
 
     def count_failures(self) -> int:
         return sum(int((~tips.converged).sum()) for tips in self.tips)
