@@ -137,7 +137,6 @@ def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGro
 
 
 def _fit_appearance(groups: list[RecordedGroup], simulated: SimulatedGroups) -> SimulatedGroups:
-    """Fit pin radius and housing to images of the simulated contacts."""
     values = simulated.values
     solved = [
         each.tips[each.converged] if each.converged.any() else each.tips for each in simulated.tips

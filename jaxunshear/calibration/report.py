@@ -75,7 +75,6 @@ def summarise_group(
 
 
 def _merge_summaries(parts: list[list[Summary]]) -> list[Summary]:
-    """Join the statistics of several groups, image after image."""
     merged = []
     for rows in zip(*parts, strict=True):
         merged.append(rows[0]._replace(values=np.concatenate([row.values for row in rows])))

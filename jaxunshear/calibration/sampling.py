@@ -148,7 +148,6 @@ def _open_recordings(path: Path) -> Recordings:
 
 
 def _group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
-    """Group the rows of the images by their folder, in the order of the folders' names."""
     rows: dict[Path, list[int]] = {}
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
@@ -156,7 +155,6 @@ def _group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
 
 
 def _sample_rows(recordings: Recordings, images: int, seed: int) -> np.ndarray:
-    """Sample rows of images, as many of each folder."""
     folders, generator = _group_rows_by_folder(recordings), np.random.default_rng(seed)
     count = max(1, images // len(folders))
     chosen = [_choose_rows(recordings.moves, rows, count, generator) for rows in folders]

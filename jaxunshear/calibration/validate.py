@@ -150,7 +150,6 @@ def _check_enough(count: int, what: str) -> None:
 
 
 def _align_folder(part: RecordedImages, values: SensorValues, notes: list[str]) -> Alignment:
-    """Align a folder's labels with its images, and note how."""
     observation = part.observe(values.base)
     rows = np.flatnonzero(part.labelled_rows & observation.identified)
     _check_enough(len(rows), "images to align by are labelled and followed")

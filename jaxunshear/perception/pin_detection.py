@@ -101,7 +101,6 @@ def _find_components(white: np.ndarray) -> _Components:
 
 
 def _measure_parts(labels: np.ndarray, count: int) -> MeasuredPins:
-    """Measure the parts 1 to `count` of a labelled image."""
     white = np.flatnonzero(labels)
     rows, columns = np.divmod(white, labels.shape[1])
     number = labels.ravel()[white] - 1
