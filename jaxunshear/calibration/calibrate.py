@@ -10,6 +10,8 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.fit import FitResult, fit
 from jaxunshear.calibration.labels import make_paths
@@ -73,48 +75,54 @@ def calibrate(
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
-    if wrong := [name for name in fixed if name not in UNITS]:
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
+    _check_names(fixed)
     recorded, notes = sample_folders(Path(path), images, SEED)
     start = make_values(sensor or choose_sensor(recorded), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
-    start = replace(start, surface_mm=tuple(group.surface_mm for group in groups))
     fitted = _fit_in_two_stages(groups, start, fixed)
     before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
     after = _fit_appearance(groups, _simulate(groups, fitted.values))
-    notes += _build_notes(fitted, fixed, before, after)
     images_before, images_after = before.render(groups), after.render(groups)
     rows = build_rows(
         summarise_recorded(groups),
         before.summarise(groups, images_before),
         after.summarise(groups, images_after),
     )
-    parameters = _build_parameter_rows(start, after.values, fitted, fixed)
     results: Json = {
         "rows": rows,
-        "parameters": parameters,
+        "parameters": _build_parameter_rows(start, after.values, fitted, fixed),
         "preset": _make_preset(after.values),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.contacts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
-        "notes": notes,
+        "notes": notes + _build_notes(fitted, fixed, before, after),
     }
-    text = format_tables(rows, parameters) + "\n" + "".join(f"\nnote: {note}" for note in notes)
+    pictures = {f"recorded: {part.name}": part.images[0] for part in recorded[:2]}
+    pictures |= {"simulated, before": images_before[0][0], "simulated, after": images_after[0][0]}
+    _report(results, pictures, out)
+    return results
+
+
+def _check_names(fixed: Collection[str]) -> None:
+    if wrong := [name for name in fixed if name not in UNITS]:
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
+
+
+def _report(results: Json, pictures: dict[str, np.ndarray], out: Path | None) -> None:
+    text = format_tables(results["rows"], results["parameters"]) + "\n"
+    text += "".join(f"\nnote: {note}" for note in results["notes"])
     print(text)
     if out is not None:
-        pictures = {f"recorded: {part.name}": part.images[0] for part in recorded[:2]}
-        pictures |= {"simulated, before": images_before[0][0]}
-        pictures |= {"simulated, after": images_after[0][0]}
         write_json(Path(out) / "calibration.json", results)
         write_text(Path(out) / "calibration.txt", text + "\n")
         write_bytes(Path(out) / "calibration.png", draw_images(pictures))
-    return results
 
 
 def _fit_in_two_stages(
     groups: list[RecordedGroup], start: SensorValues, fixed: Collection[str]
 ) -> FitResult:
     """Fit to a part of the images first: most of the search needs no more."""
+    start = replace(start, surface_mm=tuple(group.surface_mm for group in groups))
     count = sum(len(group.contacts) for group in groups)
     with Progress("fit", SOLVES_PER_CONTACT * count, unit="contacts") as progress:
 

@@ -56,7 +56,8 @@ def observe_groups(
             framing[part.name] = _measure_framing(observation)
     if not groups:
         raise UserError(f"no labelled contacts to fit the simulator to: {'; '.join(notes)}")
-    widest, narrowest = (choose(framing, key=framing.__getitem__) for choose in (max, min))
+    widest = max(framing, key=framing.__getitem__)
+    narrowest = min(framing, key=framing.__getitem__)
     if framing[widest] > (1 + MAX_FRAMING_DIFFERENCE) * framing[narrowest]:
         raise UserError(
             f"{widest} and {narrowest} are framed differently: calibrate one camera at a time"

@@ -92,11 +92,16 @@ def _split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFold
     return kinds
 
 
+def _collect(parts: list[ComparedFolder]) -> list[np.ndarray]:
+    """Collect the vectors (K, 2) of each of MOTIONS."""
+    motions = []
+    for name in MOTIONS:
+        motions.append(np.concatenate([getattr(part, name).reshape(-1, 2) for part in parts]))
+    return motions
+
+
 def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
-    recorded, simulated, ceiling = (
-        np.concatenate([getattr(part, motion).reshape(-1, 2) for part in parts])
-        for motion in MOTIONS
-    )
+    recorded, simulated, ceiling = _collect(parts)
     scale = np.concatenate([np.tile(part.mm_per_px, len(part.recorded)) for part in parts])
     residual = recorded - simulated
     contacts = sum(len(part.recorded) for part in parts)
