@@ -48,16 +48,23 @@ MIN_CORRELATION = 0.5  # least correlation of simulated and recorded ring motion
 MIN_LEAD = 0.03  # least lead in score of a reading over those before it
 
 
-class LabelReading(NamedTuple):
-    """One reading of a group's labels."""
+class Alignment(NamedTuple):
+    """How the labels, the object and the camera of a recording go together."""
 
-    contacts: LabelledMotions
     sign: int  # of the slides: +1 as they are labelled, -1 reversed
     side: int  # see `labels.make_paths`
-    surface_mm: float
     mirrored: bool
     angle: float  # rad, see `pin_statistics.PinObservation.rotate`
+    frame: LabelFrame
     correlation: float  # of simulated and recorded ring motion
+
+    def read_contacts(self, poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
+        """Convert labels (N, 6) to contacts in the frame of the labels."""
+        return read_motions(poses, None if moves is None else self.sign * moves)
+
+    def place_contacts(self, poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
+        """Convert labels (N, 6) to contacts in the object's frame."""
+        return apply_frame(self.read_contacts(poses, moves), self.frame)
 
 
 class _RingMeasures(NamedTuple):
@@ -67,10 +74,10 @@ class _RingMeasures(NamedTuple):
 
 def read_labels(
     observation: PinObservation, poses: np.ndarray, moves: np.ndarray | None, start: SensorValues
-) -> LabelReading | None:
+) -> Alignment | None:
     """Find the reading of labels (N, 6) that agrees best with N images.
 
-    Returns None if no reading agrees with them.
+    The frame has the depth of the object's top alone. Returns None if no reading agrees with them.
     """
     identified = np.flatnonzero(observation.identified)
     rows = np.random.default_rng(0).permutation(identified)[:IMAGES]
@@ -107,9 +114,8 @@ def read_labels(
                 )
                 score = correlation + 0.5 * radii_correlation
                 if score > best_score + MIN_LEAD:
-                    best = LabelReading(
-                        contacts, sign, side, surface_mm, mirrored, angle, correlation
-                    )
+                    frame = LabelFrame(surface_mm)
+                    best = Alignment(sign, side, mirrored, angle, frame, correlation)
                     best_score = score
     return best if best is not None and best.correlation >= MIN_CORRELATION else None
 
@@ -215,21 +221,6 @@ def _compute_step(problem: AlignmentProblem, best: FrameFit) -> np.ndarray:
     return np.array([by_name.get(name, 0.0) * STEPS[name] for name in LabelFrame._fields])
 
 
-class Alignment(NamedTuple):
-    """How the labels, the object and the camera of a recording go together."""
-
-    frame: LabelFrame
-    sign: int  # of the slides, see `LabelReading`
-    side: int
-    mirrored: bool
-    angle: float  # rad, of the camera
-
-    def place_contacts(self, poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
-        """Convert labels (N, 6) to contacts in the object's frame."""
-        moves = None if moves is None else self.sign * moves
-        return apply_frame(read_motions(poses, moves), self.frame)
-
-
 def align(
     observation: PinObservation, poses: np.ndarray, moves: np.ndarray | None, values: SensorValues
 ) -> Alignment | None:
@@ -238,7 +229,6 @@ def align(
     if reading is None:
         return None
     rotated = observation.rotate(reading.mirrored, reading.angle)
-    problem = AlignmentProblem(rotated, reading.contacts, reading.side, values)
-    best = find_frame(problem, LabelFrame(reading.surface_mm))
-    angle = reading.angle - best.angle
-    return Alignment(best.frame, reading.sign, reading.side, reading.mirrored, angle)
+    contacts = reading.read_contacts(poses, moves)
+    best = find_frame(AlignmentProblem(rotated, contacts, reading.side, values), reading.frame)
+    return reading._replace(frame=best.frame, angle=reading.angle - best.angle)

@@ -98,4 +98,5 @@ def _read_group(
         f"camera turned by {np.degrees(reading.angle):.0f} deg"
     )
     rotated = observation.take(rows).rotate(reading.mirrored, reading.angle)
-    return RecordedGroup(part.name, rotated, reading.contacts, reading.side, reading.surface_mm)
+    contacts = reading.read_contacts(part.poses[rows], part.moves[rows])
+    return RecordedGroup(part.name, rotated, contacts, reading.side, reading.frame.surface_mm)
