@@ -10,7 +10,6 @@ On real edges the edge was more than a millimetre, and the top nearly two degree
 labels have them, which explained a third of the simulator's error.
 """
 
-from collections.abc import Collection
 from itertools import product
 from typing import NamedTuple
 
@@ -25,13 +24,15 @@ from jaxunshear.calibration.pin_statistics import (
 )
 from jaxunshear.calibration.prediction import (
     SensorValues,
-    Simulate,
-    predict_positions,
+    find_converged,
+    fit_positions,
+    project_positions,
+    project_rest,
     simulate_displacements,
 )
-from jaxunshear.calibration.validation import centre_motions, compute_r2, fit_positions
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.calibration.validation import centre_motions, compute_r2
 from jaxunshear.perception.lattice import compute_rings
+from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 # steps of the forward differences
 STEPS = {"surface_mm": 0.2, "across_mm": 0.5, "tilt_x_deg": 1.5, "tilt_y_deg": 1.5}
@@ -47,16 +48,23 @@ MIN_CORRELATION = 0.5  # least correlation of simulated and recorded ring motion
 MIN_LEAD = 0.03  # least lead in score of a reading over those before it
 
 
-class LabelReading(NamedTuple):
-    """One reading of a group's labels."""
+class Alignment(NamedTuple):
+    """How the labels, the object and the camera of a recording go together."""
 
-    contacts: LabelledMotions
     sign: int  # of the slides: +1 as they are labelled, -1 reversed
     side: int  # see `labels.make_paths`
-    surface_mm: float
     mirrored: bool
     angle: float  # rad, see `pin_statistics.PinObservation.rotate`
+    frame: LabelFrame
     correlation: float  # of simulated and recorded ring motion
+
+    def read_contacts(self, poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
+        """Convert labels (N, 6) to contacts in the frame of the labels."""
+        return read_motions(poses, None if moves is None else self.sign * moves)
+
+    def place_contacts(self, poses: np.ndarray, moves: np.ndarray | None) -> LabelledMotions:
+        """Convert labels (N, 6) to contacts in the object's frame."""
+        return apply_frame(self.read_contacts(poses, moves), self.frame)
 
 
 class _RingMeasures(NamedTuple):
@@ -65,22 +73,23 @@ class _RingMeasures(NamedTuple):
 
 
 def read_labels(
-    observation: PinObservation,
-    poses: np.ndarray,
-    moves: np.ndarray | None,
-    start: SensorValues,
-    sensor: Sensor,
-) -> LabelReading | None:
+    observation: PinObservation, poses: np.ndarray, moves: np.ndarray | None, start: SensorValues
+) -> Alignment | None:
     """Find the reading of labels (N, 6) that agrees best with N images.
 
-    Returns None if no reading agrees with them.
+    The frame has the depth of the object's top alone. Returns None if no reading agrees with them.
     """
     identified = np.flatnonzero(observation.identified)
     rows = np.random.default_rng(0).permutation(identified)[:IMAGES]
     recorded = _measure_rings(
         observation.lattice.ring, observation.take(rows).positions, observation.rest
     )
-    size, ring = observation.size, compute_rings(sensor)
+    size, ring, flat = (
+        observation.size,
+        compute_rings(start.base),
+        compute_pin_lattice(start.sensor),
+    )
+    rest = project_rest(start, size, flat)
     has_slides = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
     best, best_score = None, -np.inf
     for sign in (1, -1) if has_slides else (1,):
@@ -88,14 +97,13 @@ def read_labels(
         sample = contacts.take(rows)
         lowest = float(-contacts.tip[:, 1, 2].min())
         for side, depth in product((1, -1, 0) if contacts.across else (0,), DEPTH_FRACTIONS):
-            surface_mm = lowest - depth * sensor.dome_radius_mm
-            displacement, converged = simulate_displacements(
-                sensor, sample, side, start.friction, surface_mm, start.skin_to_gel
-            )
+            surface_mm = lowest - depth * start.base.dome_radius_mm
+            displacement = simulate_displacements(start, sample, side, surface_mm)
+            converged = find_converged(displacement)
             if not converged.any():
                 continue
-            displacement = np.where(converged[:, None, None], displacement, np.nan)
-            simulated = _measure_rings(ring, *predict_positions(start, sensor, size, displacement))
+            positions = project_positions(start, size, flat, displacement)
+            simulated = _measure_rings(ring, positions, rest)
             radii_correlation = _correlate_radii(
                 recorded.radii[converged], simulated.radii[converged]
             )
@@ -106,9 +114,8 @@ def read_labels(
                 )
                 score = correlation + 0.5 * radii_correlation
                 if score > best_score + MIN_LEAD:
-                    best = LabelReading(
-                        contacts, sign, side, surface_mm, mirrored, angle, correlation
-                    )
+                    frame = LabelFrame(surface_mm)
+                    best = Alignment(sign, side, mirrored, angle, frame, correlation)
                     best_score = score
     return best if best is not None and best.correlation >= MIN_CORRELATION else None
 
@@ -135,6 +142,19 @@ def _correlate_radii(recorded: np.ndarray, simulated: np.ndarray) -> float:
     return float(np.sum(a * b) / max(np.sqrt(np.sum(a**2) * np.sum(b**2)), 1e-12))
 
 
+class FrameFit(NamedTuple):
+    """A frame, and the motions px in it: each pin less its mean over contacts, 0 if unknown."""
+
+    frame: LabelFrame
+    recorded: np.ndarray  # (N, P, 2)
+    simulated: np.ndarray  # (N, P, 2) rotated as the camera is
+    angle: float  # rad, by which they are rotated
+
+    @property
+    def r2(self) -> float:
+        return compute_r2(self.recorded, self.simulated)
+
+
 class AlignmentProblem(NamedTuple):
     """Recorded contacts, and the simulator that has to reproduce them."""
 
@@ -142,104 +162,73 @@ class AlignmentProblem(NamedTuple):
     contacts: LabelledMotions
     side: int
     values: SensorValues
-    sensor: Sensor
-    simulate: Simulate = simulate_displacements
 
-    def simulate_motion(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate the contacts in a frame; returns what `simulate_displacements` returns."""
+    def compare_motions(self, frame: LabelFrame) -> FrameFit:
+        """Simulate the contacts in a frame, and compare the motions of the pins."""
         contacts = apply_frame(self.contacts, frame)
-        friction, ratio = self.values.friction, self.values.skin_to_gel
-        return self.simulate(self.sensor, contacts, self.side, friction, 0.0, ratio)
-
-    def compare_motions(self, frame: LabelFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Compute recorded and simulated motions (N, P, 2) px, centred as by `centre_motions`.
-
-        Unknown motions are zero. The simulated motions are rotated as the camera is.
-        """
-        displacement, converged = self.simulate_motion(frame)
+        displacement = simulate_displacements(self.values, contacts, self.side)
+        rows = np.flatnonzero(find_converged(displacement))
         recorded, simulated = np.zeros((2, *self.observation.positions.shape))
-        if converged.any():
-            centred = self._centre_motions(displacement, converged)
-            recorded[converged] = np.nan_to_num(centred[0])
-            simulated[converged] = np.nan_to_num(centred[1])
-            angle = estimate_rotation(recorded[converged], simulated[converged])
-            simulated[converged] = simulated[converged] @ compute_camera_rotation(angle)
-        return recorded, simulated
-
-    def measure_rotation(self, frame: LabelFrame) -> float:
-        """Measure the rotation (rad, column to row) left between recorded and simulated motions."""
-        return estimate_rotation(*self._centre_motions(*self.simulate_motion(frame)))
-
-    def _centre_motions(
-        self, displacement: np.ndarray, converged: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        observation = self.observation.take(np.flatnonzero(converged))
-        _, simulated = fit_positions(
-            self.values,
-            self.sensor,
-            observation.size,
-            observation.positions,
-            displacement[converged],
-        )
-        return centre_motions(observation.positions, simulated)
+        if not len(rows):
+            return FrameFit(frame, recorded, simulated, 0.0)
+        size, observed = self.observation.size, self.observation.positions[rows]
+        flat = fit_positions(self.values, size, observed, displacement[rows])
+        predicted = project_positions(self.values, size, flat, displacement[rows])
+        recorded[rows], simulated[rows] = map(np.nan_to_num, centre_motions(observed, predicted))
+        angle = estimate_rotation(recorded[rows], simulated[rows])
+        simulated[rows] = simulated[rows] @ compute_camera_rotation(angle)
+        return FrameFit(frame, recorded, simulated, angle)
 
 
 def estimate_rotation(recorded: np.ndarray, simulated: np.ndarray) -> float:
     """Estimate the rotation (rad, column to row) of simulated (N, P, 2) to recorded motions."""
     as_complex = np.array([1, 1j])
-    a, b = np.nan_to_num(recorded) @ as_complex, np.nan_to_num(simulated) @ as_complex
+    a, b = recorded @ as_complex, simulated @ as_complex
     return float(np.angle(np.sum(a * np.conj(b))))
 
 
-def find_frame(
-    problem: AlignmentProblem, start: LabelFrame, names: Collection[str] = tuple(STEPS)
-) -> LabelFrame:
-    """Find the frame in which the simulator explains most of the recorded motion.
-
-    Fields that are not among `names` keep their start.
-    """
-    names = [name for name in names if name != "across_mm" or problem.side]
-    frame = start
-    recorded, simulated = problem.compare_motions(start)
-    score = compute_r2(recorded, simulated)
+def find_frame(problem: AlignmentProblem, start: LabelFrame) -> FrameFit:
+    """Find the frame in which the simulator explains most of the recorded motion."""
+    best = problem.compare_motions(start)
     for _ in range(ROUNDS):
-        step = _compute_step(problem, frame, names, recorded, simulated)
+        step = _compute_step(problem, best)
         for fraction in STEP_FRACTIONS:
-            trial = move_frame(frame, dict(zip(names, fraction * step, strict=True)))
-            motions = problem.compare_motions(trial)
-            if compute_r2(*motions) > score:
+            trial = problem.compare_motions(
+                LabelFrame(*(np.array(best.frame) + fraction * step).tolist())
+            )
+            if trial.r2 > best.r2:
                 break
         else:
-            return frame
-        gain = compute_r2(*motions) - score
-        frame, score = trial, score + gain
-        recorded, simulated = motions
+            return best
+        gain, best = trial.r2 - best.r2, trial
         if gain < MIN_R2_GAIN:
             break
-    return frame
+    return best
 
 
-def move_frame(frame: LabelFrame, step: dict[str, float]) -> LabelFrame:
-    """Move fields of the frame by a number of STEPS each."""
-    fields = {name: float(getattr(frame, name) + STEPS[name] * size) for name, size in step.items()}
-    return frame._replace(**fields)
-
-
-def _compute_step(
-    problem: AlignmentProblem,
-    frame: LabelFrame,
-    names: list[str],
-    recorded: np.ndarray,
-    simulated: np.ndarray,
-) -> np.ndarray:
-    """Compute the Gauss-Newton step in units of STEPS."""
+def _compute_step(problem: AlignmentProblem, best: FrameFit) -> np.ndarray:
+    """Compute the Gauss-Newton step (4,) of the frame's fields; 0 for those that stay."""
+    names = [name for name in STEPS if name != "across_mm" or problem.side]
     slopes = []
     for name in names:
-        _, shifted = problem.compare_motions(move_frame(frame, {name: 1.0}))
-        slopes.append((shifted - simulated).ravel())
+        frame = best.frame._replace(**{name: getattr(best.frame, name) + STEPS[name]})
+        slopes.append((problem.compare_motions(frame).simulated - best.simulated).ravel())
     jacobian = np.array(slopes)
     normal = jacobian @ jacobian.T
-    step = np.linalg.solve(
-        normal + DAMPING * np.diag(np.diag(normal)), jacobian @ (recorded - simulated).ravel()
-    )
-    return np.clip(step, -MAX_STEPS, MAX_STEPS)
+    residual = (best.recorded - best.simulated).ravel()
+    step = np.linalg.solve(normal + DAMPING * np.diag(np.diag(normal)), jacobian @ residual)
+    by_name = dict(zip(names, np.clip(step, -MAX_STEPS, MAX_STEPS), strict=True))
+    return np.array([by_name.get(name, 0.0) * STEPS[name] for name in LabelFrame._fields])
+
+
+def align(
+    observation: PinObservation, poses: np.ndarray, moves: np.ndarray | None, values: SensorValues
+) -> Alignment | None:
+    """Find how labels (N, 6) go together with N images; None if they do not."""
+    reading = read_labels(observation, poses, moves, values)
+    if reading is None:
+        return None
+    rotated = observation.rotate(reading.mirrored, reading.angle)
+    contacts = reading.read_contacts(poses, moves)
+    best = find_frame(AlignmentProblem(rotated, contacts, reading.side, values), reading.frame)
+    return reading._replace(frame=best.frame, angle=reading.angle - best.angle)

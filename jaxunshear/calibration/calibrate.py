@@ -6,7 +6,7 @@
 Domes stay in the cache, so a second calibration of the same sensor takes a third of the time.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,22 +14,17 @@ import numpy as np
 
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.fit import FitResult, fit
-from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
-from jaxunshear.calibration.problem import RecordedGroup
+from jaxunshear.calibration.labels import make_paths
+from jaxunshear.calibration.prediction import SensorValues, make_values, solve_contacts
+from jaxunshear.calibration.problem import SURFACE, RecordedGroup
 from jaxunshear.calibration.recorded_groups import choose_sensor, observe_groups
-from jaxunshear.calibration.rendering import (
-    PinRadius,
-    SimulatedTips,
-    fit_housing,
-    fit_pin_radius,
-    simulate_tips,
-)
+from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius
 from jaxunshear.calibration.report import (
     SimulatedGroups,
     build_rows,
-    format_table,
-    plot_curves,
-    summarise_images,
+    draw_images,
+    format_tables,
+    summarise_recorded,
 )
 from jaxunshear.calibration.sampling import sample_folders
 from jaxunshear.config.image import Camera
@@ -43,21 +38,17 @@ IMAGES = 200  # of all groups together; more do not narrow the intervals that ma
 SEED = 0  # of the choice of images
 FIRST_FIT_STRIDE = 3  # the first fit takes one of so many images
 SOLVES_PER_CONTACT = 40  # about so many simulations of each recorded contact
-PIN_RADIUS = "pin_radius_mm"
 UNITS = {
     "mm_across": "mm",
     "distance_mm": "mm",
     "pin_spacing_mm": "mm",
     "friction": "1",
     "skin_to_gel": "1",
-    PIN_RADIUS: "mm",
 }
 OVERALL_MODULUS = (
     "the moduli's overall size moves no pin: only skin over gel is fitted, "
     "with the skin's modulus kept"
 )
-
-Log = Callable[[str], None]
 
 
 def calibrate(
@@ -67,199 +58,160 @@ def calibrate(
     camera: Camera | None = None,
     fixed: Collection[str] = (),
     images: int = IMAGES,
-    log: Log = print,
 ) -> Json:
-    """Fit camera, pins, friction and stiffness to the recordings at `path`.
+    """Fit camera, pins, friction and stiffness to the labelled recordings at `path`.
 
     See `docs/calibration.md` for what recordings can determine. Raises `UserError` if the
-    recordings cannot be read or do not show such pins.
+    recordings cannot be read, are not labelled, or do not show such pins.
 
     Args:
         out: The folder for calibration.json, calibration.txt and calibration.png, if any. The
             picture shows recorded images, so it is yours to keep or share.
         sensor: Where the fit starts; by default the preset with as many pins as are detected.
         camera: Where the fit starts.
-        fixed: Names of UNITS, except the pin radius, that keep their start.
+        fixed: Names of UNITS that keep their start.
         images: How many images of all folders together are used.
 
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
-    path = Path(path)
-    _check_fixed_names(fixed)
-    recorded, notes = sample_folders(path, images, SEED)
-    sensor = sensor or choose_sensor(recorded)
-    start = _make_start(sensor, camera or Camera())
-    groups, surfaces = observe_groups(recorded, sensor, start, notes)
-    start = replace(start, surface_mm=surfaces)
-    fitted = _fit_in_two_stages(groups, sensor, start, fixed)
-    before = _simulate(groups, sensor, replace(start, surface_mm=fitted.values.surface_mm))
-    after, radius = _fit_appearance(
-        groups, _simulate(groups, fitted.values.sensor(sensor), fitted.values), fitted
+    _check_names(fixed)
+    recorded, notes = sample_folders(Path(path), images, SEED)
+    start = make_values(sensor or choose_sensor(recorded), camera or Camera(), ABS_FRICTION)
+    groups = observe_groups(recorded, start, notes)
+    fitted = _fit_in_two_stages(groups, start, fixed)
+    before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
+    after = _fit_appearance(groups, _simulate(groups, fitted.values))
+    images_before, images_after = before.render(groups), after.render(groups)
+    rows = build_rows(
+        summarise_recorded(groups),
+        before.summarise(groups, images_before),
+        after.summarise(groups, images_after),
     )
-    summaries, pictures = summarise_images(recorded, groups, before, after)
-    parameters = _build_parameter_rows(start, fitted, sensor, radius, fixed)
-    notes += _build_fit_notes(fixed, fitted)
-    notes += _build_failure_notes(fitted, before, after)
     results: Json = {
-        "rows": build_rows(summaries),
-        "parameters": parameters,
-        "preset": _make_preset(after),
+        "rows": rows,
+        "parameters": _build_parameter_rows(start, after.values, fitted, fixed),
+        "preset": _make_preset(after.values),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
-        "images": {group.name: len(group.observation.pin_counts) for group in groups},
+        "images": {group.name: len(group.contacts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
-        "notes": notes,
+        "notes": notes + _build_notes(fitted, fixed, before, after),
     }
-    text = format_table(results["rows"], parameters)
-    text += "\n" + "".join(f"\nnote: {note}" for note in notes)
-    log(text)
-    if out is not None:
-        write_json(Path(out) / "calibration.json", results)
-        write_text(Path(out) / "calibration.txt", text + "\n")
-        write_bytes(Path(out) / "calibration.png", plot_curves(summaries, pictures))
+    pictures = {f"recorded: {part.name}": part.images[0] for part in recorded[:2]}
+    pictures |= {"simulated, before": images_before[0][0], "simulated, after": images_after[0][0]}
+    _report(results, pictures, out)
     return results
 
 
-def _check_fixed_names(fixed: Collection[str]) -> None:
-    allowed = [name for name in UNITS if name != PIN_RADIUS]
-    wrong = [name for name in fixed if name not in allowed]
-    if wrong:
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(allowed)}")
+def _check_names(fixed: Collection[str]) -> None:
+    if wrong := [name for name in fixed if name not in UNITS]:
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
 
 
-def _make_start(sensor: Sensor, camera: Camera) -> SensorValues:
-    return SensorValues(
-        camera.mm_across,
-        camera.distance_mm,
-        sensor.pin_spacing_mm,
-        ABS_FRICTION,
-        compute_modulus_ratio(sensor),
-    )
+def _report(results: Json, pictures: dict[str, np.ndarray], out: Path | None) -> None:
+    text = format_tables(results["rows"], results["parameters"]) + "\n"
+    text += "".join(f"\nnote: {note}" for note in results["notes"])
+    print(text)
+    if out is not None:
+        write_json(Path(out) / "calibration.json", results)
+        write_text(Path(out) / "calibration.txt", text + "\n")
+        write_bytes(Path(out) / "calibration.png", draw_images(pictures))
 
 
 def _fit_in_two_stages(
-    groups: list[RecordedGroup], sensor: Sensor, start: SensorValues, fixed: Collection[str]
+    groups: list[RecordedGroup], start: SensorValues, fixed: Collection[str]
 ) -> FitResult:
     """Fit to a part of the images first: most of the search needs no more."""
-    count = sum(len(group.observation.pin_counts) for group in groups if group.contacts is not None)
+    start = replace(start, surface_mm=tuple(group.surface_mm for group in groups))
+    count = sum(len(group.contacts) for group in groups)
     with Progress("fit", SOLVES_PER_CONTACT * count, unit="contacts") as progress:
 
         def advance(contacts: int) -> None:
             progress.advance(max(0, min(contacts, progress.total - 1 - progress.done)))
 
         some = [group.subsample(FIRST_FIT_STRIDE) for group in groups]
-        rough = fit(some, sensor, start, fixed, advance)
-        fitted = fit(groups, sensor, start, fixed, advance, begin=rough.values)
+        rough = fit(some, start, fixed, advance)
+        fitted = fit(groups, start, fixed, advance, begin=rough.values)
         progress.advance(progress.total - progress.done)
     return fitted
 
 
-def _simulate(groups: list[RecordedGroup], sensor: Sensor, values: SensorValues) -> SimulatedGroups:
-    tips = [simulate_tips(group, sensor, values, i) for i, group in enumerate(groups)]
-    return SimulatedGroups(sensor, values, tips)
+def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGroups:
+    tips, sensor = [], values.sensor
+    for group, surface_mm in zip(groups, values.surface_mm, strict=True):
+        paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
+        tips.append(solve_contacts(sensor, paths))
+    return SimulatedGroups(values, tips)
 
 
-def _fit_appearance(
-    groups: list[RecordedGroup], simulated: SimulatedGroups, fitted: FitResult
-) -> tuple[SimulatedGroups, PinRadius]:
-    """Fit pin radius and housing to images of the simulated contacts."""
-    sensor, values, tips_by_group = simulated
-    solved = [tips[converged] if converged.any() else tips for tips, converged in tips_by_group]
-    radius = _add_scale_error(fit_pin_radius(groups, sensor, values, solved), fitted)
-    sensor = replace(sensor, pin_radius_mm=radius.best)
-    values = replace(values, housing=fit_housing(groups, sensor, values, solved))
-    return SimulatedGroups(sensor, values, tips_by_group), radius
-
-
-def _add_scale_error(radius: PinRadius, fitted: FitResult) -> PinRadius:
-    """Widen the interval of a pin radius by the uncertainty of the camera's scale."""
-    scale_error = 0.0
-    if "mm_across" in fitted.low:
-        width = fitted.high["mm_across"] - fitted.low["mm_across"]
-        scale_error = radius.best * width / 2 / fitted.values.mm_across
-    half = float(np.hypot((radius.high - radius.low) / 2, scale_error))
-    return PinRadius(radius.best, radius.best - half, radius.best + half)
+def _fit_appearance(groups: list[RecordedGroup], simulated: SimulatedGroups) -> SimulatedGroups:
+    values = simulated.values
+    solved = [
+        each.tips[each.converged] if each.converged.any() else each.tips for each in simulated.tips
+    ]
+    radius = fit_pin_radius(groups, values, solved)
+    values = replace(values, base=replace(values.base, pin_radius_mm=radius))
+    values = replace(values, housing=fit_housing(groups, values, solved))
+    return replace(simulated, values=values)
 
 
 def _build_parameter_rows(
-    start: SensorValues,
-    fitted: FitResult,
-    sensor: Sensor,
-    radius: PinRadius,
-    fixed: Collection[str],
+    start: SensorValues, after: SensorValues, fitted: FitResult, fixed: Collection[str]
 ) -> list[Json]:
-    """Build a row for each parameter.
-
-    `low` and `high` are None if it was not fitted; `determined` says whether the images determine
-    it.
-    """
-    rows = []
+    """Build a row for each parameter; `low` and `high` are None if it has no interval."""
+    rows: list[Json] = []
     for name, unit in UNITS.items():
-        if name == PIN_RADIUS:
-            values: Json = {
-                "before": sensor.pin_radius_mm,
-                "after": radius.best,
-                "low": radius.low,
-                "high": radius.high,
-                "determined": True,
-            }
-        else:
-            values = {
+        interval = fitted.intervals.get(name)
+        rows.append(
+            {
+                "name": name,
+                "unit": unit,
                 "before": getattr(start, name),
-                "after": getattr(fitted.values, name),
-                "low": fitted.low.get(name),
-                "high": fitted.high.get(name),
-                "determined": fitted.determined.get(name, False),
+                "after": getattr(after, name),
+                "low": interval and interval.low,
+                "high": interval and interval.high,
+                "determined": interval is not None and interval.determined,
+                "held": name in fixed,
             }
-        rows.append({"name": name, "unit": unit, **values, "held": name in fixed})
-    return rows
+        )
+    unknown = {"low": None, "high": None, "determined": True, "held": False}
+    radii = {"before": start.base.pin_radius_mm, "after": after.base.pin_radius_mm}
+    return [*rows, {"name": "pin_radius_mm", "unit": "mm", **radii, **unknown}]
 
 
-def _make_preset(simulated: SimulatedGroups) -> Json:
-    camera = simulated.values.camera(Camera().frame_px)
-    return Calibration("", simulated.sensor, camera, simulated.values.friction).preset
+def _make_preset(values: SensorValues) -> Json:
+    camera = values.camera(Camera().frame_px)
+    return Calibration("", values.sensor, camera, values.friction).preset
 
 
-def _build_fit_notes(fixed: Collection[str], fitted: FitResult) -> list[str]:
-    notes = [OVERALL_MODULUS]
-    for name, low in fitted.low.items():
-        if name.startswith("surface_mm"):
-            high, part = fitted.high[name], name.removeprefix("surface_mm ")
+def _build_notes(
+    fitted: FitResult, fixed: Collection[str], before: SimulatedGroups, after: SimulatedGroups
+) -> list[str]:
+    """Say where contacts begin, what was not determined, and which contacts were not solved."""
+    notes, open_names = [OVERALL_MODULUS], []
+    for name, (low, high, determined) in fitted.intervals.items():
+        kind, _, part = name.partition(" ")
+        if kind == SURFACE:
             notes.append(
                 f"{part}: contact begins at {low:.2f} to {high:.2f} mm "
                 "of the labelled depth axis (95 %)"
             )
-    undetermined = [
-        name
-        for name, determined in fitted.determined.items()
-        if not determined and not name.startswith("surface_mm")
-    ]
-    if undetermined:
+        elif not determined:
+            open_names.append(name)
+    if open_names:
         notes.append(
-            f"not determined by these images, kept near the start: {', '.join(undetermined)}"
+            f"not determined by these images, kept near the start: {', '.join(open_names)}"
         )
-    fittable = [name for name in ("friction", "skin_to_gel", "pin_spacing_mm") if name not in fixed]
-    missing = [name for name in fittable if name not in fitted.determined]
-    if missing:
-        contacts = "slides" if missing == ["friction"] else "contacts"
-        notes.append(f"not fitted, as no labelled {contacts} determine them: {', '.join(missing)}")
-    return notes
-
-
-def _build_failure_notes(
-    fitted: FitResult, before: SimulatedGroups, after: SimulatedGroups
-) -> list[str]:
+    if "friction" not in {*fitted.intervals, *fixed}:
+        notes.append("not fitted, as no labelled slides determine it: friction")
     failures = {
         "the fit, where each counts for 3 px": fitted.dropped,
-        "the images before, left out": _count_failures(before.tips),
-        "the images after, left out": _count_failures(after.tips),
+        "the images before, left out": before.count_failures(),
+        "the images after, left out": after.count_failures(),
     }
-    return [
-        f"{count} simulated contacts were out of reach or did not converge in {stage}"
-        for stage, count in failures.items()
-        if count
-    ]
-
-
-def _count_failures(tips_by_group: list[SimulatedTips]) -> int:
-    return sum(int((~tips.converged).sum()) for tips in tips_by_group)
+    for stage, count in failures.items():
+        if count:
+            notes.append(
+                f"{count} simulated contacts were out of reach or did not converge in {stage}"
+            )
+    return notes

@@ -6,7 +6,7 @@ calibration = read_calibration(Path("runs/calibration/calibration.json"))
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio
+from jaxunshear.calibration.prediction import SensorValues, make_values
 from jaxunshear.config.image import FITTED_CAMERA, Camera
 from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
 from jaxunshear.errors import UserError
@@ -29,14 +29,7 @@ class Calibration:
 
     @property
     def values(self) -> SensorValues:
-        return SensorValues(
-            self.camera.mm_across,
-            self.camera.distance_mm,
-            self.sensor.pin_spacing_mm,
-            self.friction,
-            compute_modulus_ratio(self.sensor),
-            housing=self.camera.housing,
-        )
+        return make_values(self.sensor, self.camera, self.friction)
 
     @property
     def preset(self) -> Json:

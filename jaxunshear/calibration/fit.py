@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
-from jaxunshear.config.sensor import Sensor
 
 ROUNDS = 12
 MIN_COST_GAIN = 2e-3  # a round that gains a smaller share of the cost is the last
@@ -24,13 +23,19 @@ MAX_INTERVAL_SHARE = 0.4  # a parameter is determined if its interval is so much
 BOOTSTRAPS = 400
 
 
+class Interval(NamedTuple):
+    """A 95 % interval over images."""
+
+    low: float
+    high: float
+    determined: bool  # whether the images determine the parameter
+
+
 class FitResult(NamedTuple):
-    """Fitted values with 95 % bootstrap intervals over images, by name of parameter."""
+    """Fitted values, with an interval by name of `Problem.names`."""
 
     values: SensorValues
-    low: dict[str, float]
-    high: dict[str, float]
-    determined: dict[str, bool]  # whether the images determine the parameter
+    intervals: dict[str, Interval]
     # between recorded and simulated rings, px of 128: rms over an image's pins, median over images
     before_px: float
     after_px: float
@@ -45,7 +50,6 @@ class _Minimum(NamedTuple):
 
 def fit(
     groups: list[RecordedGroup],
-    sensor: Sensor,
     start: SensorValues,
     fixed: Collection[str] = (),
     advance: Callable[[int], None] = lambda contacts: None,
@@ -59,26 +63,31 @@ def fit(
         advance: Is called with numbers of simulated contacts.
         begin: Where the search begins, if not at `start`.
     """
-    problem = Problem(groups, sensor, start, fixed, advance)
+    problem = Problem(groups, start, fixed, advance)
     x = problem.to_parameters(begin or start)
-    x_before = np.where(problem.is_nuisance, x, 0.0)
-    before_px = _compute_error(problem.compute_all_residuals(problem.to_values(x_before)))
+    before_px = _compute_error(problem.compute_residuals(np.where(problem.is_scalar, 0.0, x)))
     minimum = _minimise(problem, x)
-    spread = _bootstrap(
-        minimum.slopes,
-        problem.make_resampler(problem.to_values(minimum.x)),
-        _compute_weights(minimum.residual),
-        minimum.x,
-        problem.prior,
+    spread = _bootstrap(minimum, _compute_weights(minimum.residual), problem.prior)
+    ends = np.percentile(spread, [2.5, 97.5], axis=0)
+    # the draws scatter about their own median; the interval belongs around the fit
+    ends = ends - np.median(spread, axis=0) + minimum.x
+    is_determined = ends[1] - ends[0] < MAX_INTERVAL_SHARE * 2 * 1.96 * problem.prior
+    columns = (*map(problem.to_physical, ends), is_determined)
+    rows = map(Interval, *(column.tolist() for column in columns))
+    return FitResult(
+        problem.to_values(minimum.x),
+        dict(zip(problem.names, rows, strict=True)),
+        before_px,
+        _compute_error(minimum.residual),
+        int(np.sum(minimum.residual[:, 0] == UNSOLVED_RESIDUAL_PX)),
     )
-    return _build_result(problem, minimum, spread, before_px)
 
 
 def _minimise(problem: Problem, x: np.ndarray) -> _Minimum:
     prior = problem.prior
-    while problem.recentre(problem.to_values(x)):
+    while problem.recentre(x):
         pass
-    residual = problem.compute_all_residuals(problem.to_values(x))
+    residual = problem.compute_residuals(x)
     cost, damping = _compute_cost(residual, x / prior), FIRST_DAMPING
     slopes = problem.compute_jacobian(x)
     for _ in range(ROUNDS):
@@ -86,15 +95,15 @@ def _minimise(problem: Problem, x: np.ndarray) -> _Minimum:
         while damping < MAX_DAMPING:
             step = _compute_step(slopes, residual, weight, x, prior, damping)
             trial = np.clip(x + np.clip(step, -MAX_STEP, MAX_STEP), *problem.compute_bounds())
-            trial_residual = problem.compute_all_residuals(problem.to_values(trial))
+            trial_residual = problem.compute_residuals(trial)
             trial_cost = _compute_cost(trial_residual, trial / prior)
             damping *= 10
             if trial_cost < cost:
                 x, residual, cost, damping = trial, trial_residual, trial_cost, damping / 100
                 break
-        recentred = problem.recentre(problem.to_values(x))
+        recentred = problem.recentre(x)
         if recentred:
-            residual = problem.compute_all_residuals(problem.to_values(x))
+            residual = problem.compute_residuals(x)
             cost, damping = _compute_cost(residual, x / prior), FIRST_DAMPING
         slopes = problem.compute_jacobian(x)
         if not recentred and old_cost - cost < MIN_COST_GAIN * old_cost:
@@ -137,43 +146,17 @@ def _compute_step(
     return -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
 
 
-def _bootstrap(
-    slopes: np.ndarray,
-    resample: Callable[[np.random.Generator], np.ndarray],
-    weight: np.ndarray,
-    x: np.ndarray,
-    prior: np.ndarray,
-) -> np.ndarray:
+def _bootstrap(minimum: _Minimum, weight: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """Minimise the linearised problem for resampled images, (BOOTSTRAPS, K).
 
     The centres of the priors are drawn again, too. Otherwise a parameter that the images do not
-    determine would not move, and would appear to be exactly determined. `resample` is made by
-    `Problem.make_resampler`.
+    determine would not move, and would appear to be exactly determined.
     """
-    generator = np.random.default_rng(0)
-    count = len(weight)
+    x, residual, slopes = minimum
+    generator, count = np.random.default_rng(0), len(weight)
     draws = generator.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS)
     centres = prior * generator.standard_normal((BOOTSTRAPS, len(x)))
     minima = []
     for draw, centre in zip(draws, centres, strict=True):
-        residual = resample(generator)
         minima.append(x + _compute_step(slopes, residual, weight * draw, x - centre, prior, 0.0))
     return np.array(minima)
-
-
-def _build_result(
-    problem: Problem, minimum: _Minimum, spread: np.ndarray, before_px: float
-) -> FitResult:
-    ends = np.percentile(spread, [2.5, 97.5], axis=0)
-    # the draws scatter about their own median; the interval belongs around the fit
-    ends = ends - np.median(spread, axis=0) + minimum.x
-    width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior)
-    return FitResult(
-        problem.to_values(minimum.x),
-        problem.name_values(problem.to_values(ends[0])),
-        problem.name_values(problem.to_values(ends[1])),
-        {name: bool(w < MAX_INTERVAL_SHARE) for name, w in zip(problem.names, width, strict=True)},
-        before_px,
-        _compute_error(minimum.residual),
-        int(np.sum(minimum.residual[:, 0] == UNSOLVED_RESIDUAL_PX)),
-    )

@@ -42,11 +42,6 @@ class LabelledMotions(NamedTuple):
         return self.tip[:, 1, :2] - self.tip[:, 0, :2]
 
     @property
-    def tilt_deg(self) -> np.ndarray:
-        """(N,) angles between the sensor's axis and the normal, at the end."""
-        return np.degrees(np.arccos(np.clip(self.turn[len(self) :].as_matrix()[:, 2, 2], -1, 1)))
-
-    @property
     def yaw(self) -> np.ndarray:
         """(N,) rad, the sensor's rotation about the normal at the end."""
         return _split_swing_twist(self.turn[len(self) :])[1]

@@ -36,7 +36,6 @@ class PinObservation(NamedTuple):
     # (N, P, 2) from the middle of the outermost ring, as (column, row); NaN if not detected
     positions: np.ndarray
     diameter: np.ndarray  # (N, P) of a disc of the pin's area; NaN if not detected
-    doubt: np.ndarray  # (N,), see `pin_tracking.PinTrack`
     identified: np.ndarray  # (N,) bool: the pins' identities are beyond doubt
     pin_counts: np.ndarray  # (N,) detected pins
     spacing: np.ndarray  # (N,) usual distance between nearest neighbours
@@ -68,13 +67,12 @@ def compute_camera_rotation(angle: float, mirrored: bool = False) -> np.ndarray:
     return np.diag([1.0, -1.0]) @ turn if mirrored else turn
 
 
-def compute_unit_vectors(positions: np.ndarray) -> np.ndarray:
-    """Normalise positions (P, 2) from the middle; the apex pin gets zero.
-
-    It is the pin within a twentieth of the outermost one's distance.
-    """
-    length = np.linalg.norm(positions, axis=-1, keepdims=True)
-    return np.where(length > 0.05 * length.max(), positions / np.maximum(length, 1e-9), 0.0)
+def make_observation(size: int, lattice: Lattice, positions: np.ndarray) -> PinObservation:
+    """Make an observation of positions (N, P, 2) alone, of pins that are all identified."""
+    unknown = np.full(len(positions), np.nan)
+    identified = np.ones(len(positions), bool)
+    diameter = np.full(positions.shape[:2], np.nan)
+    return PinObservation(size, lattice, positions, diameter, identified, unknown, unknown, unknown)
 
 
 def observe_pins(
@@ -100,7 +98,6 @@ def observe_pins(
         lattice=lattice,
         positions=np.array([track.motion for track in tracks]) + lattice.rest - lattice.centre,
         diameter=np.array(diameters),
-        doubt=np.array([track.max_offset for track in tracks]),
         identified=np.array([track.identified for track in tracks]),
         pin_counts=np.array([len(pins) for pins in detected]),
         spacing=np.array([measure_spacing(pins) if len(pins) > 1 else np.nan for pins in detected]),
@@ -131,10 +128,11 @@ def _average_by_ring(ring: np.ndarray, values: np.ndarray) -> np.ndarray:
 def compute_ring_radii(ring: np.ndarray, positions: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """Compute the mean distance (..., rings) of each ring from the middle.
 
-    The apex pin is left out. Distances are along the directions of `rest` (P, 2); `ring` (P,) is
-    the ring of each pin.
+    The apex pin is left out: it is within a twentieth of the outermost pin's distance. Distances
+    are along the directions of `rest` (P, 2); `ring` (P,) is the ring of each pin.
     """
-    direction = compute_unit_vectors(rest)
+    length = np.linalg.norm(rest, axis=-1, keepdims=True)
+    direction = np.where(length > 0.05 * length.max(), rest / np.maximum(length, 1e-9), 0.0)
     undisturbed = (rest * direction).sum(-1)
     growth = ((positions - rest) * direction).sum(-1)
     return (_average_by_ring(ring, undisturbed) + _average_by_ring(ring, growth))[..., 1:]
@@ -190,13 +188,8 @@ class Summary(NamedTuple):
     values: np.ndarray  # (N,), NaN for images that do not count
 
 
-def summarise_pins(
-    observation: PinObservation, contacts: LabelledMotions | None = None
-) -> list[Summary]:
-    """Compute statistics of the pins, and of the slides of known contacts.
-
-    They are in px of 128, so images of any size compare.
-    """
+def summarise_pins(observation: PinObservation) -> list[Summary]:
+    """Compute statistics of the pins, in px of 128, so that images of any size compare."""
     size, scale, ring = observation.size, 128 / observation.size, observation.lattice.ring
     radii = compute_ring_radii(ring, observation.positions, observation.rest)
     by_ring = _average_by_ring(ring, observation.diameter)
@@ -217,11 +210,11 @@ def summarise_pins(
     ]
     for k in range(radii.shape[1] - 1):
         rows.append(Summary(f"ring {k + 1} over outermost", "1", radii[:, k] / radii[:, -1]))
-    return rows if contacts is None else rows + _summarise_slides(observation, contacts)
+    return rows
 
 
-def _summarise_slides(observation: PinObservation, contacts: LabelledMotions) -> list[Summary]:
-    """Compute how far pins are left behind, by length of the slide."""
+def summarise_slides(observation: PinObservation, contacts: LabelledMotions) -> list[Summary]:
+    """Compute how far pins are left behind, in px of 128, by length of the slide."""
     motion = compute_ring_motion(observation.lattice.ring, observation.positions - observation.rest)
     slide_bin = find_slide_bin(contacts.slide)
     parts = {"central pins": average_central_pins(motion), "outermost ring": motion[:, -1]}

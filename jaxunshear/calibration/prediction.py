@@ -6,9 +6,8 @@ and the camera can be fitted without a new simulation.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,51 +18,62 @@ from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.simulator.camera import project
 from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
-from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
+from jaxunshear.simulator.pin_layout import compute_pin_tips, compute_tips_at
 from jaxunshear.simulator.simulate import follow
 
 PROBE_DEG = 5.0  # between the probe's rings
 PROBE_RINGS = 14  # to 70 degrees
-Simulate = Callable[..., tuple[np.ndarray, np.ndarray]]  # as `simulate_displacements`
+MAX_ANGLE_DEG = 68.0  # from the apex; pins that appear farther out are placed there
+POSITION_ROUNDS = 3  # in which rest positions follow from the mean of the touched pins
 
 
 @dataclass(frozen=True)
 class SensorValues:
-    """The values that are calibrated.
+    """The values that are calibrated, and the sensor `base` that has all others.
 
     `surface_mm` is a nuisance of each group of images: the height of the object's top in its
     labels.
     """
 
+    base: Sensor
     mm_across: float
     distance_mm: float
     pin_spacing_mm: float
     friction: float
-    skin_to_gel: float
+    skin_to_gel: float  # ratio of the moduli
     surface_mm: tuple[float, ...] = ()
     housing: float = Camera.housing
 
     def camera(self, frame_px: int) -> Camera:
         return Camera(frame_px, self.mm_across, self.distance_mm, self.housing)
 
-    def sensor(self, sensor: Sensor) -> Sensor:
+    @property
+    def sensor(self) -> Sensor:
         return replace(
-            sensor,
+            self.base,
             pin_spacing_mm=self.pin_spacing_mm,
-            gel_modulus_mpa=sensor.skin_modulus_mpa / self.skin_to_gel,
+            gel_modulus_mpa=self.base.skin_modulus_mpa / self.skin_to_gel,
         )
 
 
-def compute_modulus_ratio(sensor: Sensor) -> float:
-    return sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
+def make_values(sensor: Sensor, camera: Camera, friction: float) -> SensorValues:
+    return SensorValues(
+        sensor,
+        camera.mm_across,
+        camera.distance_mm,
+        sensor.pin_spacing_mm,
+        friction,
+        sensor.skin_modulus_mpa / sensor.gel_modulus_mpa,
+        housing=camera.housing,
+    )
 
 
 def _compute_probe_spacing(sensor: Sensor) -> float:
     return sensor.dome_radius_mm * math.radians(PROBE_DEG)
 
 
-def make_probe_sensor(sensor: Sensor, ratio: float) -> Sensor:
-    """Make a dome like the sensor's with the pins of the probe, and a ratio of skin to gel."""
+def make_probe_sensor(sensor: Sensor) -> Sensor:
+    """Make a dome like the sensor's with the pins of the probe."""
     spacing = _compute_probe_spacing(sensor)
     return replace(
         sensor,
@@ -72,17 +82,10 @@ def make_probe_sensor(sensor: Sensor, ratio: float) -> Sensor:
         rings=PROBE_RINGS,
         pin_spacing_mm=spacing,
         pin_radius_mm=min(sensor.pin_radius_mm, 0.4 * spacing),  # pins may not overlap
-        gel_modulus_mpa=sensor.skin_modulus_mpa / ratio,
     )
 
 
-@lru_cache(maxsize=64)
-def compute_interpolation(sensor: Sensor) -> np.ndarray:
-    """Compute weights (P, Q) from the probe's pins to the sensor's."""
-    return compute_interpolation_at(sensor, compute_pin_lattice(sensor))
-
-
-def compute_interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+def compute_interpolation(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
     """Compute weights (P, Q) from the probe's pins to positions (P, 2).
 
     Positions are in mm of arc from the apex. The weights are trigonometric around the rings and
@@ -119,28 +122,48 @@ def _interpolate_circle(count: int, turn: np.ndarray) -> np.ndarray:
     return np.where(on_point, 1.0, np.sin(count * turn / 2) / (count * safe))
 
 
+class SolvedContacts(NamedTuple):
+    """The pins of N simulated contacts."""
+
+    tips: np.ndarray  # (N, P, 3) mm, undisturbed in contacts that are out of reach
+    converged: np.ndarray  # (N,) bool
+
+
+def solve_contacts(sensor: Sensor, paths: Paths) -> SolvedContacts:
+    """Simulate the contacts that are within reach of the sensor, with an edge."""
+    tips = np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0)
+    converged = np.zeros(len(paths), bool)
+    reachable = np.flatnonzero(is_within_reach(sensor, paths))
+    if len(reachable):
+        solved, _ = follow(sensor, (EDGE_STIMULUS,), paths.take(reachable))
+        tips[reachable], converged[reachable] = solved.pins, solved.converged
+    return SolvedContacts(tips, converged)
+
+
 def simulate_displacements(
-    sensor: Sensor,
+    values: SensorValues,
     contacts: LabelledMotions,
     side: int,
-    friction: float | np.ndarray,
-    surface_mm: float,
-    ratio: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    surface_mm: float = 0.0,
+    friction: np.ndarray | None = None,
+) -> np.ndarray:
     """Simulate the displacements (N, Q, 3) mm of the probe's pins.
 
-    Also returns which contacts (N,) were within reach and converged.
+    NaN for contacts that are out of reach or did not converge. `friction` (N,) replaces that of the
+    values.
     """
-    probe = make_probe_sensor(sensor, ratio)
-    paths = make_paths(contacts, probe, surface_mm, side, friction)
-    reachable = is_within_reach(probe, paths)
-    displacement = np.zeros((len(paths), probe.pins, 3), np.float32)
-    converged = np.zeros(len(paths), bool)
-    if reachable.any():
-        solved, _ = follow(probe, (EDGE_STIMULUS,), paths.take(np.flatnonzero(reachable)))
-        displacement[reachable] = solved.pins - compute_pin_tips(probe).astype(np.float32)
-        converged[reachable] = solved.converged
-    return displacement, converged
+    probe = make_probe_sensor(values.sensor)
+    paths = make_paths(
+        contacts, probe, surface_mm, side, values.friction if friction is None else friction
+    )
+    tips, converged = solve_contacts(probe, paths)
+    displacement = tips.astype(np.float32) - compute_pin_tips(probe).astype(np.float32)
+    return np.where(converged[:, None, None], displacement, np.nan)
+
+
+def find_converged(displacement: np.ndarray) -> np.ndarray:
+    """Find the contacts (N,) bool whose displacement (N, Q, 3) is known."""
+    return np.isfinite(displacement[:, 0, 0])
 
 
 def is_within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
@@ -152,35 +175,60 @@ def is_within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
     return np.all(paths.points[..., DEPTH] <= compute_depths(tilt), axis=1)
 
 
-def interpolate_displacements(weights: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Interpolate the probe's displacements (N, Q, 3) to (N, P, 3).
-
-    `weights` (P, Q) are those of `compute_interpolation_at`.
-    """
-    by_pin = displacement.swapaxes(0, 1).reshape(displacement.shape[1], -1)
-    return (weights @ by_pin).reshape(len(weights), -1, 3).swapaxes(0, 1)
-
-
-def project_tips(values: SensorValues, sensor: Sensor, size: int, tips: np.ndarray) -> np.ndarray:
+def project_tips(values: SensorValues, size: int, tips: np.ndarray) -> np.ndarray:
     """Project tips (..., 3) mm to (..., 2) px from the middle of an image of `size`."""
-    pixels = project(values.camera(size), jnp.asarray(tips), values.sensor(sensor))
+    pixels = project(values.camera(size), jnp.asarray(tips), values.sensor)
     return np.asarray(pixels) - (size - 1) / 2
 
 
-def predict_positions(
-    values: SensorValues, sensor: Sensor, size: int, displacement: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the pins (N, P, 2), and their rest positions (P, 2).
+def project_rest(values: SensorValues, size: int, flat: np.ndarray) -> np.ndarray:
+    """Project undisturbed pins at `flat` (P, 2) mm of arc to (P, 2) px from the middle."""
+    return project_tips(values, size, compute_tips_at(values.sensor, flat))
 
-    They are in px from the middle of an image of `size`. `displacement` (N, Q, 3) mm is that of the
-    probe's pins; None for one undisturbed image.
+
+def project_positions(
+    values: SensorValues, size: int, flat: np.ndarray, displacement: np.ndarray
+) -> np.ndarray:
+    """Project pins at `flat` (P, 2) mm of arc to (N, P, 2) px from the middle of the image.
+
+    `displacement` (N, Q, 3) mm is that of the probe's pins.
     """
-    fitted = values.sensor(sensor)
-    tips = compute_pin_tips(fitted)
-    rest = project_tips(values, sensor, size, tips)
-    if displacement is None:
-        return rest[None], rest
-    # the weights do not depend on the stiffness, so one entry of the cache is enough
-    cached = replace(fitted, gel_modulus_mpa=sensor.gel_modulus_mpa)
-    shift = interpolate_displacements(compute_interpolation(cached), displacement)
-    return project_tips(values, sensor, size, tips + shift), rest
+    weights = compute_interpolation(values.base, flat)
+    by_pin = displacement.swapaxes(0, 1).reshape(displacement.shape[1], -1)
+    shift = (weights @ by_pin).reshape(len(flat), -1, 3).swapaxes(0, 1)
+    return project_tips(values, size, compute_tips_at(values.sensor, flat) + shift)
+
+
+def locate_pins(values: SensorValues, size: int, rest: np.ndarray) -> np.ndarray:
+    """Locate pins on the dome (P, 2), mm of arc from the apex.
+
+    `rest` (P, 2) are their untouched positions, px from the middle of the image.
+    """
+    angle = np.radians(np.linspace(0, MAX_ANGLE_DEG, 500))
+    line = np.stack([angle * values.base.dome_radius_mm, np.zeros_like(angle)], -1)
+    radius = np.linalg.norm(rest, axis=-1)
+    arc = np.interp(radius, project_rest(values, size, line)[:, 0], line[:, 0])
+    return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
+
+
+def fit_positions(
+    values: SensorValues, size: int, recorded: np.ndarray, displacement: np.ndarray
+) -> np.ndarray:
+    """Fit positions on the dome (P, 2) mm of arc to pins recorded at (N, P, 2) px.
+
+    The phases of real rings differ from those of the layout. The simulated contacts say how far the
+    pins' mean over the contacts is from their rest position.
+    """
+    mean = np.nanmean(recorded, axis=0)
+    flat = locate_pins(values, size, mean)
+    for _ in range(POSITION_ROUNDS):
+        simulated = project_positions(values, size, flat, displacement)
+        moved = np.mean(simulated, axis=0) - project_rest(values, size, flat)
+        flat = locate_pins(values, size, mean - moved)
+    return flat
+
+
+def compute_mm_per_px(values: SensorValues, size: int, flat: np.ndarray) -> np.ndarray:
+    """Compute the scale (P,) at the height of each untouched pin."""
+    height, apex = compute_tips_at(values.sensor, flat)[:, 2], compute_pin_tips(values.sensor)[0, 2]
+    return values.mm_across / size * (values.distance_mm - height) / (values.distance_mm - apex)

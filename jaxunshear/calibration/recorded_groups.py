@@ -33,76 +33,62 @@ def choose_sensor(recorded: list[RecordedImages]) -> Sensor:
 
 
 def observe_groups(
-    recorded: list[RecordedImages], sensor: Sensor, start: SensorValues, notes: list[str]
-) -> tuple[list[RecordedGroup], tuple[float, ...]]:
-    """Observe every folder's pins, with its contacts if labels and images agree.
+    recorded: list[RecordedImages], start: SensorValues, notes: list[str]
+) -> list[RecordedGroup]:
+    """Observe the pins of every folder, and read its contacts.
 
-    Also returns the height of each object's top in its labels, in mm. Raises `UserError` if the
-    pins cannot be followed, or if the folders are of several cameras.
+    Folders whose labels and images do not agree are left out with a note. Raises `UserError` if
+    that is so for all, or if the folders are of several cameras.
     """
-    groups, surfaces, framing = [], [], []
+    groups = []
+    framing: dict[str, float] = {}
     for part in recorded:
-        observation = part.observe(sensor)
-        framing.append(_measure_framing(observation, sensor))
-        count, usable = len(observation.identified), int(observation.identified.sum())
-        if not usable:
-            raise UserError(
-                f"{part.name}: in none of {len(part.images)} images the pins can be followed "
-                "from rim to middle"
-            )
-        if usable < count:
+        observation = part.observe(start.base)
+        count, identified = len(observation.identified), int(observation.identified.sum())
+        if identified < count:
             notes.append(
-                f"{part.name}: {count - usable} of {count} images left out, "
+                f"{part.name}: {count - identified} of {count} images left out, "
                 "their pins cannot be followed surely"
             )
-        group, surface_mm = _read_group(part, observation, sensor, start, notes)
-        groups.append(group)
-        surfaces.append(surface_mm)
-    if max(framing) > (1 + MAX_FRAMING_DIFFERENCE) * min(framing):
-        widest, narrowest = recorded[int(np.argmax(framing))], recorded[int(np.argmin(framing))]
+        group = _read_group(part, observation, start, notes)
+        if group is not None:
+            groups.append(group)
+            framing[part.name] = _measure_framing(observation)
+    if not groups:
+        raise UserError(f"no labelled contacts to fit the simulator to: {'; '.join(notes)}")
+    widest = max(framing, key=framing.__getitem__)
+    narrowest = min(framing, key=framing.__getitem__)
+    if framing[widest] > (1 + MAX_FRAMING_DIFFERENCE) * framing[narrowest]:
         raise UserError(
-            f"{widest.name} and {narrowest.name} are framed differently: "
-            "calibrate one camera at a time"
+            f"{widest} and {narrowest} are framed differently: calibrate one camera at a time"
         )
-    return groups, tuple(surfaces)
+    return groups
 
 
-def _measure_framing(observation: PinObservation, sensor: Sensor) -> float:
+def _measure_framing(observation: PinObservation) -> float:
     """Measure the outermost ring's radius as a share of the image size."""
-    lattice = observation.lattice
-    outermost = lattice.rest[lattice.ring == sensor.rings] - lattice.centre
+    outermost = observation.rest[observation.lattice.ring == observation.lattice.ring.max()]
     return float(np.linalg.norm(outermost, axis=-1).mean() / observation.size)
 
 
 def _read_group(
-    part: RecordedImages,
-    observation: PinObservation,
-    sensor: Sensor,
-    start: SensorValues,
-    notes: list[str],
-) -> tuple[RecordedGroup, float]:
-    """Read a folder's labels; return its group, and the height of its top in mm.
-
-    Without a reading the group has no contacts, and the height is 0.
-    """
-    identified = observation.take(np.flatnonzero(observation.identified))
-    unlabelled = RecordedGroup(part.name, identified), 0.0
+    part: RecordedImages, observation: PinObservation, start: SensorValues, notes: list[str]
+) -> RecordedGroup | None:
+    """Read a folder's labels, and say in the notes what they are."""
     rows = np.flatnonzero(observation.identified & part.labelled_rows)
-    if part.poses is None or len(rows) < MIN_LABELLED:
+    if len(rows) < MIN_LABELLED:
         notes.append(
-            f"{part.name}: fewer than {MIN_LABELLED} labelled poses, "
-            "so it determines framing and pin size only"
+            f"{part.name}: left out, {len(rows)} contacts are labelled and followed, "
+            f"fewer than {MIN_LABELLED}"
         )
-        return unlabelled
-    moves = None if part.moves is None else part.moves[rows]
-    reading = read_labels(observation.take(rows), part.poses[rows], moves, start, sensor)
+        return None
+    reading = read_labels(observation.take(rows), part.poses[rows], part.moves[rows], start)
     if reading is None:
         notes.append(
-            f"{part.name}: simulated touches as labelled move pins otherwise than these images "
-            f"show (correlation below {MIN_CORRELATION}), "
-            "so it determines framing and pin size only"
+            f"{part.name}: left out, simulated touches as labelled move pins otherwise than these "
+            f"images show (correlation below {MIN_CORRELATION})"
         )
-        return unlabelled
+        return None
     edge = ""
     if reading.side:
         sign = "negative" if reading.side > 0 else "positive"
@@ -112,5 +98,5 @@ def _read_group(
         f"camera turned by {np.degrees(reading.angle):.0f} deg"
     )
     rotated = observation.take(rows).rotate(reading.mirrored, reading.angle)
-    group = RecordedGroup(part.name, rotated, reading.contacts, reading.side)
-    return group, reading.surface_mm
+    contacts = reading.read_contacts(part.poses[rows], part.moves[rows])
+    return RecordedGroup(part.name, rotated, contacts, reading.side, reading.frame.surface_mm)

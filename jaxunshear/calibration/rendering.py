@@ -7,67 +7,24 @@ rendered images as white as the recorded ones.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths
 from jaxunshear.calibration.pin_statistics import measure_pin_diameters
-from jaxunshear.calibration.prediction import SensorValues, is_within_reach
+from jaxunshear.calibration.prediction import SensorValues
 from jaxunshear.calibration.problem import RecordedGroup
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.perception.preprocess import binarise
 from jaxunshear.simulator.camera import compute_outer_fraction, render_frame
-from jaxunshear.simulator.paths import Paths
-from jaxunshear.simulator.pin_layout import compute_pin_tips
-from jaxunshear.simulator.simulate import follow
 
 FRAME_PX = 256  # least size of a camera frame before it is resized
 SIZE_IMAGES = 16  # images from which the size of pins and housing is fitted
 RADIUS_STEPS = 3
 HOUSING_ROUNDS = 3  # the threshold follows the local mean, so white is not only the ring's area
-# over the dome's radius, of the flat taps that stand for unlabelled images
-UNKNOWN_DEPTHS = (0.03, 0.15)
-
-
-class SimulatedTips(NamedTuple):
-    """Pin tips of a group's contacts."""
-
-    tips: np.ndarray  # (N, P, 3) mm
-    converged: np.ndarray  # (N,) bool
-
-
-class PinRadius(NamedTuple):
-    """A fitted pin radius with its 95 % interval, mm."""
-
-    best: float
-    low: float
-    high: float
-
-
-def simulate_tips(
-    group: RecordedGroup, sensor: Sensor, values: SensorValues, which: int
-) -> SimulatedTips:
-    """Simulate the contacts of a group, or flat taps if its contacts are unknown."""
-    if group.contacts is not None:
-        surface_mm = values.surface_mm[which]
-        paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
-    else:
-        count = len(group.observation.pin_counts)
-        points = np.zeros((count, 2, 6))
-        points[..., 0] = -25.0
-        points[:, 1, 3] = sensor.dome_radius_mm * np.linspace(*UNKNOWN_DEPTHS, count)
-        paths = Paths(np.zeros(count, int), np.full(count, values.friction), points)
-    reachable = is_within_reach(sensor, paths)
-    solved, _ = follow(sensor, (EDGE_STIMULUS,), paths.take(np.flatnonzero(reachable)))
-    tips = np.repeat(compute_pin_tips(sensor)[None], len(paths), axis=0)
-    converged = np.zeros(len(paths), bool)
-    tips[reachable], converged[reachable] = solved.pins, solved.converged
-    return SimulatedTips(tips, converged)
 
 
 def render_images(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -95,18 +52,11 @@ def _sample(tips: np.ndarray) -> np.ndarray:
 
 
 def fit_pin_radius(
-    groups: list[RecordedGroup], sensor: Sensor, values: SensorValues, tips: Sequence[np.ndarray]
-) -> PinRadius:
-    """Fit the pin radius at which rendered pins have the mean diameter of the recorded ones.
-
-    The interval is over images.
-    """
-    diameters, scatter = [], []
-    for group in groups:
-        by_image = np.nanmean(group.observation.diameter, axis=1)
-        mean = np.nanmean(by_image)
-        diameters.append(mean)
-        scatter.append(np.nanstd(by_image) / np.sqrt(max(1, len(by_image))) / mean)
+    groups: list[RecordedGroup], values: SensorValues, tips: Sequence[np.ndarray]
+) -> float:
+    """Fit the pin radius mm at which rendered pins have the mean diameter of the recorded ones."""
+    sensor = values.sensor
+    diameters = [np.nanmean(np.nanmean(group.observation.diameter, axis=1)) for group in groups]
 
     def compute_size_ratio(radius: float) -> float:
         """Compute the mean ratio of rendered to recorded pin diameters."""
@@ -131,13 +81,11 @@ def fit_pin_radius(
             break
         trials.append((trial, compute_size_ratio(trial)))
         slope = max((trials[-1][1] - ratio) / (trial - radius), 0.3 / trial)
-    best = min(trials, key=lambda pair: abs(pair[1] - 1))[0]
-    error = 1.96 * float(np.sqrt(np.sum(np.square(scatter)))) / len(scatter) / slope
-    return PinRadius(best, best - error, best + error)
+    return min(trials, key=lambda pair: abs(pair[1] - 1))[0]
 
 
 def fit_housing(
-    groups: list[RecordedGroup], sensor: Sensor, values: SensorValues, tips: Sequence[np.ndarray]
+    groups: list[RecordedGroup], values: SensorValues, tips: Sequence[np.ndarray]
 ) -> float:
     """Fit `Camera.housing` so that rendered images are as white as the recorded ones.
 
@@ -149,8 +97,8 @@ def fit_housing(
         excess = []
         for group, group_tips in zip(groups, tips, strict=True):
             camera = replace(values, housing=housing).camera(group.observation.size)
-            images = render_images(camera, sensor, _sample(group_tips))
-            ring = np.pi * compute_outer_fraction(camera, sensor) ** 2
+            images = render_images(camera, values.sensor, _sample(group_tips))
+            ring = np.pi * compute_outer_fraction(camera, values.sensor) ** 2
             excess.append((np.mean(images > 127) - np.mean(group.observation.white_share)) / ring)
         housing = float(np.sqrt(housing**2 + np.mean(excess)))
     return housing

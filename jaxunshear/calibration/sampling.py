@@ -11,12 +11,19 @@ import numpy as np
 from jaxunshear.calibration.pin_statistics import PinObservation, observe_pins
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.data.recordings import (
+    IMAGE_FOLDERS,
+    RecordedFrame,
+    Recordings,
+    read_image,
+    read_recordings,
+)
 from jaxunshear.errors import UserError
-from jaxunshear.perception.preprocess import is_binary, to_grey
+from jaxunshear.perception.grey import is_binary, to_grey
 from jaxunshear.progress import Progress
 
-SIZES_PX = (128, 440)  # least and most for binary images; raw frames become 256
+SIZES_PX = (128, 440)  # least and most for binary images
+RAW_PX = 256  # of raw frames
 ALIGNED_BY = 100  # most images that align a folder
 SHARE = 3  # at most one of so many images of a folder aligns it
 
@@ -27,8 +34,8 @@ class RecordedImages:
 
     name: str
     images: np.ndarray  # (N, S, S) uint8
-    poses: np.ndarray | None
-    moves: np.ndarray | None
+    poses: np.ndarray  # (N, 6) mm and deg, NaN if unknown
+    moves: np.ndarray  # (N, 6) mm and deg, NaN if unknown
     names: tuple[str, ...] = ()  # of the images, below the folder of all recordings
 
     @property
@@ -37,10 +44,8 @@ class RecordedImages:
 
         An image whose slide cannot be read is not a tap.
         """
-        if self.poses is None:
-            return np.zeros(len(self.images), bool)
         labelled = np.isfinite(self.poses).all(axis=-1)
-        if self.moves is not None and np.isfinite(self.moves).any():
+        if np.isfinite(self.moves).any():
             labelled &= np.isfinite(self.moves).all(axis=-1)
         return labelled
 
@@ -52,13 +57,20 @@ class RecordedImages:
 
 def sample_folders(path: Path, images: int, seed: int) -> tuple[list[RecordedImages], list[str]]:
     """Sample `images` images evenly over all folders; return notes on what cannot be read."""
-    recordings, notes = open_recordings(path)
-    folders = group_rows_by_folder(recordings)
-    generator = np.random.default_rng(seed)
-    count = max(1, images // len(folders))
-    rows = [_choose_rows(recordings.moves, folder, count, generator) for folder in folders]
-    parts, read_notes = load_images(recordings, rows)
-    return parts, notes + read_notes
+    recordings = _open_recordings(path)
+    return _load_images(recordings, _sample_rows(recordings, images, seed)), recordings.notes
+
+
+def list_sampled_images(
+    path: Path, images: int, seed: int, folders: Collection[str]
+) -> tuple[str, ...]:
+    """List which images `sample_folders` samples from some folders, named as in `split_folders`."""
+    recordings, names = _open_recordings(path), []
+    for row in _sample_rows(recordings, images, seed):
+        folder = _name_recording(path, recordings.files[row])
+        if any(f"/{name}".endswith(f"/{folder}") for name in folders):
+            names.append(recordings.names[row])
+    return tuple(names)
 
 
 class FolderSplit(NamedTuple):
@@ -80,38 +92,34 @@ def split_folders(
         used: Images that are not compared, and align before others do: names as in
             `RecordedImages.names`, or the end of such a name.
     """
-    recordings, notes = open_recordings(path)
+    recordings = _open_recordings(path)
     generator, is_used = np.random.default_rng(seed), are_among(recordings.names, used)
-    align_rows, scored_rows = [], []
-    for rows in group_rows_by_folder(recordings):
+    align, scored = [], []
+    for rows in _group_rows_by_folder(recordings):
         rows = generator.permutation(rows)
         used_rows, fresh_rows = rows[is_used[rows]], rows[~is_used[rows]]
         if len(used_rows):
-            folder = recordings.names[rows[0]].rpartition("/")[0] or path.name
-            notes.append(
+            folder = _name_recording(path, recordings.files[rows[0]])
+            recordings.notes.append(
                 f"{folder}: {len(used_rows)} of {len(rows)} images, "
                 "which the calibration was fitted to, are not compared"
             )
         count = min(ALIGNED_BY, -(-len(rows) // SHARE))
         missing = max(0, count - len(used_rows))
-        align = np.sort(np.concatenate([used_rows[:count], fresh_rows[:missing]]))
-        scored = np.sort(fresh_rows[missing:][:each])
-        if len(scored):
-            align_rows.append(align)
-            scored_rows.append(scored)
-    if not scored_rows:
+        compared = np.sort(fresh_rows[missing:][:each])
+        if len(compared):
+            align.append(np.sort(np.concatenate([used_rows[:count], fresh_rows[:missing]])))
+            scored.append(compared)
+    if not scored:
         raise UserError(
             f"{path}: the calibration was fitted to all its images: compare with others"
         )
-    align_parts, align_notes = load_images(recordings, align_rows)
-    scored_parts, scored_notes = load_images(recordings, scored_rows)
-    align_by_name = {part.name: part for part in align_parts}
+    by_name = {part.name: part for part in _load_images(recordings, np.concatenate(align))}
+    compared_parts = _load_images(recordings, np.concatenate(scored))
     splits = [
-        FolderSplit(align_by_name[part.name], part)
-        for part in scored_parts
-        if part.name in align_by_name
+        FolderSplit(by_name[part.name], part) for part in compared_parts if part.name in by_name
     ]
-    return splits, notes + align_notes + scored_notes
+    return splits, recordings.notes
 
 
 def are_among(names: Sequence[str], used: Collection[str]) -> np.ndarray:
@@ -127,72 +135,30 @@ def are_among(names: Sequence[str], used: Collection[str]) -> np.ndarray:
     return np.array([is_among(name) for name in names], bool)
 
 
-def open_recordings(path: Path) -> tuple[Recordings, list[str]]:
-    """Open recordings at the size of their images; return notes on what cannot be read."""
-    probe = read_recordings(path, Preprocess())
-    first = to_grey(_read_first(probe))
-    size = int(np.clip(min(first.shape), *SIZES_PX)) if is_binary(first) else 256
-    return replace(probe, preprocess=Preprocess(size=size)), list(probe.notes)
+def _open_recordings(path: Path) -> Recordings:
+    """Open recordings at the size of their images."""
+    recordings, size = read_recordings(path, Preprocess()), RAW_PX
+    for file in recordings.files:
+        with contextlib.suppress(UserError):  # `iterate_frames` will report it
+            first = to_grey(read_image(file))
+            if is_binary(first):
+                size = int(np.clip(min(first.shape), *SIZES_PX))
+            break
+    return replace(recordings, preprocess=Preprocess(size=size))
 
 
-def group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
-    """Group the rows of the images by their folder, in the order of the folders' names."""
+def _group_rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
     rows: dict[Path, list[int]] = {}
     for row, file in enumerate(recordings.files):
         rows.setdefault(file.parent, []).append(row)
     return [np.array(rows[folder]) for folder in sorted(rows)]
 
 
-def load_images(
-    recordings: Recordings, chosen: list[np.ndarray]
-) -> tuple[list[RecordedImages], list[str]]:
-    """Load the images of the chosen rows of each folder, and give notes.
-
-    A folder of which no image can be read is left out. Raises `UserError` if that is so for all.
-    """
-    parts, notes = [], []
-    problem: UserError | None = None
-    path = recordings.path
-    for rows in chosen:
-        if not len(rows):
-            continue
-        sample = _take(recordings, rows)
-        readable, names, images = [], [], []
-        try:
-            for row, name, image in sample.iterate_frames():
-                readable.append(row)
-                names.append(name)
-                images.append(image)
-        except UserError as error:  # no image of the folder can be read
-            problem = error
-        notes += sample.notes
-        if not images:
-            continue
-        parts.append(
-            RecordedImages(
-                _name_recording(path, sample.files[0].parent) if path.is_dir() else path.name,
-                np.array(images),
-                None if sample.poses is None else sample.poses[readable],
-                None if sample.moves is None else sample.moves[readable],
-                tuple(names),
-            )
-        )
-    if problem is not None and not parts:
-        raise problem
-    return parts, notes
-
-
-def _name_recording(path: Path, folder: Path) -> str:
-    """Name the recording whose images lie in `folder`; no two in `path` have the same name."""
-    recording = folder.parent if folder != path and folder.name in IMAGE_FOLDERS else folder
-    return recording.relative_to(path.parent).as_posix()
-
-
-def _read_first(recordings: Recordings) -> np.ndarray:
-    for file in recordings.files[:-1]:
-        with contextlib.suppress(UserError):  # `iterate_frames` will report it
-            return read_image(file)
-    return read_image(recordings.files[-1])
+def _sample_rows(recordings: Recordings, images: int, seed: int) -> np.ndarray:
+    folders, generator = _group_rows_by_folder(recordings), np.random.default_rng(seed)
+    count = max(1, images // len(folders))
+    chosen = [_choose_rows(recordings.moves, rows, count, generator) for rows in folders]
+    return np.concatenate(chosen)
 
 
 def _choose_rows(
@@ -213,11 +179,31 @@ def _choose_rows(
     return np.sort(rows[np.argsort(rank, kind="stable")[:count]])
 
 
-def _take(recordings: Recordings, rows: np.ndarray) -> Recordings:
-    return replace(
-        recordings,
-        files=tuple(recordings.files[row] for row in rows),
-        poses=None if recordings.poses is None else recordings.poses[rows],
-        moves=None if recordings.moves is None else recordings.moves[rows],
-        notes=[],
-    )
+def _load_images(recordings: Recordings, rows: np.ndarray) -> list[RecordedImages]:
+    """Load the images of rows by folder, and note in the recordings what cannot be read.
+
+    Raises `UserError` if nothing can be read.
+    """
+    sample = replace(recordings, files=tuple(recordings.files[row] for row in rows))
+    by_folder: dict[str, list[RecordedFrame]] = {}
+    for frame in sample.iterate_frames():
+        folder = _name_recording(recordings.path, sample.files[frame.row])
+        by_folder.setdefault(folder, []).append(frame)
+    unknown = np.full((len(recordings), 6), np.nan)
+    poses = unknown if recordings.poses is None else recordings.poses
+    moves = unknown if recordings.moves is None else recordings.moves
+    parts = []
+    for folder, frames in by_folder.items():
+        own = rows[[frame.row for frame in frames]]
+        images, names = np.array([frame.image for frame in frames]), [f.name for f in frames]
+        parts.append(RecordedImages(folder, images, poses[own], moves[own], tuple(names)))
+    return parts
+
+
+def _name_recording(path: Path, image: Path) -> str:
+    """Name the recording of an image; no two in `path` have the same name."""
+    if image == path:
+        return path.name
+    folder = image.parent
+    recording = folder.parent if folder != path and folder.name in IMAGE_FOLDERS else folder
+    return recording.relative_to(path.parent).as_posix()

@@ -11,12 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.alignment import AlignmentProblem, find_frame, read_labels
+from jaxunshear.calibration.alignment import Alignment, align
 from jaxunshear.calibration.calibration_result import Calibration
-from jaxunshear.calibration.labels import LabelFrame, apply_frame, read_motions
-from jaxunshear.calibration.pin_statistics import PinObservation, compute_camera_rotation
-from jaxunshear.calibration.prediction import simulate_displacements
-from jaxunshear.calibration.validation import fit_positions, project_positions
+from jaxunshear.calibration.pin_statistics import compute_camera_rotation, make_observation
+from jaxunshear.calibration.prediction import (
+    SensorValues,
+    find_converged,
+    fit_positions,
+    project_positions,
+    simulate_displacements,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
 
@@ -34,12 +38,11 @@ class RecordedTaps(NamedTuple):
 class LabelView(NamedTuple):
     """How a recording's labels, its object and its camera go together."""
 
-    frame: LabelFrame
-    side: int  # see `labels.make_paths`
+    alignment: Alignment
     turn: np.ndarray  # (2, 2): recorded px @ turn are px of a camera that is not mirrored
     flat: np.ndarray  # (P, 2) mm of arc from the apex, where the recorded pins stand
     size: int  # px of the images
-    calibration: Calibration
+    values: SensorValues
 
 
 def fit_label_view(
@@ -56,24 +59,19 @@ def fit_label_view(
             f"{len(rows)} taps have a label and all pins: "
             f"at least {MIN_TAPS} are needed to place a simulated slide"
         )
-    values, sensor = calibration.values, calibration.sensor
-    pins, pose = taps.pins[rows].astype(np.float64), taps.pose[rows].astype(np.float64)
-    observation = _make_observation(pins, lattice, size)
-    reading = read_labels(observation, pose, None, values, sensor)
-    if reading is None:
+    values, pose = calibration.values, taps.pose[rows].astype(np.float64)
+    positions = taps.pins[rows].astype(np.float64) - lattice.centre
+    alignment = align(make_observation(size, lattice, positions), pose, None, values)
+    if alignment is None:
         raise UserError(
             "the taps' labels do not go with their images: no slide to them can be simulated"
         )
-    rotated = observation.rotate(reading.mirrored, reading.angle)
-    problem = AlignmentProblem(rotated, reading.contacts, reading.side, values, sensor)
-    frame = find_frame(problem, LabelFrame(reading.surface_mm))
-    angle = reading.angle - problem.measure_rotation(frame)
-    turn = compute_camera_rotation(angle, reading.mirrored)
-    view = LabelView(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, calibration)
-    displacement, converged = _simulate_contacts(view, pose, None, calibration.friction)
-    positions = (pins[converged] - lattice.centre) @ turn
-    flat, _ = fit_positions(values, sensor, size, positions, displacement[converged])
-    return view._replace(flat=flat)
+    turn = compute_camera_rotation(alignment.angle, alignment.mirrored)
+    contacts = alignment.place_contacts(pose, None)
+    displacement = simulate_displacements(values, contacts, alignment.side)
+    rows = np.flatnonzero(find_converged(displacement))
+    flat = fit_positions(values, size, positions[rows] @ turn, displacement[rows])
+    return LabelView(alignment, turn, flat, size, values)
 
 
 def simulate_shear(
@@ -88,35 +86,19 @@ def simulate_shear(
         friction: (N,).
 
     Returns:
-        The motion, and which contacts (N,) were within reach and converged.
+        The motion, and which contacts (N,) were within reach and converged; NaN for others.
     """
-    tap, tap_converged = _simulate_contacts(view, pose, None, friction)
-    slide, slide_converged = _simulate_contacts(view, pose, moves, friction)
-    shear = _project_pins(view, slide) - _project_pins(view, tap)
-    return (shear @ view.turn.T).astype(np.float32), tap_converged & slide_converged
+    tap = _simulate_pins(view, pose, None, friction)
+    shear = _simulate_pins(view, pose, moves, friction) - tap
+    return (shear @ view.turn.T).astype(np.float32), np.isfinite(shear).all((1, 2))
 
 
-def _project_pins(view: LabelView, displacement: np.ndarray) -> np.ndarray:
-    calibration = view.calibration
-    return project_positions(
-        calibration.values, calibration.sensor, view.size, view.flat, displacement
+def _simulate_pins(
+    view: LabelView, pose: np.ndarray, moves: np.ndarray | None, friction: np.ndarray
+) -> np.ndarray:
+    """Simulate the pins (N, P, 2) px of labelled contacts; NaN for those without a solution."""
+    contacts = view.alignment.place_contacts(np.asarray(pose, np.float64), moves)
+    displacement = simulate_displacements(
+        view.values, contacts, view.alignment.side, friction=friction
     )
-
-
-def _simulate_contacts(
-    view: LabelView, pose: np.ndarray, moves: np.ndarray | None, friction: float | np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate labelled contacts; returns what `simulate_displacements` returns."""
-    contacts = apply_frame(read_motions(np.asarray(pose, np.float64), moves), view.frame)
-    sensor, ratio = view.calibration.sensor, view.calibration.values.skin_to_gel
-    return simulate_displacements(sensor, contacts, view.side, friction, 0.0, ratio)
-
-
-def _make_observation(pins: np.ndarray, lattice: Lattice, size: int) -> PinObservation:
-    """Make an observation of pins (N, P, 2) px alone."""
-    unknown = np.full(pins.shape[:2], np.nan)
-    zeros = np.zeros(len(pins))
-    identified = np.ones(len(pins), bool)
-    return PinObservation(
-        size, lattice, pins - lattice.centre, unknown, zeros, identified, zeros, zeros, zeros
-    )
+    return project_positions(view.values, view.size, view.flat, displacement)

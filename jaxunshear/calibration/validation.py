@@ -1,11 +1,9 @@
 """Scores of simulated motions: how much of every recorded pin's motion they explain.
 
-    flat, simulated = fit_positions(values, sensor, size, recorded, displacement)  # (N, P, 2) px
-    compute_r2(*centre_motions(recorded, simulated))
+    compute_r2(*centre_motions(recorded, simulated))  # (N, P, 2) px each
 
 Rest positions of recorded pins are unknown, so every pin counts less its own mean over the contacts
-of a folder. The phases of real rings differ from those of the layout, so the simulated motion is
-interpolated to where the real pins are.
+of a folder.
 """
 
 from dataclasses import dataclass, replace
@@ -13,21 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxunshear.calibration.pin_statistics import subtract_mean
-from jaxunshear.calibration.prediction import (
-    SensorValues,
-    compute_interpolation_at,
-    interpolate_displacements,
-    project_tips,
-)
-from jaxunshear.config.sensor import Sensor
-from jaxunshear.simulator.pin_layout import compute_pin_tips, compute_tips_at
+from jaxunshear.files import Json
+from jaxunshear.style import STYLE, encode_png
+from jaxunshear.text_table import format_text_table
 
-MAX_ANGLE_DEG = 68.0  # from the apex; pins that appear farther out are placed there
-POSITION_ROUNDS = 3  # in which rest positions follow from the mean of the touched pins
 KINDS = {"tap": True, "slide": False}
 MOTIONS = ("recorded", "simulated", "ceiling")  # fields of ComparedFolder
-
-Row = dict[str, float | int | str | None]
+COLUMNS = ("contacts of", "contacts", "r2", "ceiling_r2", "residual_px", "residual_mm", "motion_px")
+DOT = 22  # points squared
 
 
 @dataclass(frozen=True)
@@ -57,64 +48,6 @@ class ComparedFolder:
         return replace(self, **fields)
 
 
-def locate_pins(values: SensorValues, sensor: Sensor, size: int, rest: np.ndarray) -> np.ndarray:
-    """Locate pins on the dome (P, 2), mm of arc from the apex.
-
-    `rest` (P, 2) are their untouched positions, px from the middle of the image.
-    """
-    fitted = values.sensor(sensor)
-    angle = np.radians(np.linspace(0, MAX_ANGLE_DEG, 500))
-    line = np.stack([angle * fitted.dome_radius_mm, np.zeros_like(angle)], -1)
-    line_px = project_tips(values, sensor, size, compute_tips_at(fitted, line))[:, 0]
-    radius = np.linalg.norm(rest, axis=-1)
-    arc = np.interp(radius, line_px, line[:, 0])
-    return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
-
-
-def project_positions(
-    values: SensorValues, sensor: Sensor, size: int, flat: np.ndarray, displacement: np.ndarray
-) -> np.ndarray:
-    """Project pins at `flat` (P, 2) mm of arc to (N, P, 2) px from the middle of the image.
-
-    `displacement` (N, Q, 3) mm is that of the probe's pins.
-    """
-    weights = compute_interpolation_at(sensor, flat)
-    tips = compute_tips_at(values.sensor(sensor), flat)
-    tips = tips + interpolate_displacements(weights, displacement)
-    return project_tips(values, sensor, size, tips)
-
-
-def fit_positions(
-    values: SensorValues, sensor: Sensor, size: int, recorded: np.ndarray, displacement: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fit positions on the dome (P, 2) mm of arc to pins recorded at (N, P, 2) px.
-
-    The simulated contacts say how far the pins' mean over the contacts is from their rest position.
-    Also returns the pins (N, P, 2) px of `project_positions`.
-    """
-    mean, fitted = np.nanmean(recorded, axis=0), values.sensor(sensor)
-    flat = locate_pins(values, sensor, size, mean)
-    for _ in range(POSITION_ROUNDS):
-        simulated = project_positions(values, sensor, size, flat, displacement)
-        rest = project_tips(values, sensor, size, compute_tips_at(fitted, flat))
-        flat = locate_pins(values, sensor, size, mean - (np.mean(simulated, axis=0) - rest))
-    return flat, project_positions(values, sensor, size, flat, displacement)
-
-
-def compute_mm_per_px(
-    values: SensorValues, sensor: Sensor, size: int, flat: np.ndarray
-) -> np.ndarray:
-    """Compute the scale (P,) at the height of each untouched pin."""
-    fitted, camera = values.sensor(sensor), values.camera(size)
-    apex = compute_pin_tips(fitted)[0, 2]
-    return (
-        camera.mm_across
-        / size
-        * (camera.distance_mm - compute_tips_at(fitted, flat)[:, 2])
-        / (camera.distance_mm - apex)
-    )
-
-
 def centre_motions(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Subtract each pin's mean over the contacts in which both motions (N, P, 2) are known."""
     known = np.isfinite(recorded) & np.isfinite(simulated)
@@ -133,22 +66,22 @@ def compute_r2(recorded: np.ndarray, simulated: np.ndarray) -> float:
     return float(1 - error / size) if size > 0 else float("nan")
 
 
-def compute_rms(vectors: np.ndarray, axis: int | None = None) -> np.ndarray:
+def _compute_rms(vectors: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Compute the root mean squared length of vectors (..., 2), without NaN."""
     return np.sqrt(np.nanmean(np.sum(vectors**2, axis=-1), axis=axis))
 
 
-def build_rows(folders: list[ComparedFolder]) -> list[Row]:
+def build_rows(folders: list[ComparedFolder]) -> list[Json]:
     """Score taps and slides over all folders, in full and by ring."""
-    rows: list[Row] = []
-    for kind, parts in split_by_kind(folders).items():
+    rows = []
+    for kind, parts in _split_by_kind(folders).items():
         rows += _score(kind, parts)
         for ring in np.unique(parts[0].ring):
             rows += _score(f"{kind}.ring.{ring}", [part.select_ring(ring) for part in parts])
     return rows
 
 
-def split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFolder]]:
+def _split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFolder]]:
     """Split taps from slides; kinds and folders without contacts are left out."""
     kinds: dict[str, list[ComparedFolder]] = {}
     for kind, is_tap in KINDS.items():
@@ -159,21 +92,60 @@ def split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFolde
     return kinds
 
 
-def _score(name: str, parts: list[ComparedFolder]) -> list[Row]:
-    recorded = np.concatenate([part.recorded.reshape(-1, 2) for part in parts])
-    simulated = np.concatenate([part.simulated.reshape(-1, 2) for part in parts])
-    ceiling = np.concatenate([part.ceiling.reshape(-1, 2) for part in parts])
+def _collect(parts: list[ComparedFolder]) -> list[np.ndarray]:
+    """Collect the vectors (K, 2) of each of MOTIONS."""
+    motions = []
+    for name in MOTIONS:
+        motions.append(np.concatenate([getattr(part, name).reshape(-1, 2) for part in parts]))
+    return motions
+
+
+def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
+    recorded, simulated, ceiling = _collect(parts)
     scale = np.concatenate([np.tile(part.mm_per_px, len(part.recorded)) for part in parts])
     residual = recorded - simulated
     contacts = sum(len(part.recorded) for part in parts)
     scores = [
         ("r2", "1", compute_r2(recorded, simulated)),
-        ("residual_px", "px", float(compute_rms(residual))),
-        ("residual_mm", "mm", float(compute_rms(residual * scale[:, None]))),
-        ("motion_px", "px", float(compute_rms(recorded))),
+        ("residual_px", "px", float(_compute_rms(residual))),
+        ("residual_mm", "mm", float(_compute_rms(residual * scale[:, None]))),
+        ("motion_px", "px", float(_compute_rms(recorded))),
         ("ceiling_r2", "1", compute_r2(recorded, ceiling)),
     ]
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}
         for measure, unit, value in scores
     ]
+
+
+def format_table(rows: list[Json]) -> str:
+    """Format a line for taps, slides and each ring of them."""
+    lines: dict[str, Json] = {}
+    for row in rows:
+        measure, _, part = row["name"].partition(".")
+        line = lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})
+        line[measure] = row["value"]
+    return format_text_table(list(lines.values()), COLUMNS)
+
+
+def draw_folders(folders: list[ComparedFolder]) -> bytes:
+    """Draw a PNG of recorded motion and of the simulator's error, pin by pin."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    by_kind = _split_by_kind(folders)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(9, 4.2 * len(by_kind)), layout="constrained", dpi=110)
+        panels = figure.subplots(len(by_kind), 2, squeeze=False)
+        for row, (kind, parts) in zip(panels, by_kind.items(), strict=True):
+            titles = (f"{kind}s: recorded motion, each pin less its mean", f"{kind}s: left over")
+            for axes, title in zip(row, titles, strict=True):
+                axes.set(xticks=[], yticks=[], aspect="equal", title=title)
+                axes.set_axis_off()
+            most = max(float(np.nanmax(_compute_rms(part.recorded, axis=0))) for part in parts)
+            for part in parts:
+                for axes, motion in zip(row, (0, part.simulated), strict=True):
+                    rms = _compute_rms(part.recorded - motion, axis=0)
+                    heat = axes.scatter(*part.rest.T, c=rms, s=DOT, vmin=0, vmax=most)
+            figure.colorbar(heat, ax=list(row), label="px of 128, rms over contacts", shrink=0.8)
+        return encode_png(figure)

@@ -37,11 +37,6 @@ def add_parsers(commands: Commands) -> None:
         default=400,
         help="of each folder, at random; 0: all (400)",
     )
-    parser.add_argument(
-        "--as-labelled",
-        action="store_true",
-        help="leave edge and tilt of the object where the labels have them",
-    )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
     add_results(parser, "folder for validate.png and validate.txt")
 
@@ -84,6 +79,5 @@ def _validate(arguments: argparse.Namespace) -> Json:
         arguments.contacts or None,
         arguments.seed,
         arguments.out,
-        as_labelled=arguments.as_labelled,
     )
     return {"seed": arguments.seed, **result}

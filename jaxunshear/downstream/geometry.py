@@ -24,7 +24,6 @@ from sklearn.linear_model import Ridge
 
 from jaxunshear.data.simulated_contacts import SimulatedContacts
 from jaxunshear.errors import UserError
-from jaxunshear.perception.identity_repair import fill_missing
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
 
@@ -106,7 +105,7 @@ def compute_relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     rest_areas = compute_cell_areas(lattice, np.zeros_like(lattice.rest))
     growth = []
     for contact in motion.reshape(-1, *motion.shape[-2:]):
-        areas = compute_cell_areas(lattice, fill_missing(lattice, contact))
+        areas = compute_cell_areas(lattice, lattice.fill_missing(contact))
         growth.append(areas / rest_areas - 1)
     return np.reshape(growth, motion.shape[:-1])
 

@@ -27,6 +27,22 @@ class Lattice(NamedTuple):
         """The centre px of the outermost ring, which a contact moves least."""
         return self.rest[self.ring == self.ring.max()].mean(axis=0)
 
+    def fill_missing(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
+        """Fill the missing rows of a motion from the nearest ones that are not missing."""
+        visible = ~np.isnan(motion[:, 0])
+        nearest = cKDTree(self.rest[visible]).query(self.rest)[1]
+        guess = motion[visible][nearest]
+        return np.where(visible[:, None], motion, self.neighbour_weights @ guess)
+
+    def measure_offsets(self, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+        """Measure how far each pin stands from where its neighbours' motion px puts it.
+
+        Offsets are in units of the spacing; 0 for pins that are missing.
+        """
+        full = self.fill_missing(motion) if np.isnan(motion).any() else motion
+        offset = np.linalg.norm(full - self.neighbour_weights @ full, axis=-1) / self.spacing
+        return np.where(np.isnan(motion[:, 0]), 0, offset)
+
 
 def compute_rings(sensor: Sensor) -> Int[np.ndarray, "P"]:
     """Return the ring of each pin of a sensor, 0 for the one in the middle."""
@@ -45,11 +61,10 @@ def make_lattice(
     rest: Float[np.ndarray, "P 2"], ring: Int[np.ndarray, "P"] | None = None
 ) -> Lattice:
     """Make a lattice from the rest positions px of its pins; their rings are estimated if None."""
-    offset = rest - rest.mean(axis=0)
+    offset, spacing = rest - rest.mean(axis=0), measure_spacing(rest)
     unit = offset / np.abs(offset).max()
     powers = {degree: _powers(unit, degree) for degree in POLYNOMIAL_DEGREES}
     ring = estimate_rings(rest) if ring is None else ring
-    spacing = measure_spacing(rest)
     near = cKDTree(rest).query(rest, k=min(NEIGHBOURS + 1, len(rest)))[1][:, 1:]
     near_weights = compute_neighbour_weights(rest[near] - rest[:, None], spacing)
     weights = np.zeros((len(rest), len(rest)))

@@ -1,5 +1,6 @@
 """Fit the lattice of a camera's images to them, however the camera frames and turns them."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ MIN_PIN_SHARE = 0.7  # of a layout's pins: images that show fewer are not used
 MAX_IMAGES = 60  # images, evenly spaced: more do not change the mean
 GUESS_IMAGES = 10
 MIN_LAYOUT_PINS = 20
+NUMBER = r"(^|[\s,])[-+.]*\d"  # how a number starts in a line, which no heading has
 MIN_TRACKED_SHARE = 0.9  # of the pins, in any image
 MAX_EXTRA_SHARE = 0.1  # detected pins without an identity, over the pins
 
@@ -53,15 +55,15 @@ def read_layout(file: Path) -> MarkerLayout:
         raise UserError(f"--layout {file} cannot be read: {error}") from error
     rows = []
     for number, line in enumerate(lines, 1):
-        words = line.replace(",", " ").split()
-        is_heading = number == 1 and not any(map(_is_number, words))
-        if is_heading or not line.strip():
-            continue
-        if len(words) != 2 or not all(map(_is_number, words)):
+        try:
+            x, y = map(float, line.replace(",", " ").split())
+        except ValueError:
+            if not line.strip() or (number == 1 and not re.search(NUMBER, line)):
+                continue
             raise UserError(
                 f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
-            )
-        rows.append([float(word) for word in words])
+            ) from None
+        rows.append([x, y])
     flat = np.array(rows).reshape(-1, 2)
     if len(flat) < MIN_LAYOUT_PINS or not np.isfinite(flat).all():
         raise UserError(
@@ -72,14 +74,6 @@ def read_layout(file: Path) -> MarkerLayout:
         raise UserError(f"--layout {file}: two pins stand at the same place")
     flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
     return MarkerLayout(f"layout {file.name}", flat, estimate_rings(flat), 360.0)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) -> Lattice:

@@ -71,8 +71,7 @@ def _detect(image: np.ndarray, split: "_Split") -> DetectedPins:
     mask = np.append(False, short)[components.labels]
     if not candidate.any():
         return DetectedPins(np.zeros((0, 2)), mask=mask)
-    measured, single_count = _split_merged(components, np.flatnonzero(candidate), split)
-    centre, area = measured
+    (centre, area), single_count = _split_merged(components, np.flatnonzero(candidate), split)
     usual = _compute_usual_area(area)
     is_single = (np.arange(len(area)) < single_count) & _is_in_range(area, usual, SINGLE_AREA_RANGE)
     pins = np.flatnonzero(_is_in_range(area, usual, PIN_AREA_RANGE))
@@ -102,7 +101,6 @@ def _find_components(white: np.ndarray) -> _Components:
 
 
 def _measure_parts(labels: np.ndarray, count: int) -> MeasuredPins:
-    """Measure the parts 1 to `count` of a labelled image."""
     white = np.flatnonzero(labels)
     rows, columns = np.divmod(white, labels.shape[1])
     number = labels.ravel()[white] - 1
@@ -133,13 +131,13 @@ def _is_in_range(area: np.ndarray, usual: float, limits: tuple[float, float]) ->
     return (area > limits[0] * usual) & (area < limits[1] * usual)
 
 
-class _SplitPins(NamedTuple):
-    measured: MeasuredPins
-    single_count: int  # of the first ones, that are components of their own
+def _split_merged(
+    components: _Components, rows: np.ndarray, split: _Split
+) -> tuple[MeasuredPins, int]:
+    """Split those of the components `rows` in which several pins may touch.
 
-
-def _split_merged(components: _Components, rows: np.ndarray, split: _Split) -> _SplitPins:
-    """Split those of the components `rows` in which several pins may touch."""
+    Also returns how many of the first pins are components of their own.
+    """
     centre, area = components.centre[rows], components.area[rows]
     usual = _compute_usual_area(area)
     diameter = 2 * np.sqrt(usual / np.pi)
@@ -148,7 +146,7 @@ def _split_merged(components: _Components, rows: np.ndarray, split: _Split) -> _
     pieces = [split(components, number, diameter) for number in 1 + rows[merged]]
     centre = np.concatenate([centre[~merged], *(piece.centre for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece.area for piece in pieces)])
-    return _SplitPins(MeasuredPins(centre, area), int(np.sum(~merged)))
+    return MeasuredPins(centre, area), int(np.sum(~merged))
 
 
 def _split_at_waists(components: _Components, number: int, diameter: float) -> MeasuredPins:

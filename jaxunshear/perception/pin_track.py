@@ -1,20 +1,34 @@
-"""Hold the identified pins of one image, and assess whether their identities can be trusted."""
+"""Repair, assess and refine the identities of one image's pins.
+
+Where skin bends sharply, a row of pins can match one place too far, each in its neighbour's stead:
+smooth except at its two ends. Erased there and grown back, pin by pin from identified ones, the
+row comes out right.
+
+A pin that touches a glint is detected between the two, and a faint one not at all. Its neighbours
+say where it must be; the white pixels within one pin radius of there belong to it.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
-from jaxunshear.perception.identity_repair import (
-    MAX_OFFSET,
-    MIN_KNOWN_NEIGHBOURS,
-    NEAREST,
-    measure_neighbour_offsets,
-)
-from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice import Lattice, compute_neighbour_weights
+from jaxunshear.perception.pin_detection import DetectedPins, MeasuredPins
 
-# Of the spacing: the largest offset of a pin from its neighbours' motion. It is large because pins
-# are levers, which turn sharply at an edge.
+NEAREST = 8  # neighbours of a pin that it is grown from
+MIN_KNOWN_NEIGHBOURS = 3  # of these, that must be identified
+MAX_OFFSET = 0.2  # of the spacing: the largest usual offset of a pin from its neighbours' motion
+MIN_IDENTIFIED_SHARE = 0.6  # share of the pins below which identities are not rated
+
+# Repair. Lengths are in units of the spacing.
+ERASE_RADII = (2.2, 5.5)  # around a doubtful pin, in turn
+GROW_RADII = (0.3, 0.45)  # from where a pin is expected: first the certain ones, then the rest
+
+# Assessment.
+# The largest offset of a pin from its neighbours' motion, over the spacing. It is large because
+# pins are levers, which turn sharply at an edge.
 MAX_NEIGHBOUR_OFFSET = 0.42
 # Share of the pins that may have more than the usual offset in an identified image, or may be
 # missing while detected ones have no identity.
@@ -22,6 +36,13 @@ MAX_MISFIT_SHARE = 0.015
 MAX_HOLE_SHARE = 0.007  # share of the pins that may be missing within the inner rings
 INNER_RING_SHARE = 0.75  # of the outermost ring
 MIN_VISIBLE_SHARE = 0.8  # on a long slide the housing hides more than a tenth of the pins
+
+# Refinement.
+MIN_OFFSET = 0.1  # of the spacing off its neighbours, from which a pin is measured again
+MAX_WINDOW_SHIFT = 0.3  # of the spacing: how far a window may move from where it started
+AREA_RANGE = (0.2, 1.4)  # of a usual pin's area that its window holds
+STEPS = 3
+MAX_RIM_DEPTH = 3  # rows of pins at the rim that are dropped, at most
 
 
 class PinTrack(NamedTuple):
@@ -62,9 +83,169 @@ def assess_track(
     missed, extra = int(np.sum(missing)), int(detected_count - np.sum(identity >= 0))
     if missed > (1 - MIN_VISIBLE_SHARE) * pins:
         return PinTrack(motion, identity, float("inf"), missed, extra, False)
-    offset = measure_neighbour_offsets(lattice, motion)
+    offset = lattice.measure_offsets(motion)
     holes = np.sum(missing & (lattice.ring < INNER_RING_SHARE * lattice.ring.max()))
     max_misfits = max(1, MAX_MISFIT_SHARE * pins)
     smooth = offset.max() <= MAX_NEIGHBOUR_OFFSET and np.sum(offset > MAX_OFFSET) <= max_misfits
     identified = smooth and holes <= MAX_HOLE_SHARE * pins and min(missed, extra) <= max_misfits
     return PinTrack(motion, identity, float(offset.max()), missed, extra, bool(identified))
+
+
+class Rating(NamedTuple):
+    """How smooth the identities of an image are."""
+
+    offset: np.ndarray  # (P,) `Lattice.measure_offsets`
+    fault_count: float  # pins with an offset above MAX_OFFSET, plus half of the missing ones
+
+    @property
+    def calm(self) -> bool:
+        """Whether no offset is above the usual."""
+        return bool(self.offset.max() <= MAX_OFFSET)
+
+
+def rate_identities(
+    lattice: Lattice, detected: Float[np.ndarray, "N 2"], identity: Int[np.ndarray, "P"]
+) -> Rating:
+    """Rate the identities of pins: their rows in the detected pins px, -1 for none."""
+    identified = identity >= 0
+    if identified.mean() < MIN_IDENTIFIED_SHARE:
+        return Rating(np.full(len(identity), np.inf), np.inf)
+    motion = np.where(identified[:, None], detected[identity] - lattice.rest, np.nan)
+    offset = lattice.measure_offsets(motion)
+    return Rating(offset, float(np.sum(offset > MAX_OFFSET) + 0.5 * np.sum(~identified)))
+
+
+def repair_identities(
+    lattice: Lattice,
+    detected: Float[np.ndarray, "N 2"],
+    tree: cKDTree,
+    identity: Int[np.ndarray, "P"],
+) -> Int[np.ndarray, "P"]:
+    """Replace doubtful identities where that leaves fewer faults.
+
+    `tree` holds the detected pins px; identities are their rows, -1 for none.
+    """
+    rating = rate_identities(lattice, detected, identity)
+    for radius in ERASE_RADII:
+        if rating.calm:
+            break
+        doubtful = cKDTree(lattice.rest[rating.offset > MAX_OFFSET])
+        erased = doubtful.query(lattice.rest)[0] < radius * lattice.spacing
+        other = _grow_identities(lattice, detected, tree, np.where(erased, -1, identity))
+        if np.array_equal(other, identity):
+            break  # it grew back as it was
+        other_rating = rate_identities(lattice, detected, other)
+        if other_rating.fault_count < rating.fault_count:
+            identity, rating = other, other_rating
+    return identity
+
+
+def _grow_identities(
+    lattice: Lattice, detected: np.ndarray, tree: cKDTree, identity: np.ndarray
+) -> np.ndarray:
+    """Identify missing pins next to identified ones, the best supported first."""
+    identity = identity.copy()
+    used = np.zeros(len(detected), bool)
+    used[identity[identity >= 0]] = True
+    for limit in GROW_RADII:
+        failed = np.zeros(len(identity), bool)  # tried in vain since the last success
+        while True:
+            identified = identity >= 0
+            support = identified[lattice.neighbours[:, :NEAREST]].sum(axis=1)
+            support = np.where(identified | failed, -1, support)
+            if support.max() < MIN_KNOWN_NEIGHBOURS:
+                break
+            pins = np.flatnonzero(support >= max(MIN_KNOWN_NEIGHBOURS, support.max() - 1))
+            distance, nearest = tree.query(_predict_positions(lattice, detected, identity, pins))
+            grew = False
+            for row in np.argsort(distance):
+                if distance[row] < limit * lattice.spacing and not used[nearest[row]]:
+                    identity[pins[row]] = nearest[row]
+                    used[nearest[row]] = grew = True
+            if grew:
+                failed[:] = False
+            else:
+                failed[pins] = True
+    return identity
+
+
+def _predict_positions(
+    lattice: Lattice, detected: np.ndarray, identity: np.ndarray, pins: np.ndarray
+) -> np.ndarray:
+    """Predict the positions (M, 2) px of pins (M,) from their identified neighbours."""
+    near, rest = lattice.neighbours[pins], lattice.rest
+    identified = identity[near] >= 0
+    offset = rest[near] - rest[pins][:, None]
+    weight = compute_neighbour_weights(offset, lattice.spacing, identified)
+    motion = np.where(identified[..., None], detected[identity[near]] - rest[near], 0)
+    return rest[pins] + np.einsum("mn,mnc->mc", weight, motion)
+
+
+def refine_track(lattice: Lattice, track: PinTrack, detected: DetectedPins) -> PinTrack:
+    """Search for missing and doubtful pins in their windows, if `detected` holds the image."""
+    if detected.mask is None or track.visible.mean() < MIN_IDENTIFIED_SHARE:
+        return track
+    motion = lattice.fill_missing(track.motion)
+    expected = lattice.rest + lattice.neighbour_weights @ motion
+    again = ~track.visible | (lattice.measure_offsets(track.motion) > MIN_OFFSET)
+    if not again.any():
+        return track
+    start = position = expected[again]
+    for _ in range(STEPS):
+        position, area = _measure_windows(detected.mask, position, detected.radius)
+    share = area / (np.pi * detected.radius**2)
+    near = np.linalg.norm(position - start, axis=-1) < MAX_WINDOW_SHIFT * lattice.spacing
+    good = (share > AREA_RANGE[0]) & (share < AREA_RANGE[1]) & near
+    motion[again] = np.where(good[:, None], position - lattice.rest[again], np.nan)
+    for _ in range(MAX_RIM_DEPTH):
+        motion[_find_rim_pins(lattice, motion)] = np.nan
+    assessed = assess_track(lattice, motion, track.identity, len(detected.pins))
+    return _snap_to_dots(lattice, assessed, again, detected)
+
+
+def _snap_to_dots(
+    lattice: Lattice, track: PinTrack, again: np.ndarray, detected: DetectedPins
+) -> PinTrack:
+    """Move pins that were measured `again` (P,) to the complete dots that are near.
+
+    A complete dot's centroid is the better measurement: a window that is smaller than a pin is
+    white all over, and stays near where the neighbours put it. That these expect the pin elsewhere
+    was assessed before.
+    """
+    rows = np.flatnonzero(again & track.visible)
+    dots = detected.pins[detected.is_single]
+    if not (len(rows) and len(dots)):
+        return track
+    distance, nearest = cKDTree(dots).query(lattice.rest[rows] + track.motion[rows])
+    near = distance < MIN_OFFSET * lattice.spacing
+    motion = track.motion.copy()
+    motion[rows[near]] = dots[nearest[near]] - lattice.rest[rows[near]]
+    return track._replace(motion=motion)
+
+
+def _find_rim_pins(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+    """Find pins (P,) bool off their neighbours and next to a missing one.
+
+    The housing hides part of them, or all.
+    """
+    missing = np.isnan(motion[:, 0])
+    if not missing.any():
+        return missing
+    beside_missing = missing[lattice.neighbours[:, :NEAREST]].any(axis=1)
+    return (lattice.measure_offsets(motion) > MIN_OFFSET) & beside_missing
+
+
+def _measure_windows(white: np.ndarray, position: np.ndarray, radius: float) -> MeasuredPins:
+    """Measure the white (S, S) within a radius px of positions (N, 2) px, column first."""
+    half = int(np.ceil(radius)) + 1
+    line = np.arange(-half, half + 1)
+    size = np.array(white.shape)[::-1]
+    middle = np.clip(np.round(position).astype(int), 0, size - 1)
+    columns, rows = middle[:, :1] + line, middle[:, 1:] + line
+    patch = np.pad(white, half)[rows[:, :, None] + half, columns[:, None, :] + half]
+    dx = columns[:, None, :] - position[:, 0, None, None]
+    dy = rows[:, :, None] - position[:, 1, None, None]
+    weight = np.clip(radius + 0.5 - np.hypot(dx, dy), 0, 1) * patch
+    area = weight.sum(axis=(1, 2))
+    moment = np.stack([(weight * dx).sum(axis=(1, 2)), (weight * dy).sum(axis=(1, 2))], -1)
+    return MeasuredPins(position + moment / np.maximum(area, 1e-9)[:, None], area)

@@ -27,11 +27,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.perception.identity_repair import fill_missing, rate_identities, repair_identities
 from jaxunshear.perception.lattice import POLYNOMIAL_DEGREES, Lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
-from jaxunshear.perception.pin_refinement import refine_track
-from jaxunshear.perception.pin_track import PinTrack, assess_track
+from jaxunshear.perception.pin_track import (
+    PinTrack,
+    assess_track,
+    rate_identities,
+    refine_track,
+    repair_identities,
+)
 
 MIN_DETECTED_SHARE = 0.7  # of the lattice's pins
 MAX_MATCH_DISTANCE = 0.75  # of the spacing: beyond it a detected pin is another one
@@ -73,11 +77,10 @@ def track_images(
     the others.
     """
     detected = [detect_pins(image) for image in images]
-    tracks = (
-        [track_pins(lattice, each) for each in detected]
-        if independent
-        else track_all(lattice, detected)
-    )
+    if independent:
+        tracks = [track_pins(lattice, each) for each in detected]
+    else:
+        tracks = track_all(lattice, detected)
     identified = np.array([track.identified for track in tracks], bool)
     motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.rest.shape)
     return TrackedPins(np.where(identified[:, None, None], motion, np.nan), identified)
@@ -92,7 +95,7 @@ def measure_motions(
     """
     motion, identified = track_images(lattice, images)
     for row in np.flatnonzero(identified):
-        motion[row] = fill_missing(lattice, motion[row])
+        motion[row] = lattice.fill_missing(motion[row])
     return motion
 
 
@@ -117,19 +120,18 @@ def track_pins(
     best = PinTrack(missing, np.full(pins, -1), float("inf"), pins, count, False)
     if count < MIN_DETECTED_SHARE * pins:
         return best
-    tree = cKDTree(detected.pins)
-    postponed = []
+    tree, postponed = cKDTree(detected.pins), []
     for motion in _propose_motions(lattice, detected.pins, prior):
         identity = _match_iteratively(lattice, detected.pins, motion)
         fault_count = rate_identities(lattice, detected.pins, identity).fault_count
         if fault_count > MAX_FAULT_SHARE * pins:
             postponed.append((fault_count, identity))
             continue
-        best = min(best, _finish_track(lattice, detected, tree, identity), key=_rank_track)
+        best = _choose_better(best, _finish_track(lattice, detected, tree, identity))
         if best.identified:
             return best
     for _, identity in sorted(postponed, key=lambda pair: pair[0])[:MAX_REPAIRED]:
-        best = min(best, _finish_track(lattice, detected, tree, identity), key=_rank_track)
+        best = _choose_better(best, _finish_track(lattice, detected, tree, identity))
         if best.identified:
             break
     return best
@@ -145,16 +147,10 @@ def _finish_track(
     return refine_track(lattice, track, detected)
 
 
-class _TrackRank(NamedTuple):
-    """Sorts tracks, the best first."""
-
-    unidentified: bool
-    missed: int
-    max_offset: float
-
-
-def _rank_track(track: PinTrack) -> _TrackRank:
-    return _TrackRank(not track.identified, track.missed, track.max_offset)
+def _choose_better(first: PinTrack, second: PinTrack) -> PinTrack:
+    return min(
+        (first, second), key=lambda track: (not track.identified, track.missed, track.max_offset)
+    )
 
 
 def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | None:
@@ -162,7 +158,7 @@ def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | 
     motions = [track.motion for track in tracks if track.identified]
     if len(motions) < MIN_PRIOR_FRAMES:
         return None
-    full = np.array([_fill_if_missing(lattice, motion) for motion in motions])
+    full = np.array([lattice.fill_missing(motion) for motion in motions])
     mean = full.mean(axis=0)
     left, size, right = np.linalg.svd((full - mean).reshape(len(full), -1), full_matrices=False)
     amounts = (left * size).T[:MODES]
@@ -176,10 +172,6 @@ def fit_motion_prior(lattice: Lattice, tracks: list[PinTrack]) -> MotionPrior | 
     grid = mean + np.tensordot(points, modes, 1)
     distance = np.linalg.norm(lattice.rest + np.array(motions) - _compute_centre(lattice), axis=-1)
     return MotionPrior(grid.astype(np.float32), float(np.nanmax(distance)) + 0.1 * lattice.spacing)
-
-
-def _fill_if_missing(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    return np.where(np.isnan(motion), fill_missing(lattice, motion), motion)
 
 
 def _compute_centre(lattice: Lattice) -> np.ndarray:

@@ -294,7 +294,6 @@ def _is_plausible(
 
 
 def _make_box(row: float, column: float, side: float) -> Box:
-    """Make a square about a centre, rounded to pixels."""
     whole_side = round(side)
     left, top = round(column + 0.5 - whole_side / 2), round(row + 0.5 - whole_side / 2)
     return Box(left, top, left + whole_side, top + whole_side)

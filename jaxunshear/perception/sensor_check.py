@@ -62,15 +62,8 @@ class Verdict:
 
 
 def measure_sensor_appearance(pins_px: np.ndarray, size: int) -> SensorAppearance:
-    """Measure MIN_PINS or more pins (P, 2) px as (column, row) in images of `size` px.
-
-    Raises ValueError if there are fewer.
-    """
+    """Measure MIN_PINS or more pins (P, 2) px as (column, row) in images of `size` px."""
     pins = np.asarray(pins_px, float)
-    if len(pins) < MIN_PINS:
-        raise ValueError(
-            f"{len(pins)} pins do not describe a sensor: at least {MIN_PINS} are needed"
-        )
     distance = cKDTree(pins).query(pins, k=NEIGHBOURS + 1)[0][:, 1:]
     spacing = float(np.median(distance[:, :3]))
     low, high = np.percentile(pins, [1, 99], axis=0)
@@ -140,9 +133,7 @@ def explain_rejection(
 
 
 def judge_images(images: np.ndarray, expected: SensorAppearance) -> Verdict:
-    """Judge images (N, S, S) uint8 of {0, 255} of one folder; twenty are enough."""
-    if not len(images):
-        raise ValueError("no images to judge")
+    """Judge one or more images (N, S, S) uint8 of {0, 255} of a folder; twenty are enough."""
     appearances = [measure_image_appearance(image) for image in images]
     foreign = [each for each in appearances if _score(each, expected) < MIN_PLAUSIBILITY]
     if len(foreign) <= MIN_PLAUSIBILITY * len(images):

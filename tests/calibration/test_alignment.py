@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotation_2d
+from jaxunshear.calibration import alignment
 from jaxunshear.calibration.alignment import AlignmentProblem, estimate_rotation, find_frame
 from jaxunshear.calibration.labels import LabelFrame, apply_frame, make_paths, read_motions
-from jaxunshear.calibration.pin_statistics import PinObservation, compute_camera_rotation
-from jaxunshear.calibration.prediction import SensorValues, compute_modulus_ratio, make_probe_sensor
-from jaxunshear.calibration.validation import project_positions
+from jaxunshear.calibration.pin_statistics import make_observation
+from jaxunshear.calibration.prediction import make_probe_sensor, make_values, project_positions
+from jaxunshear.config.image import FITTED_CAMERA
 from jaxunshear.config.sensor import TACTIP_331_FITTED
-from jaxunshear.perception.lattice import make_lattice
+from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.paths import DEPTH, TILT_X, X
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
 SENSOR = TACTIP_331_FITTED
-VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))
+VALUES = make_values(SENSOR, FITTED_CAMERA, 0.4)
 TRUE = LabelFrame(1.4, -1.3, 0.8, 1.9)
 
 
@@ -30,13 +32,13 @@ def _contacts(count=24):
     return read_motions(poses, moves)
 
 
-def _displace_smoothly(sensor, contacts, side, friction, surface_mm, ratio):
+def _displace_smoothly(values, contacts, side):
     """Replace the simulator: pins follow depth, distance and tilt smoothly.
 
     One contact is never solved.
     """
-    end = make_paths(contacts, sensor, surface_mm, side, friction).points[:, -1]
-    tips = compute_pin_tips(make_probe_sensor(sensor, ratio)) / 20
+    end = make_paths(contacts, values.base, 0.0, side, values.friction).points[:, -1]
+    tips = compute_pin_tips(make_probe_sensor(values.sensor)) / 20
     yaw = np.radians(end[:, 2])
     turn = np.stack([np.cos(yaw), np.sin(yaw)], -1)
     along = tips[:, :2] @ turn.T  # (Q, N)
@@ -45,42 +47,33 @@ def _displace_smoothly(sensor, contacts, side, friction, surface_mm, ratio):
         ..., None
     ] * turn[:, None]
     moved[..., :2] += 0.05 * end[:, None, TILT_X:] * (1 - tips[:, None, 2].T[..., None])
-    fine = np.ones(len(end), bool)
-    fine[3] = False
-    return moved, fine
+    moved[3] = np.nan
+    return moved
 
 
-def _recorded(contacts):
-    moved, _ = _displace_smoothly(
-        SENSOR, apply_frame(contacts, TRUE), 1, 0.4, 0.0, VALUES.skin_to_gel
-    )
-    positions = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
-    ring = np.repeat(np.arange(11), [1] + [6 * k for k in range(1, 11)])
-    count = np.zeros(len(positions))
-    lattice = make_lattice(positions.mean(axis=0), ring)
-    return PinObservation(
-        128, lattice, positions, positions[..., 0], count, count == 0, count, count, count
-    )
-
-
-def test_a_frame_is_found_again():
+@pytest.fixture
+def problem(monkeypatch):
     contacts = _contacts()
-    problem = AlignmentProblem(_recorded(contacts), contacts, 1, VALUES, SENSOR, _displace_smoothly)
-    frame = find_frame(problem, LabelFrame(2.2))
-    assert np.allclose(frame, TRUE, atol=0.1)
-    surface_only = find_frame(problem, LabelFrame(2.2), ("surface_mm",))
-    assert surface_only[1:] == (0, 0, 0) and surface_only.surface_mm != 2.2
-    assert abs(problem.measure_rotation(frame)) < 0.01
+    monkeypatch.setattr(alignment, "simulate_displacements", _displace_smoothly)
+    moved = np.nan_to_num(_displace_smoothly(VALUES, apply_frame(contacts, TRUE), 1))
+    positions = project_positions(VALUES, 128, compute_pin_lattice(SENSOR), moved)
+    lattice = make_lattice(positions.mean(axis=0), compute_rings(SENSOR))
+    return AlignmentProblem(make_observation(128, lattice, positions), contacts, 1, VALUES)
 
 
-def test_a_surface_without_an_edge_has_no_place_across():
-    contacts = _contacts()
+def test_a_frame_is_found_again(problem):
+    found = find_frame(problem, LabelFrame(2.2))
+    assert np.allclose(found.frame, TRUE, atol=0.1)
+    assert abs(found.angle) < 0.01 and found.r2 > 0.95
 
-    def displace_at_edge(sensor, contacts, side, *values):
-        return _displace_smoothly(sensor, contacts, 1, *values)
 
-    problem = AlignmentProblem(_recorded(contacts), contacts, 0, VALUES, SENSOR, displace_at_edge)
-    assert find_frame(problem, LabelFrame(2.0)).across_mm == 0
+def test_a_surface_without_an_edge_has_no_place_across(problem, monkeypatch):
+    monkeypatch.setattr(
+        alignment,
+        "simulate_displacements",
+        lambda values, contacts, side: _displace_smoothly(values, contacts, 1),
+    )
+    assert find_frame(problem._replace(side=0), LabelFrame(2.0)).frame.across_mm == 0
 
 
 def test_a_shifted_frame_shifts_depth_and_edge():
@@ -94,19 +87,14 @@ def test_a_shifted_frame_shifts_depth_and_edge():
 
 
 def test_a_tilted_top_is_deeper_on_one_side():
-    """Rotate the top about y by a small angle.
-
-    Tips at +x become lower by x times the angle, and all sensors tilt by it.
-    """
+    """Rotate the top about y: tips at +x become lower by x times the angle, and sensors tilt."""
     contacts = _contacts()
     tilted = apply_frame(contacts, LabelFrame(0.0, 0.0, 0.0, 2.0))
     lower = contacts.tip[..., 2] - tilted.tip[..., 2]
     assert np.allclose(lower, np.radians(2.0) * contacts.tip[..., 0], atol=0.01)
-    assert np.allclose(tilted.tilt_deg, 2.0)
+    assert np.allclose(tilted.turn.as_matrix()[:, 2, 2], np.cos(np.radians(2.0)))
 
 
 def test_motions_are_turned_back():
     motion = np.random.default_rng(0).normal(size=(5, 7, 2))
-    assert estimate_rotation(motion @ compute_camera_rotation(0.3), motion) == pytest.approx(0.3)
-    motion[0, 0] = np.nan
-    assert estimate_rotation(motion @ compute_camera_rotation(-0.2), motion) == pytest.approx(-0.2)
+    assert estimate_rotation(motion @ rotation_2d(-0.3), motion) == pytest.approx(0.3)

@@ -16,15 +16,11 @@ from jaxunshear.simulator.camera import compute_outer_fraction
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 
-def _discard(text: str) -> None:
-    pass
-
-
 @pytest.fixture(scope="module")
 def results(simulated, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     return calibrate(
-        simulated.folder, out, SMALL, GUESS, fixed=("pin_spacing_mm", "distance_mm"), log=_discard
+        simulated.folder, out, SMALL, GUESS, fixed=("pin_spacing_mm", "distance_mm")
     ), out
 
 
@@ -80,33 +76,19 @@ def test_files(results):
     assert "friction" in (out / "calibration.txt").read_text()
 
 
-@pytest.mark.long
-def test_unlabelled_images_give_framing_and_pins_only(simulated, tmp_path):
-    """And so do labels that belong to other images."""
-    (tmp_path / "bare").mkdir()
-    shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")
-    results = calibrate(tmp_path / "bare", None, SMALL, GUESS, images=12, log=_discard)
-    parameters = _parameters(results)
-    # touches widen the rings
-    assert parameters["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.05)
-    assert (
-        parameters["friction"]["after"] == parameters["friction"]["before"]
-        and not parameters["friction"]["determined"]
-    )
-    assert any("framing and pin size only" in note for note in results["notes"])
-    assert any("not fitted" in note and "friction" in note for note in results["notes"])
-
-
-def test_what_is_no_recording_is_refused(tmp_path):
+def test_what_is_no_recording_is_refused(tmp_path, simulated):
     with pytest.raises(UserError, match="does not exist"):
-        calibrate(tmp_path / "none", log=_discard)
+        calibrate(tmp_path / "none")
     few = np.zeros((3, 128, 128), np.uint8)
     few[:, 30:100:10, 30:100:10] = few[:, 31:100:10, 30:100:10] = few[:, 30:100:10, 31:100:10] = 255
     write_recording(tmp_path / "few", few, None, None)
     with pytest.raises(UserError, match="49 pins are found"):
-        calibrate(tmp_path / "few", log=_discard)
+        calibrate(tmp_path / "few")
     with pytest.raises(UserError, match="cannot be held"):
-        calibrate(tmp_path / "few", fixed=("colour",), log=_discard)
+        calibrate(tmp_path / "few", fixed=("colour",))
+    shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")
+    with pytest.raises(UserError, match="0 contacts are labelled"):
+        calibrate(tmp_path / "bare", None, SMALL, GUESS, images=3)
 
 
 def test_an_image_whose_slide_cannot_be_read_is_no_tap():

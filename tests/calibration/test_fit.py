@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.fit import MAX_INTERVAL_SHARE, PRIOR_PX, _bootstrap
+from jaxunshear.calibration.fit import MAX_INTERVAL_SHARE, PRIOR_PX, _bootstrap, _Minimum
 
 PRIOR = np.array([0.3, 2.0])  # standard deviations
 
@@ -17,7 +17,7 @@ def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, 
     residual = noise * generator.normal(size=(100, 5)) / np.sqrt(5)
     slopes = np.zeros((100, 5, 2))
     slopes[:, 1:, 0], slopes[:, 0, 1] = 1.0, slope * PRIOR_PX / PRIOR[1]
-    minima = _bootstrap(slopes, lambda generator: residual, np.ones(100), np.zeros(2), PRIOR)
+    minima = _bootstrap(_Minimum(np.zeros(2), residual, slopes), np.ones(100), PRIOR)
     width = np.ptp(np.percentile(minima, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
     assert width[0] < MAX_INTERVAL_SHARE / 4
     assert (width[1] < MAX_INTERVAL_SHARE) == determined

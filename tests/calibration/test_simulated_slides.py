@@ -5,9 +5,12 @@ import pytest
 
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.labels import read_motions
-from jaxunshear.calibration.prediction import simulate_displacements
+from jaxunshear.calibration.prediction import (
+    find_converged,
+    project_positions,
+    simulate_displacements,
+)
 from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
-from jaxunshear.calibration.validation import project_positions
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
@@ -21,19 +24,14 @@ COUNT = 40
 
 def _project(displacement):
     """Project to pins (N, P, 2) px in the images of that camera."""
-    return (
-        project_positions(CALIBRATION.values, SMALL, 128, compute_pin_lattice(SMALL), displacement)
-        @ TURN.T
-        + MIDDLE
-    )
+    pins = project_positions(CALIBRATION.values, 128, compute_pin_lattice(SMALL), displacement)
+    return pins @ TURN.T + MIDDLE
 
 
 def _displace(poses, moves, friction):
-    values = CALIBRATION.values
-    displacement, converged = simulate_displacements(
-        SMALL, read_motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel
-    )
-    assert converged.all()
+    contacts = read_motions(poses, moves)
+    displacement = simulate_displacements(CALIBRATION.values, contacts, 1, SURFACE_MM, friction)
+    assert find_converged(displacement).all()
     return displacement
 
 
@@ -44,13 +42,13 @@ def taps():
     poses[:, 1] = generator.uniform(-2, 1, COUNT)  # an edge
     poses[:, 2] = generator.uniform(0.5, 1.4, COUNT) - SURFACE_MM
     poses[:, 5] = generator.uniform(-180, 180, COUNT)
-    return RecordedTaps(_project(_displace(poses, None, CALIBRATION.friction)), poses)
+    return RecordedTaps(_project(_displace(poses, None, None)), poses)
 
 
 @pytest.fixture(scope="module")
 def lattice(taps):
     return make_lattice(
-        _project(np.zeros((1, *_displace(taps.pose[:1], None, 0.3).shape[1:])))[0],
+        _project(np.zeros((1, *_displace(taps.pose[:1], None, None).shape[1:])))[0],
         compute_rings(SMALL),
     )
 
@@ -62,7 +60,7 @@ def view(taps, lattice):
 
 @pytest.mark.long
 def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
-    assert view.frame.surface_mm == pytest.approx(SURFACE_MM, abs=0.1)
+    assert view.alignment.frame.surface_mm == pytest.approx(SURFACE_MM, abs=0.1)
     generator = np.random.default_rng(1)
     move, friction = np.zeros((6, 6)), generator.uniform(0.2, 0.6, 6)
     move[:, :2], move[:, 5] = generator.uniform(-1, 1, (6, 2)), generator.uniform(-5, 5, 6)

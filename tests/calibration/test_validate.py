@@ -1,7 +1,7 @@
 """Simulated recordings score nearly one; images of the calibration are not compared."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -12,15 +12,11 @@ from jaxunshear.calibration.calibration_result import (
     Calibration,
     read_calibration,
 )
-from jaxunshear.calibration.sampling import are_among, split_folders
-from jaxunshear.calibration.validate import _list_calibration_images, validate
+from jaxunshear.calibration.sampling import are_among, list_sampled_images, split_folders
+from jaxunshear.calibration.validate import PRESET_RECORDINGS, validate
 from jaxunshear.config.image import Camera
 from jaxunshear.errors import UserError
 from tests.calibration.conftest import write_recording
-
-
-def _discard(text: str) -> None:
-    pass
 
 
 def _value(results, name):
@@ -31,7 +27,7 @@ def _value(results, name):
 def scored(simulated, tmp_path_factory):
     calibration = Calibration("truth", simulated.sensor, simulated.camera, simulated.friction, ())
     out = tmp_path_factory.mktemp("out")
-    return validate(simulated.folder, calibration, None, 0, out, _discard), out
+    return validate(simulated.folder, calibration, None, 0, out), out
 
 
 def test_its_own_recording_scores_nearly_one(scored):
@@ -46,7 +42,7 @@ def test_its_own_recording_scores_nearly_one(scored):
 
 def test_another_friction_scores_less(scored, simulated):
     wrong = Calibration("wrong", simulated.sensor, simulated.camera, 3 * simulated.friction, ())
-    results = validate(simulated.folder, wrong, None, 0, None, _discard)
+    results = validate(simulated.folder, wrong, None)
     assert _value(results, "r2.slide") < _value(scored[0], "r2.slide") - 0.02
 
 
@@ -87,12 +83,9 @@ def test_names_from_higher_up_and_lower_down():
 def test_what_the_preset_was_fitted_to(tmp_path):
     for name in ("edge_2d/tap/csv_train", "edge_2d/shear/csv_train", "edge_2d/other", "new/train"):
         _recording(tmp_path / name, 3)
-    notes: list[str] = []
-    used = _list_calibration_images(tmp_path / "edge_2d", DEFAULT_CALIBRATION, notes)
+    used = list_sampled_images(tmp_path / "edge_2d", 9, 0, PRESET_RECORDINGS)
     assert len(used) == 6 and not any("other" in name for name in used)
-    assert _list_calibration_images(tmp_path / "new" / "train", DEFAULT_CALIBRATION, notes) == ()
-    other = replace(DEFAULT_CALIBRATION, image_names=("x.png",))
-    assert _list_calibration_images(tmp_path / "edge_2d", other, notes) == ("x.png",) and not notes
+    assert list_sampled_images(tmp_path / "new" / "train", 9, 0, PRESET_RECORDINGS) == ()
 
 
 def test_a_calibration_is_read(tmp_path):

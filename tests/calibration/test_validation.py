@@ -3,39 +3,41 @@
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.prediction import (
-    SensorValues,
-    compute_interpolation,
-    compute_modulus_ratio,
+    compute_mm_per_px,
+    fit_positions,
+    locate_pins,
     make_probe_sensor,
-    predict_positions,
+    make_values,
+    project_positions,
+    project_rest,
 )
 from jaxunshear.calibration.validate import predict_from_labels
-from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import (
     ComparedFolder,
     build_rows,
     centre_motions,
-    compute_mm_per_px,
     compute_r2,
-    fit_positions,
-    locate_pins,
-    project_positions,
+    draw_folders,
 )
+from jaxunshear.config.image import FITTED_CAMERA
 from jaxunshear.config.sensor import TACTIP_331_FITTED
 from jaxunshear.perception.lattice import compute_rings
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
 SENSOR = TACTIP_331_FITTED
-VALUES = SensorValues(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, compute_modulus_ratio(SENSOR))
+VALUES = make_values(SENSOR, FITTED_CAMERA, 0.4)
+FLAT = compute_pin_lattice(SENSOR)
+REST = project_rest(VALUES, 128, FLAT)
 NOISE_PX = 0.3
 
 
 def _displace(count: int = 30) -> np.ndarray:
     """Make smooth displacements (N, Q, 3) mm of the probe's pins."""
     rng = np.random.default_rng(0)
-    tips = compute_pin_tips(make_probe_sensor(SENSOR, VALUES.skin_to_gel)) / 20
+    tips = compute_pin_tips(make_probe_sensor(SENSOR)) / 20
     basis = np.concatenate(
         [np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1
     )
@@ -43,19 +45,12 @@ def _displace(count: int = 30) -> np.ndarray:
 
 
 def _compare(noise_px: float = 0.0, count: int = 30) -> ComparedFolder:
-    positions, rest = predict_positions(VALUES, SENSOR, 128, _displace(count))
+    positions = project_positions(VALUES, 128, FLAT, _displace(count))
     noise = noise_px * np.random.default_rng(1).standard_normal(positions.shape)
     recorded, simulated = centre_motions(positions + noise, positions)
-    return ComparedFolder(
-        "a",
-        recorded,
-        simulated,
-        recorded,
-        compute_rings(SENSOR),
-        rest,
-        np.ones(len(rest)),
-        np.arange(count) % 2 > 0,
-    )
+    scale, taps = np.ones(len(REST)), np.arange(count) % 2 > 0
+    rings = compute_rings(SENSOR)
+    return ComparedFolder("a", recorded, simulated, recorded, rings, REST, scale, taps)
 
 
 def _value(rows, name):
@@ -63,34 +58,19 @@ def _value(rows, name):
 
 
 def test_pins_stand_where_the_camera_sees_them():
-    _, rest = predict_positions(VALUES, SENSOR, 128, None)
-    assert np.abs(locate_pins(VALUES, SENSOR, 128, rest) - compute_pin_lattice(SENSOR)).max() < 2e-3
-
-
-def test_places_on_the_lattice_are_those_of_the_calibration():
-    moved = _displace()
-    here = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
-    assert np.abs(here - predict_positions(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
-    assert np.isfinite(compute_interpolation(SENSOR)).all()
+    assert np.abs(locate_pins(VALUES, 128, REST) - FLAT).max() < 2e-3
 
 
 def test_rings_with_phases_of_their_own_are_followed():
     """Locate pins between the simulated ones from their mean position, which contacts shift."""
     moved = _displace()
-    turn = 0.3 + 0.05 * compute_rings(SENSOR)
-    flat = compute_pin_lattice(SENSOR)
-    flat = np.stack(
-        [
-            np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1],
-            np.sin(turn) * flat[:, 0] + np.cos(turn) * flat[:, 1],
-        ],
-        -1,
-    )
-    recorded = project_positions(VALUES, SENSOR, 128, flat, moved)
-    found, simulated = fit_positions(VALUES, SENSOR, 128, recorded, moved)
+    flat = rotate_2d(FLAT, 0.3 + 0.05 * compute_rings(SENSOR))
+    recorded = project_positions(VALUES, 128, flat, moved)
+    found = fit_positions(VALUES, 128, recorded, moved)
     assert np.abs(found - flat).max() < 0.05
+    simulated = project_positions(VALUES, 128, found, moved)
     assert compute_r2(*centre_motions(recorded, simulated)) > 0.999
-    there = project_positions(VALUES, SENSOR, 128, compute_pin_lattice(SENSOR), moved)
+    there = project_positions(VALUES, 128, FLAT, moved)
     assert compute_r2(*centre_motions(recorded, there)) < 0.9
 
 
@@ -99,7 +79,9 @@ def test_the_same_motions_score_one():
     for kind in ("tap", "slide"):
         assert _value(rows, f"r2.{kind}") == pytest.approx(1, abs=1e-9)
         assert _value(rows, f"residual_px.{kind}") < 1e-4
-    assert len({row["name"] for row in rows}) == len(rows)
+    names = {row["name"] for row in rows}
+    assert len(names) == len(rows)
+    assert {"residual_mm.tap", "ceiling_r2.tap", "r2.tap.ring.10"} <= names
 
 
 def test_noise_costs_what_it_should():
@@ -114,7 +96,7 @@ def test_noise_costs_what_it_should():
 
 
 def test_an_offset_of_a_pin_costs_nothing_and_a_missing_one_is_left_out():
-    place, _ = predict_positions(VALUES, SENSOR, 128, _displace())
+    place = project_positions(VALUES, 128, FLAT, _displace())
     recorded = place + np.random.default_rng(2).normal(0, 3, place.shape[1:])
     recorded[:5, 7] = np.nan
     assert compute_r2(*centre_motions(recorded, place)) == pytest.approx(1, abs=1e-9)
@@ -126,30 +108,13 @@ def test_half_the_motion_explains_three_quarters():
     assert np.isnan(compute_r2(0 * motion, motion))
 
 
-def test_rows_of_taps_and_slides_and_by_ring():
-    names = {row["name"] for row in build_rows([_compare(NOISE_PX)])}
-    assert {
-        "r2.tap",
-        "r2.slide",
-        "residual_px.tap",
-        "residual_mm.tap",
-        "ceiling_r2.tap",
-        "r2.tap.ring.10",
-    } <= names
-
-
 def test_scale_at_the_height_of_a_pin():
     """Move the apex pin by 0.01 mm, and compare with its motion in the image."""
-    flat = np.array([[0.0, 0.0]])
-    moved = np.zeros((1, len(compute_pin_tips(make_probe_sensor(SENSOR, 1.0))), 3))
-    step = moved.copy()
-    step[..., 0] = 0.01
-    seen = project_positions(VALUES, SENSOR, 128, flat, step) - project_positions(
-        VALUES, SENSOR, 128, flat, moved
-    )
-    assert seen[0, 0, 0] * compute_mm_per_px(VALUES, SENSOR, 128, flat)[0] == pytest.approx(
-        0.01, rel=1e-3
-    )
+    apex = np.zeros((1, 2))
+    moved = np.zeros((2, len(compute_pin_tips(make_probe_sensor(SENSOR))), 3))
+    moved[1, :, 0] = 0.01
+    step_px = np.diff(project_positions(VALUES, 128, apex, moved)[:, 0, 0])
+    assert step_px * compute_mm_per_px(VALUES, 128, apex) == pytest.approx(0.01, rel=1e-3)
 
 
 def test_labels_that_give_all_and_nothing():
@@ -172,4 +137,4 @@ def test_labels_that_give_all_and_nothing():
 
 
 def test_the_figure_is_a_png():
-    assert validate_figure([_compare(NOISE_PX)]).startswith(b"\x89PNG")
+    assert draw_folders([_compare(NOISE_PX)]).startswith(b"\x89PNG")

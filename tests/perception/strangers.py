@@ -12,7 +12,9 @@ from numpy.random import Generator
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
+from skimage.util import montage, view_as_blocks
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.config.configs import PAIRED
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
@@ -81,9 +83,8 @@ def _resampled(
     would pass for pins.
     """
     middle = (len(image) - 1) / 2
-    back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) / scale
     offset = np.moveaxis(np.indices(image.shape), 0, -1) - middle - np.asarray(shift)
-    source = offset @ back.T
+    source = offset @ rotation_2d(turn) / scale
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (Preprocess().mask_radius * len(image) - 1) / np.maximum(radius, 1))
     return _masked(
@@ -121,26 +122,13 @@ def _blobs(image: np.ndarray, rng: Generator) -> np.ndarray:
     return _masked(noise > np.quantile(noise, rng.uniform(0.65, 0.85)))
 
 
-def _shuffled(image: np.ndarray, rng: Generator) -> np.ndarray:
-    return rng.permutation(image.ravel()).reshape(image.shape)
-
-
 def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
     side = len(image) // int(rng.choice([8, 16, 32]))
     count = len(image) // side
-    tiles = (
-        image[: count * side, : count * side]
-        .reshape(count, side, count, side)
-        .swapaxes(1, 2)
-        .reshape(-1, side, side)
-    )
-    shuffled = (
-        rng.permutation(tiles)
-        .reshape(count, count, side, side)
-        .swapaxes(1, 2)
-        .reshape(2 * (count * side,))
-    )
-    return np.pad(shuffled, (0, len(image) - count * side))
+    cut = count * side
+    tiles = view_as_blocks(image[:cut, :cut], (side, side)).reshape(-1, side, side)
+    shuffled = montage(rng.permutation(tiles), grid_shape=(count, count))
+    return np.pad(shuffled, (0, len(image) - cut))
 
 
 def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
@@ -158,10 +146,7 @@ def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
     spacing = size * rng.uniform(0.03, 0.12)
     steps = np.arange(-size, size, spacing)
     angle = rng.uniform(0, np.pi)
-    place = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) @ [
-        [np.cos(angle), np.sin(angle)],
-        [-np.sin(angle), np.cos(angle)],
-    ]
+    place = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) @ rotation_2d(-angle)
     place = place[np.hypot(*place.T) < 0.5 * size]
     return _dots(size / 2 + place, size, 0.3 * spacing)
 
@@ -229,7 +214,6 @@ def _blank(image: np.ndarray, rng: Generator) -> np.ndarray:
 STRANGERS: dict[str, Callable[[np.ndarray, Generator], np.ndarray]] = {
     "white noise": _white_noise,
     "blobs": _blobs,
-    "shuffled pixels": _shuffled,
     "shuffled tiles": _tiles,
     "scattered dots": _scattered,
     "square grid": _square_grid,

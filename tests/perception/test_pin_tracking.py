@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import compute_rings, estimate_rings, make_lattice
@@ -35,13 +37,9 @@ def test_identities(sensor, shift_px):
     track = track_pins(make_lattice(place, compute_rings(sensor)), DetectedPins(found))
     assert track.identified and track.missed == track.extra == 0
     np.testing.assert_array_equal(order[track.identity], np.arange(len(place)))
-
-
-def test_nearest_would_be_wrong():
-    """The slide of the test above does mix up pins that are matched to the nearest place."""
-    place = _flat(TACTIP_331)
-    nearest = np.argmin(np.linalg.norm(_slid(place, 7.0)[:, None] - place[None], axis=-1), axis=1)
-    assert np.mean(nearest != np.arange(len(place))) > 0.2
+    if shift_px == 7:  # the nearest place would be a wrong one
+        nearest = cKDTree(place).query(_slid(place, shift_px))[1]
+        assert sensor is TACTIP_127 or np.mean(nearest != np.arange(len(place))) > 0.2
 
 
 def test_missing_and_extra_pins_are_counted():
@@ -50,19 +48,16 @@ def test_missing_and_extra_pins_are_counted():
         [np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]]
     )
     track = track_pins(make_lattice(place), DetectedPins(found))
-    assert (
-        track.missed <= 3 and track.extra >= 1
-    )  # an extra pin may stand in for a missing neighbour
+    # an extra pin may stand in for a missing neighbour
+    assert track.missed <= 3 and track.extra >= 1
     assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
 
 
 def test_scrambled_pins_are_not_sure():
     rng = np.random.default_rng(1)
     place = _flat(TACTIP_331)
-    assert not track_pins(
-        make_lattice(place), DetectedPins(rng.uniform(16, 112, place.shape))
-    ).identified
-    assert not track_pins(make_lattice(place), DetectedPins(place[:100])).identified
+    for pins in (rng.uniform(16, 112, place.shape), place[:100]):
+        assert not track_pins(make_lattice(place), DetectedPins(pins)).identified
 
 
 def test_lattice_is_found_turned_and_shifted():
@@ -71,11 +66,7 @@ def test_lattice_is_found_turned_and_shifted():
     Each pin is within a tenth of a pixel, up to the lattice's symmetry.
     """
     place = _flat(TACTIP_331) - 64
-    turn = np.radians(17)
-    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [
-        60.0,
-        66.0,
-    ]
+    turned = place @ rotation_2d(-np.radians(17)) + [60.0, 66.0]
     rng = np.random.default_rng(2)
     frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
     lattice = fit_lattice(frames, make_layout(TACTIP_331))
@@ -105,20 +96,16 @@ def test_a_pin_without_company_counts_as_not_seen():
     assert not track.visible[rim] and track.missed == 8
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))]
-)
 @pytest.mark.parametrize("lattice", ["square", "hexagons"])
 @pytest.mark.parametrize("turn_deg", [-2.0, 0.0, 3.0])
-def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
+def test_noise_does_not_choose_which_pin_is_which(lattice, turn_deg):
     """Of a user's layout nobody knows the symmetry; pins are named for the least turn."""
     flat = compute_pin_lattice(TACTIP_127)
     if lattice == "square":
         flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
     flat = flat / np.linalg.norm(flat, axis=-1).max()
-    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    place = 46 * flat @ np.array([[cos, sin], [-sin, cos]]) + 64
-    rng = np.random.default_rng(seed)
+    place = 46 * flat @ rotation_2d(-np.radians(turn_deg)) + 64
+    rng = np.random.default_rng(0)
     frames = [
         place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)
     ]

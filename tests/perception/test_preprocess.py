@@ -131,12 +131,6 @@ def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     assert error["rms_px"] < 0.3
 
 
-@SIZES
-def test_a_uniform_change_of_light_hardly_matters(frames, size):
-    preprocess = Preprocess(size=size)
-    assert np.mean(binarise(preprocess, frames) == binarise(preprocess, 0.9 * frames)) > 0.98
-
-
 def test_the_mask_blackens_what_is_outside(frames):
     images = np.asarray(binarise(Preprocess(size=64, mask_radius=0.3, offset=-1.0), frames[:1]))[0]
     rows, columns = np.indices(images.shape) - 31.5
@@ -155,28 +149,27 @@ def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
     assert reach == pytest.approx(compute_outer_fraction(CAMERA, TACTIP_331), abs=0.01)
 
 
-def test_pins_in_a_dark_surround_are_found_too():
-    dark = Nuisance(housing_ring=False, specks=0)
-    square = np.asarray(
-        render_frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
-    )
-    photo = photograph(square, side=380, top=60, left=200, light=0.03)
-    left, top, right, bottom = find_dome(to_grey(photo), Preprocess().outer_pins)
-    np.testing.assert_allclose([left, top, right, bottom], [200, 60, 580, 440], atol=8)
+@pytest.fixture(scope="module")
+def dark():
+    """A frame whose dome has no housing ring around it."""
+    nuisance = Nuisance(housing_ring=False, specks=0)
+    tips = compute_pin_tips(TACTIP_331)
+    return np.asarray(render_frame(CAMERA, TACTIP_331, nuisance, tips, jax.random.key(0)))
+
+
+def test_pins_in_a_dark_surround_are_found_too(dark):
+    photo = photograph(dark, side=380, top=60, left=200, light=0.03)
+    box = find_dome(to_grey(photo), Preprocess().outer_pins)
+    np.testing.assert_allclose(box, [200, 60, 580, 440], atol=8)
     assert len(find_pins(prepare_frame(Preprocess(size=256), photo))) == 331
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.75])
-def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(scale):
+def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(dark, scale):
     """Its corners, which an opening would round, are not taken for a dome's rim."""
-    dark = Nuisance(housing_ring=False, specks=0)
-    square = np.asarray(
-        render_frame(CAMERA, TACTIP_331, dark, compute_pin_tips(TACTIP_331), jax.random.key(0))
-    )
-    side = square.shape[0]
-    around = np.full((round(side / scale),) * 2, square.min(), np.float32)
-    start = (len(around) - side) // 2
-    around[start : start + side, start : start + side] = square
+    side = len(dark)
+    start = (round(side / scale) - side) // 2
+    around = np.pad(dark, start, constant_values=dark.min())
     box = find_dome(around, Preprocess().outer_pins)
     np.testing.assert_allclose(box, [start, start, start + side, start + side], atol=0.02 * side)
 
@@ -234,22 +227,6 @@ def test_white_is_the_range_that_a_camera_fills(frame, white):
     assert find_white_level(frame) == white
 
 
-def test_a_hot_pixel_changes_nothing_but_itself(frames):
-    photo = np.round(1000 * to_grey(photograph(frames[0]))).astype(np.uint16)
-    hot = photo.copy()
-    hot[0, 0] = 4000
-    np.testing.assert_array_equal(
-        prepare_frame(Preprocess(), hot), prepare_frame(Preprocess(), photo)
-    )
-
-
-def test_a_grey_mask_is_a_mask(frames):
-    mask = np.where(photograph(frames[0])[..., 0] > 150, 255, 0).astype(np.uint8)
-    np.testing.assert_array_equal(
-        prepare_frame(Preprocess(), np.minimum(mask, 100)), prepare_frame(Preprocess(), mask)
-    )
-
-
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     grey = to_grey(photograph(frames[0]))
     bright, dark = (
@@ -272,67 +249,38 @@ def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
     view = combine_views([find_view(Preprocess(), raw) for raw in raws])
     assert dict(view.whites) == {"uint8": 255, "uint16": 65535}
     for raw in raws:
-        np.testing.assert_array_equal(
-            prepare_frame(Preprocess(), raw, view), prepare_frame(Preprocess(), raw, View(view.box))
-        )
+        alone = prepare_frame(Preprocess(), raw, View(view.box))
+        np.testing.assert_array_equal(prepare_frame(Preprocess(), raw, view), alone)
 
 
-@pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "jpeg"])
+@pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "grey", "jpeg"])
 def test_a_binary_frame_is_not_thresholded_again(frames, kind):
     image = np.asarray(binarise(Preprocess(size=128), frames[0]))
     other = {
         "uint8": image,
         "bool": image > 0,
         "zero_one": image // 255,
+        "grey": np.minimum(image, 100),
         "jpeg": np.clip(image, 8, 246),
     }[kind]
     np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), other), image)
 
 
-VIEWS = (
-    View(),
-    View((0, 0, 96, 96)),
-    View((3, 5, 67, 69)),
-    View((-9, 2, 80, 91)),
-    View((-70, -70, 5, 5)),
-)
-
-
 @pytest.mark.parametrize("kind", [bool, np.uint8])
-@pytest.mark.parametrize("size", [48, 64, 96, 128])
-@pytest.mark.parametrize("view", VIEWS, ids=str)
-def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, size, view):
+@pytest.mark.parametrize("size", [48, 96])
+@pytest.mark.parametrize("box", [None, (3, 5, 67, 69), (-70, -70, 5, 5)], ids=str)
+def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(kind, size, box):
     generator = np.random.default_rng(size)
-    raws = [generator.random(shape) > 0.7 for shape in ((96, 96), (96, 120), (64, 96))]
-    raws = [raw if kind is bool else raw.astype(np.uint8) * np.uint8(255) for raw in raws]
-    assert all(grey.find_white_pixels(raw) is not None for raw in raws)
-    quick = [prepare_frame(Preprocess(size=size), raw, view) for raw in raws]
-    for image, raw in zip(quick, raws, strict=True):
-        wider = raw.astype(
-            np.float32 if kind is bool else np.uint16
-        )  # the same numbers, of a kind that goes the long way
-        long = prepare_frame(Preprocess(size=size), wider, view)
-        assert image.dtype == long.dtype == np.uint8
-        np.testing.assert_array_equal(image, long)
-
-
-def test_what_is_not_black_and_white_goes_the_long_way():
-    """Also what is black or white all over, and too small: the long way refuses these."""
-    raw = np.random.default_rng(0).integers(0, 2, (32, 32), np.uint8) * np.uint8(255)
-    assert grey.find_white_pixels(raw) is not None
-    other = [
-        raw.astype(np.uint16),
-        raw.astype(float),
-        raw[:15],
-        raw[..., None],
-        raw * 0,
-        raw * 0 + np.uint8(255),
-    ]
-    for level in (1, 2, 127, 254):
-        spoilt = raw.copy()
-        spoilt[3, 4] = level
-        other.append(spoilt)
-    assert [grey.find_white_pixels(each) for each in other] == [None] * len(other)
+    for shape in ((96, 96), (64, 96)):
+        raw = generator.random(shape) > 0.7
+        raw = raw if kind is bool else raw.astype(np.uint8) * np.uint8(255)
+        assert grey.find_white_pixels(raw) is not None
+        wider = raw.astype(np.float32 if kind is bool else np.uint16)  # goes the long way
+        quick, long = (
+            prepare_frame(Preprocess(size=size), each, View(box)) for each in (raw, wider)
+        )
+        assert quick.dtype == long.dtype == np.uint8
+        np.testing.assert_array_equal(quick, long)
 
 
 def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):

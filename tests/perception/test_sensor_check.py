@@ -1,4 +1,3 @@
-from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -13,7 +12,6 @@ from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import (
-    SensorAppearance,
     compute_plausibility,
     invert_image,
     judge_images,
@@ -65,22 +63,6 @@ def test_strangers_are_not(sets, kind):
         likely = [compute_plausibility(image, sets[name].expected) for image in made]
         assert np.median(likely) < 0.05, name
         assert not judge_images(made, sets[name].expected).ok
-
-
-def test_the_order_of_known_images_and_strangers(sets):
-    rng = np.random.default_rng(4)
-    known = [
-        compute_plausibility(image, each.expected)
-        for each in sets.values()
-        for image in each.images
-    ]
-    strange = [
-        compute_plausibility(make(image, rng), each.expected)
-        for each in sets.values()
-        for make in STRANGERS.values()
-        for image in each.images[:3]
-    ]
-    assert np.mean(np.array(known)[:, None] > np.array(strange)) >= 0.99
 
 
 @pytest.fixture(scope="module")
@@ -168,27 +150,21 @@ def test_reasons(sets):
         assert reason(kind).endswith("or the frames are cropped otherwise"), kind
 
 
-def test_reasons_give_another_framing(sets):
-    expected = sets["331"].expected
-    for other in (replace(expected, rim=expected.rim / 1.5), replace(expected, column=0.3)):
-        assert "crop the frames alike" in judge_images(sets["331"].images, other).reason
-
-
 def test_half_of_a_folder_is_enough(sets):
     images, expected = sets["331"].images[:4], sets["331"].expected
     noise = np.array(
-        [STRANGERS["shuffled pixels"](image, np.random.default_rng(0)) for image in images]
+        [STRANGERS["white noise"](image, np.random.default_rng(0)) for image in images]
     )
     assert judge_images(np.concatenate([images, noise]), expected).ok
     assert not judge_images(np.concatenate([images[:3], noise]), expected).ok
 
 
-@pytest.mark.parametrize("size", [1, 2, 16, 128])
-def test_images_without_pins(sets, size):
-    for value in (0, 255):
-        image = np.full((size, size), value, np.uint8)
-        assert compute_plausibility(image, sets["331"].expected) == 0
-        assert judge_images(image[None], sets["331"].expected).reason
+@pytest.mark.parametrize("size", [1, 128])
+@pytest.mark.parametrize("value", [0, 255])
+def test_images_without_pins(sets, size, value):
+    image = np.full((size, size), value, np.uint8)
+    assert compute_plausibility(image, sets["331"].expected) == 0
+    assert judge_images(image[None], sets["331"].expected).reason
 
 
 def test_other_sizes_are_the_same_sensor(sets):
@@ -196,38 +172,20 @@ def test_other_sizes_are_the_same_sensor(sets):
     assert all(compute_plausibility(image, sets["331"].expected) > 0.9 for image in large)
 
 
-def test_what_cannot_be():
-    with pytest.raises(ValueError, match="at least 10"):
-        measure_sensor_appearance(np.zeros((9, 2)), 128)
-    with pytest.raises(ValueError, match="no images"):
-        judge_images(
-            np.zeros((0, 128, 128), np.uint8), SensorAppearance(331, 0.04, 0.38, 0.5, 0.5, 0.6)
-        )
-
-
-def test_real_images(real_recordings):
+def test_real_images(sets, real_recordings):
     """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
     taps, slides = (
         _packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear")
     )
-    expected = measure_sensor_appearance(
-        fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331)).rest, 128
-    )
+    lattice = fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331))
+    expected = measure_sensor_appearance(lattice.rest, 128)
     likely = np.array([compute_plausibility(image, expected) for image in slides])
     assert np.median(likely) > 0.95 and np.mean(likely > 0.5) >= 0.9
     assert judge_images(slides[:20], expected).ok
-    hexagonal = measure_sensor_appearance(
-        compute_rest_lattice(TACTIP_127, Camera(), Preprocess()).rest, 128
-    )
-    assert judge_images(slides[:20], hexagonal).reason.startswith(
-        "about 331 pins are found, the model's sensor has 127"
-    )
-    simulated = measure_sensor_appearance(
-        compute_rest_lattice(TACTIP_331, Camera(), Preprocess()).rest, 128
-    )
-    assert judge_images(
-        slides[:20], simulated
-    ).ok  # a model of simulated images may be asked about real ones
+    reason = judge_images(slides[:20], sets["127"].expected).reason
+    assert reason.startswith("about 331 pins are found, the model's sensor has 127")
+    # a model of simulated images knows real ones
+    assert judge_images(slides[:20], sets["331"].expected).ok
 
 
 def _packed(file, count):
