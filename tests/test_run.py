@@ -22,7 +22,7 @@ from PIL import Image
 from jaxunshear import run
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.data import generation
+from jaxunshear.data import sources
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.files import read_json, write_json
@@ -370,7 +370,7 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock)
         part.rmdir()
         return {}
 
-    monkeypatch.setattr(generation, "make_sets", make)
+    monkeypatch.setattr(sources.DataSource, "make_sets", make)
     for seconds in (5, 10):
         with contextlib.suppress(KeyboardInterrupt):
             run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")

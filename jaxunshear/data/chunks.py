@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
-from jaxunshear.config.configs import compute_config_name, get_set_name
+from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
@@ -83,7 +83,7 @@ def simulate_chunks(
         )
         for path, batch in missing.items()
     )
-    label = f"simulate {get_set_name(settings)}/{compute_config_name(settings, sensor)}"
+    label = f"simulate {settings.set_name}/{compute_config_name(settings, sensor)}"
     done = len(scenes) - sum(map(len, missing.values()))
     with Progress(label, len(scenes), unit="contacts", done=done) as progress:
         for path, chunk in engine.run_calls(calls):

@@ -26,8 +26,8 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.config.configs import MANIFEST, DataSettings, get_set_folder
-from jaxunshear.config.data import PairedData
+from jaxunshear.config.configs import MANIFEST, get_set_folder
+from jaxunshear.config.data import DataSettings
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import pack_bits, unpack_bits
@@ -182,7 +182,7 @@ class SetReader(Reader):
         count = self.length(split)
         try:
             rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
-            if isinstance(self.settings, PairedData):
+            if "sheared_pins" in rows:  # simulated pairs
                 return rows | {"felt": to_sensor_frame(rows["move"], rows["pose"])}
             return rows
         except UserError:

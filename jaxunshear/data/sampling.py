@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.config.configs import compute_config_name, get_set_name
+from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.splits import SPLITS, assign_splits
 from jaxunshear.config.types import check_rules
@@ -41,7 +41,7 @@ class ContactSamples(NamedTuple):
 def check_settings(settings: PairedData | PoseData) -> None:
     """Raise UserError, by field, for settings from which no set can be drawn."""
     compute_config_name(settings)
-    check_rules(settings, get_set_name(settings))
+    check_rules(settings, settings.set_name)
 
 
 def _make_generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:

@@ -1,6 +1,6 @@
 """Which frames the networks of a model suit, by what they were trained on."""
 
-from jaxunshear.config.data import Recorded
+from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment, uses_pins
 
 
@@ -11,14 +11,15 @@ def suits_recordings(experiment: Experiment) -> bool:
     sensors and cameras would show them.
     """
     randomised = uses_pins(experiment) and experiment.pins.turned > 0
-    return isinstance(experiment.paired, Recorded) or randomised
+    return not experiment.paired.is_simulated or randomised
 
 
 def describe_training(experiment: Experiment) -> str:
     """Describe in one line what a model was trained on, and what that means for recordings."""
     paired, sensor = experiment.paired, experiment.sensor
-    if isinstance(paired, Recorded):
-        share = f", with {paired.labelled:.0%} of the slides' labels" if paired.labelled < 1 else ""
+    if not isinstance(paired, PairedData):
+        labelled = getattr(paired, "labelled", 1.0)
+        share = f", with {labelled:.0%} of the slides' labels" if labelled < 1 else ""
         return (
             f"These networks learnt from recordings of one sensor of {sensor.pins} pins{share}: "
             "another sensor, another object or another camera is another matter; "

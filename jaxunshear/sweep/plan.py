@@ -8,21 +8,28 @@ Imports no JAX.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import list_registering_files
+from jaxunshear.config.network_config import (
+    NetworkConfig,
+    list_required_networks,
+    list_trained_networks,
+    resolve_network,
+)
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.training import uses_teacher
+from jaxunshear.data.sources import list_source_files
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
-from jaxunshear.sweep.grid import Row, select_training_part
-from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_outcome
+from jaxunshear.sweep.grid import Row, format_training_name
+from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_order, read_outcome
 from jaxunshear.training.data_origin import check_origin
 
 FINISHED = "summary.json"  # of a training
@@ -82,7 +89,8 @@ def plan_tasks(
     folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
 ) -> list[Task]:
     """Plan the unfinished `rows`, after the trainings that they share; writes each task.json."""
-    order = TaskOrder(kind="", data=str(data), command=command, files=list_registering_files())
+    files = sorted({*list_registering_files(), *list_source_files()})
+    order = TaskOrder(kind="", data=str(data), command=command, files=files)
     trainings = SharedTrainings(folder, rows, order)
     tasks = []
     for row in rows:
@@ -115,61 +123,71 @@ class SharedTrainings:
 
     def __init__(self, folder: Path, rows: list[Row], order: TaskOrder) -> None:
         self.folder, self.order = folder, order
-        self.tasks: dict[str, Task] = {}  # by the name of the training's part
+        self.tasks: dict[str, Task] = {}  # by the name of the training
         self._finished = _find_finished_trainings(folder)
-        self._parts = {}  # of each training that a row has yet to do
-        for row in rows:
-            run = folder / "rows" / row.experiment.name
-            for network in list_trained_networks(row.experiment):
-                if not (run / network / FINISHED).exists():
-                    part = select_training_part(row.experiment, network)
-                    self._parts[row.digest, network] = part
-        self._users = Counter(part.name for part in self._parts.values())
+        # of each row: the trainings that it has yet to do
+        self._configs = {row.digest: _list_missing_trainings(folder, row) for row in rows}
+        self._users = Counter(
+            format_training_name(config)
+            for configs in self._configs.values()
+            for config in configs.values()
+        )
 
     def request(self, row: Row) -> RowInputs:
         """Return the trainings that `row` copies; it does the others itself."""
         inputs = RowInputs({}, {})
-        for network in list_trained_networks(row.experiment):
-            part = self._parts.get((row.digest, network))
-            if part is None:
-                continue
-            if part.name in self._finished:
-                inputs.sources[network] = str(self._finished[part.name])
-            elif self._users[part.name] > 1:
-                self._request_task(row, network, part, inputs)
+        for network, config in self._configs[row.digest].items():
+            name = format_training_name(config)
+            if name in self._finished:
+                inputs.sources[network] = str(self._finished[name])
+            elif self._users[name] > 1:
+                self._request_task(row, config, inputs)
         return inputs
 
-    def _request_task(self, row: Row, network: str, part: Experiment, inputs: RowInputs) -> None:
-        teachers = list_required_networks(part, network)[:-1]
-        needs = tuple(inputs.awaited[name] for name in teachers if name in inputs.awaited)
-        task = Task(self.folder / "shared" / part.name, "training", needs)
-        inputs.sources[network] = str(task.folder / network)
+    def _request_task(self, row: Row, config: NetworkConfig, inputs: RowInputs) -> None:
+        name, networks = format_training_name(config), list_required_networks(config)
+        helpers = networks[:-1]
+        needs = tuple(inputs.awaited[helper] for helper in helpers if helper in inputs.awaited)
+        task = Task(self.folder / "shared" / name, "training", needs)
+        inputs.sources[config.name] = str(task.folder / config.name)
         outcome = read_outcome(task.folder, task.kind)
         if outcome and outcome.status != "done":
             return  # the row fails with the reason of this training
         # an outcome without a finished training: its folder was deleted since
         get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
-        inputs.awaited[network] = task.folder
-        if part.name in self.tasks:
+        inputs.awaited[config.name] = task.folder
+        if name in self.tasks:
             return
-        self.tasks[part.name] = task
+        self.tasks[name] = task
+        experiment: Mapping[str, Any] = to_json(replace(row.experiment, name=name))
+        if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
+            experiment = read_order(task.folder).experiment or experiment
         sources = {}
-        for teacher in teachers:
-            name = select_training_part(row.experiment, teacher).name
-            if source := self._finished.get(name, inputs.sources.get(teacher)):
-                sources[teacher] = str(source)
+        for helper in helpers:
+            helper_name = format_training_name(resolve_network(row.experiment, helper))
+            if source := self._finished.get(helper_name, inputs.sources.get(helper)):
+                sources[helper] = str(source)
         order = replace(
             self.order,
             kind=task.kind,
-            experiment=to_json(part),
-            networks=(*teachers, network),
+            experiment=experiment,
+            networks=networks,
             sources=sources,
         )
         write_record(task.folder / TASK, order)
 
 
+def _list_missing_trainings(folder: Path, row: Row) -> dict[str, NetworkConfig]:
+    run = folder / "rows" / row.experiment.name
+    return {
+        network: resolve_network(row.experiment, network)
+        for network in list_trained_networks(row.experiment)
+        if not (run / network / FINISHED).exists()
+    }
+
+
 def _find_finished_trainings(folder: Path) -> dict[str, Path]:
-    """Find all finished trainings in a sweep's folder, by the names of their parts.
+    """Find all finished trainings in a sweep's folder, by their names.
 
     Trainings that are damaged, or of an earlier version, are left out and trained again.
     """
@@ -187,6 +205,6 @@ def _find_finished_trainings(folder: Path) -> dict[str, Path]:
                 check_origin(experiment, network, path)
             except UserError:
                 continue
-            name = select_training_part(experiment, network).name
+            name = format_training_name(resolve_network(experiment, network))
             trainings.setdefault(name, path / network)
     return trainings

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import get_recorded
 from jaxunshear.config.fields import format_value
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
@@ -95,7 +94,7 @@ def summarise(
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
-        simulated=get_recorded(sweep.base) is None,
+        simulated=sweep.base.paired.is_simulated,
         axes=axes,
         seeds=sweep.seeds,
         networks=list(networks),

@@ -10,16 +10,13 @@ batches = add_same_pose_slides(batches, examples, 32, seed=0)
 """
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.data import PoseData
-from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import hash_text
 from jaxunshear.data.pose_groups import group_by_pose
 from jaxunshear.data.reader import Batch, Reader, SetReader
-from jaxunshear.training.examples import Examples, open_simulated_set
+from jaxunshear.data.sources import Examples
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 Batches = Callable[[int], Iterator[Batch]]
@@ -87,9 +84,3 @@ def add_same_pose_slides(batches: Batches, examples: Examples, count: int, seed:
 def _get_set_reader(examples: Examples) -> SetReader:
     assert isinstance(examples.reader, SetReader)  # simulated
     return examples.reader
-
-
-def open_taps(experiment: Experiment, data_dir: Path) -> Reader:
-    """Open the simulated taps without slides. Raises UserError if the set is missing."""
-    assert isinstance(experiment.pose, PoseData)
-    return open_simulated_set(experiment.pose, experiment.sensor, data_dir)

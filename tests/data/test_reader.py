@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from jaxunshear.config.configs import VERSION, get_set_folder
+from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import reader
 from jaxunshear.data.generation import make_set
@@ -185,7 +185,7 @@ def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sen
     monkeypatch.setattr(reader, "MAX_MEMORY_BYTES", 1000)
     outside = next(open_set(paired, tmp_path, sensor).split("train", 36))
     assert all(np.array_equal(inside[name], outside[name]) for name in inside)
-    assert [path.name for path in made.folder.parent.iterdir()] == [VERSION]
+    assert [path.name for path in made.folder.parent.iterdir()] == [paired.version]
 
 
 def test_reading_keeps_up_with_training(made):

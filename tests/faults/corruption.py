@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.api import load_model
-from jaxunshear.config.configs import get_set_folder, get_set_name
+from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.serialization import from_json
@@ -62,7 +62,7 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
         folder = get_set_folder(settings, experiment.sensor, data)
         act = _set(settings, experiment, data)
         yield _flip(
-            f"stored set {get_set_name(settings)}",
+            f"stored set {settings.set_name}",
             "run",
             [f for f in folder.iterdir() if f.is_file()],
             act,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import tensorflow_datasets as tfds
 
-from jaxunshear.config.configs import PAIRED_SET
+from jaxunshear.config.data import PairedData
 from jaxunshear.data import examples
 from jaxunshear.data.builders.stored import (
     SimulatedSet,
@@ -19,7 +19,7 @@ from jaxunshear.data.sampling import ContactSamples
 
 
 class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-arg]
-    BUILDER_CONFIGS = make_standard_configs(PAIRED_SET)
+    BUILDER_CONFIGS = make_standard_configs(PairedData.set_name)
     DEFAULT_BUILDER_CONFIG_NAME = "demo"
 
     def _info(self) -> tfds.core.DatasetInfo:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import tensorflow_datasets as tfds
 
-from jaxunshear.config.configs import POSE_SET
+from jaxunshear.config.data import PoseData
 from jaxunshear.data import examples
 from jaxunshear.data.builders.stored import (
     SimulatedSet,
@@ -19,7 +19,7 @@ from jaxunshear.data.sampling import ContactSamples
 
 
 class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg]
-    BUILDER_CONFIGS = make_standard_configs(POSE_SET)
+    BUILDER_CONFIGS = make_standard_configs(PoseData.set_name)
     DEFAULT_BUILDER_CONFIG_NAME = "demo"
 
     def _info(self) -> tfds.core.DatasetInfo:

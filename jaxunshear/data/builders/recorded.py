@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import tensorflow_datasets as tfds
 
-from jaxunshear.config import configs
+from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import recorded_examples
 from jaxunshear.data.builders.stored import (
@@ -20,7 +20,7 @@ from jaxunshear.data.recorded_contacts import RecordedContacts
 
 
 class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-arg]
-    VERSION = tfds.core.Version(configs.RECORDED_VERSION)
+    VERSION = tfds.core.Version(Recorded.version)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
     MANUAL_DOWNLOAD_INSTRUCTIONS = (
         "The folders of taps and slides that the settings name, in one of the layouts of README.md."
