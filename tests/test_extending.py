@@ -11,16 +11,21 @@ import numpy as np
 import pytest
 
 from jaxunshear.config import losses
+from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.data.sources import list_source_files
 from jaxunshear.errors import UserError
+from jaxunshear.training.examples import open_examples
+from jaxunshear.training.task_factory import make_task
 from jaxunshear.training.tasks import make_unshear_task
 from tests.training import small
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-LOSS, STIMULUS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+LOSS, STIMULUS, SOURCE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture
@@ -28,6 +33,7 @@ def experiment_file(tmp_path, monkeypatch):
     """Write a file beside tiny.py, and forget afterwards what it registers."""
     shutil.copy(ROOT / "experiments" / "tiny.py", tmp_path)
     monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
+    monkeypatch.setattr(SourceSettings, "registered", dict(SourceSettings.registered))
     monkeypatch.setattr(sys.modules["jaxunshear.training.tasks"], "LOSSES", losses.LOSSES)
 
     def write(text):
@@ -101,3 +107,32 @@ def test_an_outline_of_an_experiment_file_is_a_stimulus(experiment_file):
     validate(experiment)
     (kite,) = experiment.unseen
     assert kite.name == "kite" and kite.extent_mm == 25
+
+
+def test_networks_learn_from_a_data_source_of_an_experiment_file(experiment_file, tmp_path):
+    path, generator = experiment_file(SOURCE), np.random.default_rng(0)
+    np.savez(
+        tmp_path / "pairs.npz",
+        split=np.repeat(["train", "validation", "test"], (12, 4, 4)),
+        canonical=generator.choice(np.array([0, 255], np.uint8), (20, 128, 128)),
+        sheared=generator.choice(np.array([0, 255], np.uint8), (20, 128, 128)),
+        pose=generator.uniform(-5, 5, (20, 6)),
+    )
+    words = ["--paired.file", str(tmp_path / "pairs.npz")]
+    experiment = override_fields(load_experiment(path), words)
+    validate(experiment)
+    assert from_json(to_json(experiment)) == experiment
+    assert list_source_files() == [str(path)]
+    for network, images in (("disentangled", {"canonical", "sheared"}), ("posenet", {"image"})):
+        examples = open_examples(experiment, network, tmp_path, tmp_path)
+        _, fields = make_task(experiment, network, examples, tmp_path)
+        batch = next(examples.reader.train_batches(6, 0, 0.015, fields)(0))
+        assert images <= batch.keys() and len(examples.targets) == 6
+        assert all(batch[name].shape == (6, 128, 128, 1) for name in images)
+    with pytest.raises(UserError, match="has images alone"):
+        open_examples(
+            override_fields(experiment, ["--unshear.input", "pins"]),
+            "disentangled",
+            tmp_path,
+            tmp_path,
+        )

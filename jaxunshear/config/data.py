@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.registry import (
@@ -10,7 +10,7 @@ from jaxunshear.config.registry import (
     RENDERER,
     NetworkSpec,
 )
-from jaxunshear.config.splits import BLOCK
+from jaxunshear.config.splits import BLOCK, count_train_poses
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Rule, Share, between
 from jaxunshear.errors import UserError
@@ -61,6 +61,13 @@ class Ranges:
 DRIFTING_NUISANCE = Nuisance(drift_px=1.0, drift_brightness=0.1)
 
 
+class ExampleCounts(NamedTuple):
+    """How many examples networks learn from."""
+
+    pairs: int
+    taps: int
+
+
 class StoredSettings:
     """What is common to the settings of all sets that are stored on disk."""
 
@@ -78,6 +85,15 @@ class SourceSettings(StoredSettings):
     source: ClassVar[type | str] = ""
     is_simulated: ClassVar[bool] = False
     preprocess: Preprocess = Preprocess()
+
+    @property
+    def pose_kind(self) -> type:
+        """The class of the settings that an experiment's `pose` must have beside these."""
+        return RecordedTaps
+
+    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
+        """Count the training examples; without a limit if they are not known before a run."""
+        return ExampleCounts(2**62, 2**62)
 
     def get_simulated(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
@@ -116,6 +132,10 @@ class SimulatedData(StoredSettings):
         """The names of the stimuli."""
         return list_stimulus_names(self.stimuli)
 
+    def count_training_poses(self) -> int:
+        """Count the training poses over all stimuli."""
+        return sum(count_train_poses(self.seed, name, self.poses) for name in self.names)
+
     def rules(self) -> Iterator[Rule]:
         yield Rule(len(self.stimuli) > 0, "stimuli", "name at least one")
         yield Rule(len(set(self.names)) == len(self.names), "stimuli", "name each stimulus once")
@@ -144,7 +164,7 @@ class PairedData(SimulatedData, SourceSettings):
     """The set `tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     set_name: ClassVar[str] = "tactip_paired"
-    source: ClassVar[type | str] = "jaxunshear.data.sources:SimulatedSource"
+    source: ClassVar[type | str] = "jaxunshear.data.simulated_source:SimulatedSource"
     is_simulated: ClassVar[bool] = True
 
     taps: Count = 1  # canonical images a pose
@@ -167,13 +187,21 @@ class PairedData(SimulatedData, SourceSettings):
             "or a tap may miss the stimulus",
         )
 
+    @property
+    def pose_kind(self) -> type:
+        return PoseData
+
+    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
+        taps = cast(PoseData, pose)
+        return ExampleCounts(self.slides * self.count_training_poses(), taps.count_training_poses())
+
     def get_simulated(self, what: str) -> "PairedData":
         return self
 
     def select_for(
         self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
     ) -> "SourceSettings | PoseData":
-        return pose if spec.learns_from == "taps" and isinstance(pose, PoseData) else self
+        return cast(PoseData, pose) if spec.learns_from == "taps" else self
 
 
 @dataclass(frozen=True)
@@ -208,7 +236,7 @@ class Recorded(SourceSettings):
         *("tap_folder", "slide_folder", "pairs", "pairing"),
         *("labelled", "unlabelled", "direct_taps"),
     )
-    source: ClassVar[type | str] = "jaxunshear.data.sources:RecordedSource"
+    source: ClassVar[type | str] = "jaxunshear.data.recorded_source:RecordedSource"
 
     tap_folder: str = ""  # empty: there are no taps
     slide_folder: str = ""  # may be the tap folder: labels distinguish slides from taps

@@ -10,6 +10,7 @@ configs are equal can share the training, as the rows of a sweep do.
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from typing import cast
 
 from jaxunshear.config.configs import compute_digest
 from jaxunshear.config.data import PoseData, SourceSettings
@@ -83,11 +84,12 @@ def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
         losses = {"pose": 1.0} | ({"rendered_pose": 1.0} if RENDERER in helpers else {})
         training = replace(training, losses=losses)
     pose = experiment.pose
+    takes_taps = "tap_identity" in training.losses and source.is_simulated
     return NetworkConfig(
         name=name,
         modality="pins" if pins or name == RENDERER else "images",
         source=source.select_for(spec, pose),
-        taps=pose if "tap_identity" in training.losses and isinstance(pose, PoseData) else None,
+        taps=cast(PoseData, pose) if takes_taps else None,
         sensor=experiment.sensor,
         net=_select_net(experiment, spec),
         training=training,
@@ -124,7 +126,7 @@ def _list_needed(config: NetworkConfig) -> set[str]:
 def takes_taps(experiment: Experiment) -> bool:
     """Return whether a network of a simulated experiment learns from the taps of `pose`."""
     configs = [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
-    return any(config.taps or isinstance(config.source, PoseData) for config in configs)
+    return any(config.taps or config.source is experiment.pose for config in configs)
 
 
 def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:

@@ -6,6 +6,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from jaxunshear.config.data import PoseData
 from jaxunshear.config.experiment import Experiment
@@ -41,8 +42,8 @@ def apply_preset(experiment: Experiment, file: Path) -> Experiment:
 
     Raises UserError.
     """
-    paired, pose = experiment.paired.get_simulated("--sensor-from"), experiment.pose
-    assert isinstance(pose, PoseData)
+    paired = experiment.paired.get_simulated("--sensor-from")
+    pose = cast(PoseData, experiment.pose)
     preset = read_preset(file)
     camera = replace(preset.camera, frame_px=paired.camera.frame_px)
     return replace(

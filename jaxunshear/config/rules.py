@@ -5,6 +5,7 @@ Nothing is simulated or trained, so a refusal takes no time.
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
+from typing import Any
 
 from jaxunshear.config.data import PairedData, Recorded, SourceSettings
 from jaxunshear.config.experiment import Experiment
@@ -13,12 +14,12 @@ from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get
 from jaxunshear.config.network_config import NetworkConfig, list_trained_networks, resolve_network
 from jaxunshear.config.registry import PIN_NETWORKS, RENDERER, TEACHER
 from jaxunshear.config.rules_recorded import list_recorded_rules
-from jaxunshear.config.rules_simulated import count_training_poses, list_simulated_rules
+from jaxunshear.config.rules_simulated import list_simulated_rules
 from jaxunshear.config.types import Rule, check_types, get_value, list_declared_rules
 from jaxunshear.errors import UserError
 
 # rules of the settings of a data source; those of other sources are their own alone
-SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment], Iterator[Rule]]] = {
+SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment, Any, Any], Iterator[Rule]]] = {
     PairedData: list_simulated_rules,
     Recorded: list_recorded_rules,
 }
@@ -43,9 +44,14 @@ def validate(experiment: Experiment) -> None:
 def list_rules(experiment: Experiment) -> Iterator[Rule]:
     """Yield all rules for `experiment`; the first that does not hold is the one to report."""
     yield from list_declared_rules(experiment)
-    paired = experiment.paired
+    paired, pose = experiment.paired, experiment.pose
+    yield Rule(
+        type(pose) is paired.pose_kind,
+        "name",
+        f"paired is {type(paired).__name__}, which takes pose={paired.pose_kind.__name__}()",
+    )
     if source_rules := SOURCE_RULES.get(type(paired)):
-        yield from source_rules(experiment)
+        yield from source_rules(experiment, paired, pose)
     size, unshear, posenet = paired.preprocess.size, experiment.unshear, experiment.posenet
     for field, net_size in (("unshear.size", unshear.size), ("posenet.size", posenet.size)):
         yield Rule(
@@ -73,10 +79,7 @@ def list_rules(experiment: Experiment) -> Iterator[Rule]:
 
 def _list_training_rules(experiment: Experiment) -> Iterator[Rule]:
     pins, trained = experiment.unshear.input == "pins", list_trained_networks(experiment)
-    pairs = taps = 2**62  # no limit, as recordings are not read yet
-    if isinstance(experiment.paired, PairedData):
-        pairs = count_training_poses(experiment.paired) * experiment.paired.slides
-        taps = count_training_poses(experiment.pose)
+    pairs, taps = experiment.paired.count_examples(experiment.pose)
     yield Rule(
         experiment.train.crop_px <= experiment.unshear.size,
         "train.crop_px",

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from jaxunshear.config.data import Recorded
+from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import FURTHER_TESTS, Experiment
 from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.registry import POSENET_SHEARED
@@ -16,15 +16,11 @@ from jaxunshear.config.targets import (
 from jaxunshear.config.types import Rule
 
 
-def list_recorded_rules(experiment: Experiment) -> Iterator[Rule]:
+def list_recorded_rules(
+    experiment: Experiment, recorded: Recorded, _: RecordedTaps
+) -> Iterator[Rule]:
     """Yield the rules of an experiment about recordings."""
-    recorded, trained = experiment.paired, list_trained_networks(experiment)
-    assert isinstance(recorded, Recorded)
-    yield Rule(
-        not hasattr(experiment.pose, "poses"),
-        "name",
-        "paired is recorded and pose simulated: use pose=RecordedTaps()",
-    )
+    trained = list_trained_networks(experiment)
     yield Rule(
         recorded.pairing != "simulated" or experiment.sensor.pins == TACTIP_331_FITTED.pins,
         "paired.pairing",

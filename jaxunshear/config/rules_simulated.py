@@ -4,13 +4,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 
 from jaxunshear.config.configs import CONFIGS
-from jaxunshear.config.data import PairedData, PoseData, RecordedTaps
+from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, list_further_tests
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
 from jaxunshear.config.reach import compute_contact_angle, compute_max_contact_depth_mm
 from jaxunshear.config.registry import POSENET, TEACHER
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.config.splits import count_train_poses
 from jaxunshear.config.stimuli import SHOWN_TARGETS, list_stimulus_names
 from jaxunshear.config.targets import (
     PAPER_TARGETS,
@@ -27,14 +26,10 @@ from jaxunshear.errors import UserError
 ROTATED_TARGETS = {"edge_mm", "edge_deg", "depth_mm"}
 
 
-def list_simulated_rules(experiment: Experiment) -> Iterator[Rule]:
+def list_simulated_rules(
+    experiment: Experiment, paired: PairedData, pose: PoseData
+) -> Iterator[Rule]:
     """Yield the rules of an experiment about simulated touches."""
-    paired, pose = experiment.paired, experiment.pose
-    assert isinstance(paired, PairedData)
-    yield Rule(
-        isinstance(pose, PoseData), "name", "paired is simulated and pose recorded: use PoseData"
-    )
-    assert isinstance(pose, PoseData)
     sets: tuple[tuple[str, PairedData | PoseData], ...] = (("paired", paired), ("pose", pose))
     for group, data in sets:
         configs = CONFIGS[data.set_name]
@@ -207,9 +202,3 @@ def _list_equal_target_rules(
         "train.losses.pose_label",
         "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use pose_tap",
     )
-
-
-def count_training_poses(data: PairedData | PoseData | RecordedTaps) -> int:
-    """Count the training poses of a simulated set over all its stimuli."""
-    assert not isinstance(data, RecordedTaps)
-    return sum(count_train_poses(data.seed, name, data.poses) for name in data.names)

@@ -68,8 +68,7 @@ def make_set(
     A killed run is continued. Returns the set's metadata. Raises `UserError` for settings out of
     range, a set made with other settings, or a full disk.
     """
-    if isinstance(settings, PairedData | PoseData):
-        check_settings(settings)
+    check_settings(settings, sensor)
     folder = configs.get_set_folder(settings, sensor, data_dir)
     if not folder.exists():
         try:

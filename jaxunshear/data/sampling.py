@@ -11,7 +11,8 @@ import numpy as np
 
 from jaxunshear.angles import rotate_2d
 from jaxunshear.config.configs import compute_config_name
-from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.data import DataSettings, PairedData, PoseData
+from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS, assign_splits
 from jaxunshear.config.types import check_rules
 from jaxunshear.simulator.scene import (
@@ -38,9 +39,9 @@ class ContactSamples(NamedTuple):
     edge: np.ndarray  # (B, 2) mm to the edge and its direction, deg (`scene.compute_edge_labels`)
 
 
-def check_settings(settings: PairedData | PoseData) -> None:
-    """Raise UserError, by field, for settings from which no set can be drawn."""
-    compute_config_name(settings)
+def check_settings(settings: DataSettings, sensor: Sensor = TACTIP_331) -> None:
+    """Raise UserError, by field, for settings from which no set can be made."""
+    compute_config_name(settings, sensor)
     check_rules(settings, settings.set_name)
 
 

@@ -18,24 +18,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from jaxunshear.config.configs import compute_fingerprint, describe_set
-from jaxunshear.config.data import DataSettings, PairedData, PoseData, Recorded, SourceSettings
-from jaxunshear.config.experiment import Experiment, list_further_tests
-from jaxunshear.config.network_config import NetworkConfig, takes_taps
-from jaxunshear.config.registry import POSENETS
-from jaxunshear.config.targets import (
-    Targets,
-    make_label_targets,
-    make_move_targets,
-    make_range_targets,
-    make_slide_targets,
-)
-from jaxunshear.data.digests import parse_folder_digests
+from jaxunshear.config.data import DataSettings, SourceSettings
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import NetworkConfig
+from jaxunshear.config.targets import Targets, make_label_targets, make_move_targets
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 if TYPE_CHECKING:
     from jaxunshear.data.chunks import SimulationEngine
-    from jaxunshear.data.reader import Batch, Reader, SetReader
+    from jaxunshear.data.reader import Batch, Reader
     from jaxunshear.data.recorded_set import (
         PoseEstimator,
         RecordedSet,
@@ -85,6 +77,15 @@ class DataSource:
     # what a batch has in addition: of pairs, and for networks over pins
     pair_fields: ClassVar[tuple[str, ...]] = ()
     pin_fields: ClassVar[tuple[str, ...]] = ()
+    # in the frame of which labels networks predict poses
+    pose_frame: ClassVar[str] = (
+        "Poses have the names, the frame and the units of the recorded labels "
+        "that the networks learnt from."
+    )
+    # whether a model also predicts poses of slides directly, by `posenet_sheared`
+    predicts_directly: ClassVar[bool] = True
+    # whether a run keeps what the frames of its sensor have in common (`read_frame`)
+    has_frame: ClassVar[bool] = False
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
@@ -163,6 +164,15 @@ class DataSource:
             )
         return pkgutil.resolve_name(self.evaluator)(self.experiment, run_dir, data_dir)
 
+    @property
+    def suits_recordings(self) -> bool:
+        """Whether the networks suit frames of a real camera."""
+        return True
+
+    def describe(self) -> str:
+        """Describe in one line what networks learnt from, and what that means for recordings."""
+        return f"These networks learnt from {type(self.settings).__name__}."
+
     def read_frame(self, data_dir: Path) -> Json | None:
         """Read what the frames of a real sensor have in common, which a run keeps."""
         return None
@@ -176,138 +186,6 @@ class DataSource:
     ) -> "Reader":
         """Open recorded slides with the taps that they are paired with. Raises UserError."""
         raise UserError(f"'{self.experiment.name}' is not about recordings")
-
-
-class SimulatedSource(DataSource):
-    """Simulated pairs and taps: `PairedData` and `PoseData`."""
-
-    evaluator = "jaxunshear.evaluation.simulated_evaluation:evaluate_simulated"
-
-    def list_sets(self) -> dict[str, DataSettings]:
-        sets: dict[str, DataSettings] = {self.settings.set_name: self.settings}
-        pose = self.experiment.pose
-        if isinstance(pose, PoseData) and takes_taps(self.experiment):
-            sets[pose.set_name] = pose
-        return sets | list_further_tests(self.experiment)
-
-    def list_test_digests(self) -> set[str]:
-        tests = list_further_tests(self.experiment).values()
-        return {digest for test in tests for digest in self.list_digests(test)}
-
-    def open_examples(
-        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
-    ) -> Examples:
-        settings = config.source
-        assert isinstance(settings, PairedData | PoseData)
-        reader = self.open_set(settings, data_dir)
-        size, is_paired = settings.preprocess.size, isinstance(settings, PairedData)
-        rest = np.zeros((0, 2), np.float32)
-        if config.modality == "pins":
-            # the rest positions of recordings are means over taps, for want of untouched pins
-            pins = reader.rows("train")["canonical_pins" if is_paired else "pins"]
-            rest = pins.mean(axis=0, dtype=np.float64)
-        radius_px = config.sensor.pin_radius_mm * size / settings.camera.mm_across
-        return Examples(
-            reader,
-            make_range_targets(config.targets, settings.ranges),
-            PinLayout(rest, radius_px, size),
-            reader.length("train"),
-            slides=make_slide_targets(settings.ranges) if is_paired else (),
-        )
-
-    def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":
-        """Open a set. Raises UserError if it is missing or was made with other settings."""
-        from jaxunshear.data.factorial import FactorialReader
-        from jaxunshear.data.reader import SetReader, open_set
-
-        is_factorial = self.shares_slides and settings == self.settings
-        kind = FactorialReader if is_factorial else SetReader
-        return open_set(settings, data_dir, self.experiment.sensor, kind)
-
-
-class RecordedSource(DataSource):
-    """Recordings of a real sensor: `Recorded`, and `RecordedTaps` for `pose`."""
-
-    evaluator = "jaxunshear.evaluation.recorded_evaluation:evaluate_recorded"
-    pair_fields = ("weight",)
-    pin_fields = ("sure",)
-
-    def list_sets(self) -> dict[str, DataSettings]:
-        return {self.settings.set_name: self.settings}
-
-    def list_digests(self, settings: DataSettings) -> set[str]:
-        assert isinstance(settings, Recorded)
-        return parse_folder_digests(settings.digest)
-
-    def list_test_digests(self) -> set[str]:
-        return self.list_digests(self.settings)
-
-    def describe_origin(self, config: NetworkConfig) -> Json:
-        origin, used = super().describe_origin(config), config.source
-        assert isinstance(used, Recorded)
-        if config.spec.learns_from == "taps":
-            return origin
-        origin["labelled"] = used.labelled
-        reads_poses = config.name in POSENETS
-        if not reads_poses or used.pairing == "simulated":
-            origin["pairing"] = used.pairing
-        if used.unlabelled != "left_out":
-            origin["unlabelled"] = used.unlabelled
-        if used.direct_taps != "none":
-            origin["direct_taps"] = used.direct_taps
-        return origin
-
-    def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        from jaxunshear.data.recorded_set import open_recorded
-
-        used, experiment = settings or self.settings, self.experiment
-        assert isinstance(used, Recorded)
-        return open_recorded(used, experiment.sensor, data_dir, experiment.seed)
-
-    def open_examples(
-        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
-    ) -> Examples:
-        stored = self.open_stored(data_dir, config.source)
-        targets = stored.make_targets(config.targets)
-        epoch = stored.count_contacts("slides", "train")
-        taps = stored.count_contacts("taps", "train")
-        images = config.modality == "images"
-        if config.spec.learns_from == "taps":
-            reader, epoch = stored.read_taps(), taps
-        elif config.spec.role == "unshears":
-            reader = self.open_pairs(stored, targets, inputs, images)
-        else:
-            is_simulated = stored.settings.pairing == "simulated"
-            simulate = inputs.load_simulator(stored) if is_simulated else None
-            reader = stored.read_slides(simulate, images)
-            epoch += taps if stored.settings.direct_taps == "recorded" else 0
-        return Examples(
-            reader,
-            targets,
-            read_pin_layout(stored.frame),
-            taps if stored.settings.pairing == "simulated" else epoch,
-            stored.read_taps() if taps else None,
-            stored.make_slide_targets(),
-        )
-
-    def open_pairs(
-        self, stored: "RecordedSet", targets: Targets, inputs: TrainedInputs, images: bool
-    ) -> "Reader":
-        pairing, unlabelled = stored.settings.pairing, stored.settings.unlabelled
-        render = inputs.load_renderer() if pairing in ("rendered", "simulated") else None
-        simulate = inputs.load_simulator(stored) if pairing == "simulated" else None
-        estimate = inputs.load_estimator() if unlabelled == "read" else None
-        return stored.read_pairs(targets, render, images, estimate, simulate)
-
-    def read_frame(self, data_dir: Path) -> Json | None:
-        return self.open_stored(data_dir).frame
-
-
-def read_pin_layout(frame: Json) -> PinLayout:
-    """Read the layout of the pins from what the frames of a sensor have in common."""
-    return PinLayout(
-        np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"])
-    )
 
 
 def open_source(experiment: Experiment) -> DataSource:

@@ -17,7 +17,8 @@ from jaxunshear.config.registry import POSENET, POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import RecordedSet
-from jaxunshear.data.sources import open_source, read_pin_layout
+from jaxunshear.data.recorded_source import read_pin_layout
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.modality import Modality, PinModality, get_modality
 from jaxunshear.evaluation.network_outputs import Run, load_run
