@@ -87,11 +87,11 @@ def _build(
     import absl.logging
     import tensorflow_datasets as tfds
 
-    from jaxunshear.data.builders import paired, pose, recorded, stored
+    from jaxunshear.data.builders import recorded, simulated, stored
 
     builders = {
-        PairedData.set_name: paired.TactipPaired,
-        PoseData.set_name: pose.TactipPose,
+        PairedData.set_name: simulated.TactipPaired,
+        PoseData.set_name: simulated.TactipPose,
         Recorded.set_name: recorded.TactipRecorded,
     }
     set_name, name = settings.set_name, configs.compute_config_name(settings, sensor)
