@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
-from jaxunshear.config.losses import EXCHANGE, SUPERVISION, LossWeights
+from jaxunshear.config.losses import SUPERVISION, LossWeights
 from jaxunshear.config.types import (
     Bound,
     Count,
@@ -94,11 +94,6 @@ def drop_pair_losses(training: Training, **losses: float) -> Training:
         crop_px=Training.crop_px,
         paired_share=Training.paired_share,
     )
-
-
-def uses_code_exchange(training: Training) -> bool:
-    """Return whether a network that unshears learns by exchanging codes between slides."""
-    return any(name in training.losses for name in EXCHANGE)
 
 
 def uses_teacher(training: Training) -> bool:

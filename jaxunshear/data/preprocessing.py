@@ -21,7 +21,7 @@ from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_probes import LARGEST_PX, find_common_view, select_probes
+from jaxunshear.data.recorded_probes import LARGEST_PX, find_training_view, select_probes
 from jaxunshear.data.recordings import Recordings, read_image
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
@@ -64,7 +64,7 @@ def find_sensor_frame(
 
     Raises UserError if they do not show pins of this sensor.
     """
-    view = find_common_view(contacts, settings.preprocess)
+    view = find_training_view(contacts, settings.preprocess)
     size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
     taps = train[~contacts.is_slide[train]]

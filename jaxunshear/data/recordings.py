@@ -18,7 +18,7 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -144,17 +144,22 @@ class Recordings:
         The crop is one for all, as a crop that trembled would appear as motion. There is none if
         the frames differ in size.
         """
-        from jaxunshear.perception.preprocess import View, combine_views, find_view
-
         files = [file for file in self.files if folder in (None, file.parent)]
-        views, sizes = [], set[tuple[int, ...]]()
-        for file in files[:: -(-len(files) // PROBES)]:
-            with contextlib.suppress(UserError):  # `iterate_frames` reports it
-                raw = read_image(file)
-                sizes.add(raw.shape[:2])
-                views.append(find_view(self.preprocess, raw))
-        common = combine_views(views)
-        return common if len(sizes) == 1 else View(None, common.whites)
+        return find_common_view(files[:: -(-len(files) // PROBES)], self.preprocess)
+
+
+def find_common_view(files: Sequence[Path], preprocess: Preprocess) -> View:
+    """Find the crop and whites of frames; no crop if these differ in size."""
+    from jaxunshear.perception.preprocess import View, combine_views, find_view
+
+    views, sizes = [], set[tuple[int, ...]]()
+    for file in files:
+        with contextlib.suppress(UserError):  # whoever reads all frames reports it
+            raw = read_image(file)
+            views.append(find_view(preprocess, raw))
+            sizes.add(raw.shape[:2])
+    common = combine_views(views)
+    return common if len(sizes) == 1 else View(None, common.whites)
 
 
 def read_image(file: Path | bytes) -> np.ndarray:

@@ -23,8 +23,7 @@ from jaxunshear.config.network_config import (
 )
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
-from jaxunshear.config.training import uses_teacher
-from jaxunshear.data.sources import list_source_files
+from jaxunshear.data.sources import list_source_files, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
@@ -33,10 +32,6 @@ from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read
 from jaxunshear.training.data_origin import check_origin
 
 FINISHED = "summary.json"  # of a training
-NON_DATA_SETTINGS = (
-    *("name", "claim", "seed", "targets", "unshear", "posenet", "pins"),
-    *("train", "train_posenet", "train_teacher", "train_pins"),
-)
 
 
 def find_row_folder(folder: Path, row: Row) -> Path:
@@ -68,19 +63,17 @@ def list_unfinished_rows(folder: Path, rows: Iterable[Row]) -> list[Row]:
 
 def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     """Make the task that makes, or finds, each data set that `rows` need."""
-    experiments = []
-    default = Experiment(name="", claim="")
+    # by their sets: the first experiment that needs these
+    experiments: dict[str, Experiment] = {}
     for row in rows:
-        plain = {field: getattr(default, field) for field in NON_DATA_SETTINGS}
-        if uses_teacher(row.experiment.train):  # it needs its taps, whatever its weight
-            plain["train"] = replace(plain["train"], losses={"pose_tap": 1.0})
-        experiment = to_json(replace(row.experiment, **plain))
-        if experiment not in experiments:
-            experiments.append(experiment)
+        sets = open_source(row.experiment).list_sets()
+        experiments.setdefault(f"{row.experiment.sensor} {sets}", row.experiment)
     task = Task(folder / "data", "data")
     # a set may have been deleted since it was made
     get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
-    order = TaskOrder(kind=task.kind, experiments=experiments, data=str(data))
+    order = TaskOrder(
+        kind=task.kind, experiments=[*map(to_json, experiments.values())], data=str(data)
+    )
     write_record(task.folder / TASK, order)
     return task
 

@@ -165,12 +165,11 @@ def test_depths_beyond_the_contact_model_are_refused():
 
 def test_train_share_of_the_rules_is_that_of_the_split():
     from jaxunshear.config.data import PoseData
-    from jaxunshear.config.rules_simulated import count_training_poses
     from jaxunshear.data.sampling import sample_taps
 
     every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
     for settings in (*every, PoseData(poses=13)):
-        assert (sample_taps(settings).split == 0).sum() == count_training_poses(settings)
+        assert (sample_taps(settings).split == 0).sum() == settings.count_training_poses()
 
 
 @pytest.mark.parametrize(
