@@ -74,7 +74,6 @@ class _Run:
 
 
 def _run_stage(run: _Run, stage: str) -> Results | None:
-    """Run one stage, and write the time that it took. Returns the results of an evaluation."""
     results = None
     seconds = read_times(run.folder).get(stage, 0.0) if _is_unfinished(run, stage) else 0.0
     began, worked = time.perf_counter(), False
@@ -127,7 +126,6 @@ def _write_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(run: _Run) -> bool:
-    """Make the data sets. Returns whether any was missing."""
     from jaxunshear.data.chunks import make_engine
 
     complete = all(_list_existing(run, configs.get_set_folder))
@@ -154,13 +152,11 @@ def _describe_iterations(counts: Json) -> str:
 
 
 def _list_existing(run: _Run, get_folder: Callable[..., Path]) -> list[bool]:
-    """List for each data set whether its folder exists."""
     sensor, sets = run.experiment.sensor, open_source(run.experiment).list_sets().values()
     return [get_folder(settings, sensor, run.data).exists() for settings in sets]
 
 
 def _train(run: _Run, network: str) -> bool:
-    """Train a network, unless it is trained already. Returns whether it was trained."""
     from jaxunshear.training.checkpoint import SUMMARY, compute_weights_digest, has_model, load_best
 
     experiment, folder = run.experiment, run.folder / network

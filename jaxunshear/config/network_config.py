@@ -174,5 +174,4 @@ def _select_pin_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
 
 
 def _list_dense_settings(pins: PinNet) -> dict:
-    """List the settings of networks over pins that have neither codes nor convolutions."""
     return {"hidden": pins.hidden, "layers": pins.layers, "noise_px": pins.noise_px}

@@ -5,7 +5,6 @@ Nothing is simulated or trained, so a refusal takes no time.
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from typing import Any
 
 from jaxunshear.config.data import PairedData, Recorded, SourceSettings
 from jaxunshear.config.experiment import Experiment
@@ -15,11 +14,11 @@ from jaxunshear.config.network_config import NetworkConfig, list_trained_network
 from jaxunshear.config.registry import PIN_NETWORKS, RENDERER, TEACHER
 from jaxunshear.config.rules_recorded import list_recorded_rules
 from jaxunshear.config.rules_simulated import list_simulated_rules
-from jaxunshear.config.types import Rule, check_types, get_value, list_declared_rules
+from jaxunshear.config.types import Rule, Value, check_types, get_value, list_declared_rules
 from jaxunshear.errors import UserError
 
 # rules of the settings of a data source; those of other sources are their own alone
-SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment, Any, Any], Iterator[Rule]]] = {
+SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment, Value, Value], Iterator[Rule]]] = {
     PairedData: list_simulated_rules,
     Recorded: list_recorded_rules,
 }
@@ -151,7 +150,6 @@ def _has_codes(experiment: Experiment, modality: InputKind) -> bool:
 
 
 def _get_slides(experiment: Experiment) -> int:
-    """Return the number of simulated slides to a pose; 0 for other data."""
     return getattr(experiment.paired, "slides", 0)
 
 

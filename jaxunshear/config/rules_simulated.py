@@ -81,7 +81,6 @@ def _list_reach_rules(data: PairedData | PoseData, group: str, sensor: Sensor) -
 
 
 def _list_test_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
-    """Yield the rules of unseen stimuli and of further tests."""
     names = list_stimulus_names({*paired.stimuli, *pose.stimuli})
     repeated = ", ".join(sorted({name for name in names if names.count(name) > 1}))
     yield Rule(

@@ -129,7 +129,6 @@ def _check_form(sweep: Sweep, source: str) -> None:
 
 
 def _list_form_rules(sweep: Sweep) -> Iterator[Rule]:
-    """Yield the rules that a sweep has the form that `Sweep` describes."""
     for field, value in (
         ("name", sweep.name),
         ("claim", sweep.claim),
@@ -183,7 +182,6 @@ def _list_label_rules(sweep: Sweep) -> Iterator[Rule]:
 
 
 def _list_field_rules(sweep: Sweep) -> Iterator[Rule]:
-    """Yield the rules of which fields may be varied."""
     varied = list_varied_fields(sweep)
     repeated = next((field for field in varied if varied.count(field) > 1), None)
     yield Rule(repeated is None, "grid", f"varies {repeated} on two axes")
@@ -198,7 +196,6 @@ def _list_field_rules(sweep: Sweep) -> Iterator[Rule]:
 
 
 def _make_value_rule(place: str, fields: Fields, value: Value) -> Rule:
-    """Make the rule that each of several fields has a value."""
     is_single = isinstance(fields, str)
     has_each = is_single or (isinstance(value, tuple) and len(value) == len(fields))
     return Rule(has_each, place, f"needs tuples of a value each for {fields}")
@@ -209,7 +206,6 @@ def _is_seed(value: object) -> bool:
 
 
 def _are_axes(axes: object) -> bool:
-    """Return whether this is a tuple of pairs that begin with a field, or a tuple of fields."""
     return isinstance(axes, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and _are_fields(pair[0]) for pair in axes
     )

@@ -32,7 +32,7 @@ class Bound(NamedTuple):
     >>> epochs: Annotated[float, Bound(lambda value: value > 0, "must be above zero")] = 6.0
     """
 
-    holds: Callable[[Any], bool]
+    holds: Callable[[Value], bool]
     remedy: str
 
 
@@ -75,7 +75,6 @@ def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
 
 
 def _make_choice_rule(value: Value, choices: tuple[str, ...], field: str) -> Rule:
-    """Make the rule that the names in `value` are among `choices`."""
     items = value if isinstance(value, tuple) else (value,)
     unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
     subject = f"{unknown} is" if isinstance(value, tuple) else "is"
@@ -216,7 +215,6 @@ def _has_item_types(values: tuple, kind: Hint) -> bool:
 
 
 def _check(value: object, kind: Hint, name: str) -> None:
-    """Refuse a value, or one within it, that is not of the type `kind`."""
     if kinds := list_groups(kind):
         group = next((each for each in kinds if isinstance(value, each)), None)
         if group is None:

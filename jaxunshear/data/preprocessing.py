@@ -100,7 +100,6 @@ def find_recordings_frame(
 
 
 def _read_first_image(files: Sequence[Path]) -> np.ndarray:
-    """Read the first image that can be read. Raises UserError if there is none."""
     for file in files:
         with suppress(UserError):
             return read_image(file)
@@ -270,13 +269,11 @@ def _fit_motion_prior(
 
 
 def _has_hard_frames(path: Path) -> bool:
-    """Return whether frames without identities may be tried once more."""
     chunk = load_chunk(path)
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
 def _make_detection_lattice(frame: SensorFrame) -> "Lattice":
-    """Make the lattice, px of the image that pins are detected in."""
     from jaxunshear.perception.lattice import make_lattice
 
     return make_lattice(to_detection_px(frame, frame.rest), frame.ring)

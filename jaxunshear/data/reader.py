@@ -98,7 +98,6 @@ class Reader:
     def _make_shifted_batches(
         self, batch: int, seed: int, max_shift_px: float, fields: Sequence[str]
     ) -> Callable[[int], Batch]:
-        """Return a function of the step that draws each example, its tap and its shift."""
         rows = self.rows("train")
         groups = group_by_pose(rows["stimulus"], rows["pose_id"])
 
@@ -125,7 +124,6 @@ class Reader:
     def _make_plain_batches(
         self, batch: int, seed: int, fields: Sequence[str]
     ) -> Callable[[int], Batch]:
-        """Return a function of the step that draws all examples and their taps at once."""
         rows = self.rows("train")
         groups = group_by_pose(rows["stimulus"], rows["pose_id"])
         select_rows = _make_shuffle(self.length("train"), batch, seed)

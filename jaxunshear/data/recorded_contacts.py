@@ -116,7 +116,6 @@ def _classify_moves(move: np.ndarray) -> _MoveLabels:
 
 
 def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
-    """Return the taps and slides of one folder, by their labels."""
     is_labelled, is_slide = _classify_moves(_get_labels(recordings.moves, len(recordings)))
     if not is_labelled.any():
         raise UserError(
@@ -150,7 +149,6 @@ def _select_kind(recordings: Recordings, is_slide: bool) -> RecordedContacts:
 
 
 def _drop(contacts: RecordedContacts, dropped: np.ndarray, note: str) -> RecordedContacts:
-    """Drop contacts (N,) bool, and note it."""
     return contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~dropped))
 
 

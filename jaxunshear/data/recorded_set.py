@@ -332,7 +332,6 @@ def _concatenate(parts: list[Batch]) -> Batch:
 
 
 def _make_zero_slides(taps: Batch) -> Batch:
-    """Return taps in the form of slides."""
     slides = taps | {"move": np.zeros_like(taps["pose"])}
     batch = {name: slides[name] for name in CONTACT_FIELDS}
     return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}

@@ -308,7 +308,6 @@ def _split_at_numbers(path: Path) -> list[int | str]:
 
 
 def _check_json(folder: Path, notes: list[str]) -> None:
-    """Note JSON files that are broken; nothing in them is needed to unshear."""
     for file in sorted(folder.glob("*.json")):
         try:
             json.loads(file.read_text(encoding="utf-8"))
@@ -339,7 +338,6 @@ def _drop_if_unknown(values: np.ndarray) -> np.ndarray | None:
 
 
 def _format_sizes(names: dict[tuple[int, ...], list[str]]) -> str:
-    """Format the usual size of images, and the first names of those that have another."""
     usual, *others = sorted(names, key=lambda size: -len(names[size]))
     parts = [f"{len(names[usual])} of {usual[1]} x {usual[0]}"]
     for size in others[:MAX_SIZES_NAMED]:

@@ -65,7 +65,6 @@ def _sample_poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
 
 
 def _sample_moves(settings: PairedData, stimulus: str) -> np.ndarray:
-    """Sample (poses, slides, 2), or 3 with their twists."""
     ranges, shape = settings.ranges, (settings.poses, settings.slides)
     generator = _make_generator(settings.seed, stimulus, "move")
     moves = sample_slides(generator, settings.poses * settings.slides, ranges.move_mm)
@@ -108,7 +107,6 @@ def sample_paired(settings: PairedData) -> ContactSamples:
 
 
 def _jitter_depth(settings: PairedData, stimulus: str, depth: np.ndarray) -> np.ndarray:
-    """Change the depths mm (poses, taps) of taps at random."""
     jitter = settings.tap_depth_jitter_mm
     generator = _make_generator(settings.seed, stimulus, "depth")
     change = generator.uniform(-jitter, jitter, depth.shape)

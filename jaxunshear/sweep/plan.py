@@ -8,10 +8,10 @@ Imports no JAX.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import list_registering_files
@@ -27,6 +27,7 @@ from jaxunshear.data.sources import list_source_files, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
+from jaxunshear.results.run import Settings
 from jaxunshear.sweep.grid import Row, format_training_name
 from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_order, read_outcome
 from jaxunshear.training.data_origin import check_origin
@@ -152,7 +153,7 @@ class SharedTrainings:
         if name in self.tasks:
             return
         self.tasks[name] = task
-        experiment: Mapping[str, Any] = to_json(replace(row.experiment, name=name))
+        experiment: Settings = to_json(replace(row.experiment, name=name))
         if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
             experiment = read_order(task.folder).experiment or experiment
         sources = {}

@@ -181,13 +181,11 @@ def _select_parts(rows: Rows, test: str, name: str) -> Parts:
 
 
 def _make_figure(rows: Rows, values: np.ndarray, poses: np.ndarray) -> Figure:
-    """Make the figure of values (seeds, N) at poses (N,)."""
     by_seed = {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)}
     return Figure(float(values.mean()), compute_interval(values, poses), by_seed)
 
 
 def _list_table(row: RowScores) -> dict[str, float]:
-    """List the figures of `TABLES` as `<table>/<kind>/<column>`."""
     figures = {}
     for name in TABLES:
         table = getattr(row.outcome.evaluated_results, name) or {}

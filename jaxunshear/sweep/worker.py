@@ -106,7 +106,6 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
 
 
 def _add_retry_option(reason: str) -> str:
-    """Add the option that tries a failed task again to a reason that names the same command."""
     option = "--retry-failed"
     if option in reason:
         return reason
@@ -145,7 +144,6 @@ def _run_row(order: TaskOrder, folder: Path) -> Outcome:
 def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
-    """Measure the decoders on swapped codes, and the leakage of each code."""
     from jaxunshear.evaluation.code_swap_test import ablate
     from jaxunshear.evaluation.leakage import measure_leakage
     from jaxunshear.evaluation.leakage_table import build_sweep_rows

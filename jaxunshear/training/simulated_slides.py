@@ -96,7 +96,6 @@ def _make_shear_simulation(stored: RecordedSet) -> Simulate:
 
 
 def _compute_digest() -> str:
-    """Compute the digest of the settings of the simulation."""
     settings = (DEFAULT_CALIBRATION.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
 
@@ -157,7 +156,6 @@ def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -
 def _vary_slides(
     stored: RecordedSet, taps: RecordedTaps, motions: SlideMotions, split: str
 ) -> Batch:
-    """Draw SLIDES_PER_MOTION slides of each motion."""
     rest, spacing_px = np.array(stored.frame["place_px"]), stored.frame["spacing_px"]
     generator = np.random.default_rng([VERSION, *split.encode()])
     repeats = np.tile(np.arange(len(motions.row)), SLIDES_PER_MOTION)
