@@ -180,14 +180,6 @@ def test_the_pose_set(pose, sensor, engine, tmp_path):
     assert reader.length("train") == 12
 
 
-def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sensor, tmp_path):
-    inside = next(made.split("train", 36))
-    monkeypatch.setattr(reader, "MAX_MEMORY_BYTES", 1000)
-    outside = next(open_set(paired, tmp_path, sensor).split("train", 36))
-    assert all(np.array_equal(inside[name], outside[name]) for name in inside)
-    assert [path.name for path in made.folder.parent.iterdir()] == [paired.version]
-
-
 def test_reading_keeps_up_with_training(made):
     """After the first batch nothing is read or decoded: a step takes rows that are in memory."""
     steps = made.train_batches(16, 0, 0.015)(0)
