@@ -152,6 +152,24 @@ def load_chunk(path: Path) -> Chunk:
         ) from error
 
 
+def write_chunks(
+    folder: Path, parts: list[np.ndarray], make: Callable[[list[int]], Iterable[Chunk]], label: str
+) -> list[Path]:
+    """Write a file for each part, rows of contacts; files that exist are kept, returns all.
+
+    `make` yields the chunks of the parts of these numbers, in order.
+    """
+    paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    count = sum(map(len, parts))
+    done = count - sum(len(parts[index]) for index in missing)
+    with Progress(label, count, "contacts", done=done) as progress:
+        for index, chunk in zip(missing, make(missing), strict=True):
+            write_npz(paths[index], chunk)
+            progress.advance(len(parts[index]))
+    return paths
+
+
 class ChunkRow(NamedTuple):
     """One contact in a chunk."""
 

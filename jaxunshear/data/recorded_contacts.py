@@ -8,7 +8,7 @@ Imports no JAX.
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from jaxunshear.data.labels import read_pair_table
 from jaxunshear.data.pose_block import cut_block
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
-
-if TYPE_CHECKING:
-    pass
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {

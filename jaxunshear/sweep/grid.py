@@ -19,7 +19,17 @@ from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
-from jaxunshear.config.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
+from jaxunshear.config.sweep import (
+    Axis,
+    Change,
+    Fields,
+    Sweep,
+    Value,
+    get_base,
+    list_changed_fields,
+    list_fields,
+    list_varied_fields,
+)
 from jaxunshear.errors import UserError
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
@@ -72,10 +82,10 @@ def list_cells(sweep: Sweep) -> list[Cell]:
 
 
 def _describe_changes(changes: tuple[Change, ...], sweep: Sweep) -> str:
-    parts = []
-    for fields, value in changes:
-        parts.append(f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}")
-    return ", ".join(parts)
+    return ", ".join(
+        f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
+        for fields, value in changes
+    )
 
 
 def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
@@ -142,16 +152,10 @@ def format_field_name(fields: Fields, sweep: Sweep) -> str:
 
     The name is dotted if the sweep varies two fields of that name.
     """
-    varied = {name for axis in sweep.grid for name in list_fields(axis[0])}
-    for row in sweep.rows:
-        for change in row:
-            varied.update(list_fields(change[0]))
+    varied = {*list_varied_fields(sweep), *list_changed_fields(sweep)}
     shorts = [name.rpartition(".")[2] for name in varied]
-    parts = []
-    for name in list_fields(fields):
-        short = name.rpartition(".")[2]
-        parts.append(short if shorts.count(short) == 1 else name)
-    return ":".join(parts)
+    names = [(name, name.rpartition(".")[2]) for name in list_fields(fields)]
+    return ":".join(short if shorts.count(short) == 1 else name for name, short in names)
 
 
 def format_value_label(fields: Fields, value: Value) -> str:
