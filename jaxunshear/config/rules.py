@@ -24,8 +24,7 @@ SOURCE_RULES: dict[type[SourceSettings], Callable[[Experiment, Value, Value], It
 }
 # fields that only some networks use: a value that changes none of them is refused
 PARTLY_USED = (
-    *("pins.turned", "pins.direct_convolved", "unshear.apart", "paired.direct_taps"),
-    *("train.paired_share", "train_pins.paired_share"),
+    *("pins.turned", "pins.direct_convolved", "paired.direct_taps", "train.paired_share"),
     *(f"train_posenet.{field}" for field in ("crops", "crop_px", "paired_share")),
     *(f"train_teacher.{field}" for field in ("crops", "crop_px", "paired_share")),
 )

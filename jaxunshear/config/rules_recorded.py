@@ -37,6 +37,11 @@ def list_recorded_rules(
         "pins.direct_convolved",
         "takes recorded pins as they are: leave pins.turned at 0",
     )
+    yield Rule(
+        experiment.train_pins.paired_share == 1,
+        "train_pins.paired_share",
+        "is for simulated pairs: use paired.labelled",
+    )
     for field in ("unseen", *FURTHER_TESTS):
         yield Rule(
             not getattr(experiment, field),
