@@ -84,6 +84,7 @@ class SourceSettings(StoredSettings):
     # the DataSource of data/sources.py that reads it, or its place, as `module:class`
     source: ClassVar[type | str] = ""
     is_simulated: ClassVar[bool] = False
+    contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
     preprocess: Preprocess = Preprocess()
 
     @property
@@ -97,7 +98,9 @@ class SourceSettings(StoredSettings):
 
     def get_simulated(self, what: str) -> "PairedData":
         """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
-        raise UserError(f"{what} needs a model of simulated touches: this one learnt from others")
+        raise UserError(
+            f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
+        )
 
     def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
         """List the networks that a network over images or pins learns from, by its data."""
@@ -237,6 +240,7 @@ class Recorded(SourceSettings):
         *("labelled", "unlabelled", "direct_taps"),
     )
     source: ClassVar[type | str] = "jaxunshear.data.recorded_source:RecordedSource"
+    contacts: ClassVar[str] = "recordings"
 
     tap_folder: str = ""  # empty: there are no taps
     slide_folder: str = ""  # may be the tap folder: labels distinguish slides from taps
