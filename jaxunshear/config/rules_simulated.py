@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import asdict
 
-from jaxunshear.config.configs import CONFIGS
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, list_further_tests
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
@@ -30,16 +29,8 @@ def list_simulated_rules(
     experiment: Experiment, paired: PairedData, pose: PoseData
 ) -> Iterator[Rule]:
     """Yield the rules of an experiment about simulated touches."""
-    sets: tuple[tuple[str, PairedData | PoseData], ...] = (("paired", paired), ("pose", pose))
-    for group, data in sets:
-        configs = CONFIGS[data.set_name]
-        yield Rule(
-            data.config in configs,
-            f"{group}.config",
-            f"is no stored configuration: use one of {', '.join(configs)}; "
-            "changed fields get a name of their own",
-        )
-        yield from _list_reach_rules(data, f"{group}.", experiment.sensor)
+    yield from _list_reach_rules(paired, "paired.", experiment.sensor)
+    yield from _list_reach_rules(pose, "pose.", experiment.sensor)
     yield from _list_target_rules(experiment, paired, pose)
     if takes_taps(experiment):
         yield from _list_tap_rules(experiment, paired, pose)
