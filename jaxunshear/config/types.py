@@ -113,9 +113,11 @@ def list_hints(kind: type) -> dict[str, Hint]:
 @functools.cache
 def list_bounds(kind: type) -> dict[str, list[Bound]]:
     """Return the bounds in the types of the fields of a group of settings."""
-    hints = typing.get_type_hints(kind, include_extras=True)
-    metadata = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: [m for m in each if isinstance(m, Bound)] for name, each in metadata.items()}
+    bounds: dict[str, list[Bound]] = {}
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        metadata = getattr(hint, "__metadata__", ())
+        bounds[name] = [each for each in metadata if isinstance(each, Bound)]
+    return bounds
 
 
 def get_origin(kind: Hint) -> object:
