@@ -167,9 +167,8 @@ def _train(run: _Run, network: str) -> bool:
             )
         check_origin(experiment, network, run.folder)
         return False
-    from jaxunshear.data.reader import open_set
     from jaxunshear.training.examples import FRAME, open_examples
-    from jaxunshear.training.few_pairs import add_same_pose_slides, add_taps, select_few_pairs
+    from jaxunshear.training.few_pairs import add_unpaired, select_few_pairs
     from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
@@ -183,12 +182,7 @@ def _train(run: _Run, network: str) -> bool:
         examples = select_few_pairs(all_examples, training.paired_share, seed)
     task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
-    extra = max(1, training.batch // 2)  # examples a step, in addition to the pairs
-    if config.taps:
-        taps = open_set(config.taps, run.data, config.sensor)
-        batches = add_taps(batches, taps, extra, seed)
-    if "consistency" in training.losses:
-        batches = add_same_pose_slides(batches, all_examples, extra, seed)
+    batches = add_unpaired(batches, config, all_examples, run.data)
     begin = start_folder(experiment, network)
     training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),

@@ -10,12 +10,14 @@ batches = add_same_pose_slides(batches, examples, 32, seed=0)
 """
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.splits import hash_text
 from jaxunshear.data.pose_groups import group_by_pose
-from jaxunshear.data.reader import Batch, Reader, SetReader
+from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
 from jaxunshear.data.sources import Examples
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
@@ -50,6 +52,19 @@ def choose_poses(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: 
     is_chosen = np.zeros(len(poses), bool)
     is_chosen[order[: max(1, round(share * len(poses)))]] = True
     return is_chosen[row.reshape(-1)]
+
+
+def add_unpaired(
+    batches: Batches, config: NetworkConfig, examples: Examples, data_dir: Path
+) -> Batches:
+    """Add the taps and slides without partners that the losses of a network take."""
+    count = max(1, config.training.batch // 2)  # in a step, in addition to the pairs
+    if config.taps:
+        taps = open_set(config.taps, data_dir, config.sensor)
+        batches = add_taps(batches, taps, count, config.seed)
+    if "consistency" in config.training.losses:
+        batches = add_same_pose_slides(batches, examples, count, config.seed)
+    return batches
 
 
 def add_taps(batches: Batches, taps: Reader, count: int, seed: int) -> Batches:
