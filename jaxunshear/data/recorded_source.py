@@ -59,10 +59,11 @@ class RecordedSource(DataSource):
         return origin
 
     def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        from jaxunshear.data.recorded_set import open_recorded
+        from jaxunshear.data.reader import open_set
+        from jaxunshear.data.recorded_set import RecordedSet
 
-        used, experiment = settings or self.settings, self.experiment
-        return open_recorded(cast(Recorded, used), experiment.sensor, data_dir, experiment.seed)
+        used, experiment = cast(Recorded, settings or self.settings), self.experiment
+        return RecordedSet(used, open_set(used, data_dir, experiment.sensor), experiment.seed)
 
     def open_examples(
         self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
