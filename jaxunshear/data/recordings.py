@@ -1,9 +1,9 @@
 """Read real recordings as they lie on disk, and prepare their frames like simulated ones.
 
 These layouts can be read: one image; a folder of images; the older layout (`images/`,
-`targets.csv`, `meta.json`), its variant (`frames_bw/`), and the newer one
-(`{train,val,test}/processed_images/`, `targets.csv`, four JSON files); and folders of these. What
-is broken and not needed is noted, not fatal. Imports no JAX until a frame is prepared.
+`targets.csv`), its variant (`frames_bw/`), and the newer one
+(`{train,val,test}/processed_images/`, `targets.csv`); and folders of these. JSON beside them is not
+read. What is broken and not needed is noted, not fatal. Imports no JAX until a frame is prepared.
 
     recordings = read_recordings("recordings/edge", Preprocess(size=128))
     for row, name, image in recordings.iterate_frames():  # image (S, S) uint8 of {0, 255}
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import re
 import warnings
@@ -224,7 +223,6 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
     try:
         for folder, images in _find_image_folders(path, MAX_FOLDER_DEPTH, notes):
             files += images
-            _check_json(folder, notes)
             labels.append(_read_labels(folder, images, notes))
             hidden = _find_hidden_folder(folder) if images[0].parent == folder else None
             if hidden is not None:
@@ -305,18 +303,6 @@ def _list_images(folder: Path) -> list[Path]:
 def _split_at_numbers(path: Path) -> list[int | str]:
     parts = re.split(r"(\d+)", path.name)
     return [int(part) if part.isdecimal() else part for part in parts]
-
-
-def _check_json(folder: Path, notes: list[str]) -> None:
-    for file in sorted(folder.glob("*.json")):
-        try:
-            json.loads(file.read_text(encoding="utf-8"))
-        except (ValueError, OSError, RecursionError) as error:
-            text = (
-                f"this JSON is broken ({get_first_line(error)}); "
-                "it is not needed, so the reading goes on without it"
-            )
-            notes.append(Problem.with_place(file, text))
 
 
 def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:
