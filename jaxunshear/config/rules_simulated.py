@@ -4,7 +4,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 
 from jaxunshear.config.data import PairedData, PoseData
-from jaxunshear.config.experiment import FURTHER_TESTS, Experiment, list_further_tests
+from jaxunshear.config.experiment import (
+    FURTHER_TESTS,
+    Experiment,
+    list_further_tests,
+    uses_pins,
+)
 from jaxunshear.config.network_config import list_trained_networks, takes_taps
 from jaxunshear.config.reach import compute_contact_angle, compute_max_contact_depth_mm
 from jaxunshear.config.registry import POSENET, TEACHER
@@ -124,8 +129,9 @@ def _list_target_rules(
         except UserError as error:
             found, problem = False, str(error)
         yield Rule(found, "targets", problem)
+    is_turned = uses_pins(experiment) and experiment.pins.turned > 0
     yield Rule(
-        not experiment.pins.turned or bool(named and named <= ROTATED_TARGETS),
+        not is_turned or bool(named and named <= ROTATED_TARGETS),
         "pins.turned",
         "turns touches about the sensor's axis, which leaves them these targets alone: "
         f"{', '.join(sorted(ROTATED_TARGETS))}",
