@@ -228,6 +228,17 @@ def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     assert set(open_source(from_json(made)).list_sets()) == {"tactip_paired", "tactip_pose"}
 
 
+def test_a_shared_training_keeps_the_settings_that_it_began_with(stand_in, tmp_path):
+    """The same sweep may go on with its rows in another order."""
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
+    order = list(list_rows(sweep, list_cells(sweep)).values())
+    shared = []
+    for each in (order, order[::-1]):
+        (task, *_) = plan.plan_tasks(tmp_path, each, False, tmp_path, "none")
+        shared.append((task.folder, read_json(task.folder / TASK)["experiment"]))
+    assert shared[0] == shared[1] and shared[0][0].name.startswith("posenet_seed-0-")
+
+
 def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(
     stand_in, swept, steps, tmp_path
 ):
