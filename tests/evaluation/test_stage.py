@@ -11,6 +11,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.data import reader
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
@@ -20,7 +21,6 @@ from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
-from jaxunshear.training import examples
 
 SIZE, COUNT = 32, 6
 
@@ -76,7 +76,7 @@ class Reader:
 
 
 def _opens(monkeypatch, count):
-    for module in (simulated_evaluation, examples):
+    for module in (simulated_evaluation, reader):
         monkeypatch.setattr(
             module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
         )
