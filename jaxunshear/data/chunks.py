@@ -161,6 +161,8 @@ def write_chunks(
     """
     paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
+    if not missing:
+        return paths
     count = sum(map(len, parts))
     done = count - sum(len(parts[index]) for index in missing)
     with Progress(label, count, "contacts", done=done) as progress:
