@@ -24,6 +24,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.recorded_pins import Pins, find_pins
+from jaxunshear.data.sources import open_source
 from jaxunshear.downstream.geometry_scores import GeometryResult, score_geometry
 from jaxunshear.downstream.object_reconstruction import ReconstructionResult, reconstruct
 from jaxunshear.downstream.servo import ServoTask
@@ -31,7 +32,6 @@ from jaxunshear.downstream.servo_scores import ServoResult, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_frame, load_perceiver
 from jaxunshear.inference.perception import BATCH, run_in_batches
-from jaxunshear.inference.suitability import describe_training, suits_recordings
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.models.dispatch import encode
 from jaxunshear.models.inference import jit_for_inference
@@ -92,8 +92,9 @@ class Model:
         they were trained on simulated contacts of one sensor alone, so their predictions for other
         frames mean little. Raises UserError.
         """
-        if not suits_recordings(self.experiment):
-            warnings.warn(describe_training(self.experiment), Note, stacklevel=2)
+        source = open_source(self.experiment)
+        if not source.suits_recordings:
+            warnings.warn(source.describe(), Note, stacklevel=2)
         return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
 
     def unshear(self, images: np.ndarray) -> np.ndarray:

@@ -105,7 +105,6 @@ def _run_on_ray(
 
 
 def _connect(address: str | None) -> None:
-    """Connect to a cluster. Raises UserError."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # says nothing to anyone unless asked to
     os.environ.setdefault("RAY_task_oom_retries", str(RETRIES))  # else without end
     import ray
@@ -130,7 +129,6 @@ def _connect(address: str | None) -> None:
 
 
 def _fetch_result(reference: "ray.ObjectRef[object]") -> object:
-    """Fetch what a call returned, or `WorkerDied`. Raises what the call raised."""
     import ray
 
     try:

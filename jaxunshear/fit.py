@@ -110,7 +110,6 @@ def format_experiment(experiment: Experiment) -> str:
 
 
 def _format_dataclass(settings: Value, modules: dict[str, set[str]], depth: int) -> str:
-    """Format the source of a dataclass of settings, and add its name to those of its module."""
     kind = type(settings).__name__
     modules.setdefault(type(settings).__module__, set()).add(kind)
     indent = "    " * depth

@@ -11,18 +11,19 @@ from pathlib import Path
 
 from jaxunshear.cluster import CallRunner, run_locally
 from jaxunshear.config import configs
-from jaxunshear.config.experiment import Experiment, get_recorded, get_training
-from jaxunshear.config.registry import TEACHER, TRAINABLE
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import resolve_network
+from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import add_version, from_json, to_json
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object, write_json
 from jaxunshear.locks import hold_lock
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
-from jaxunshear.training.data_origin import check_origin, describe_origin
+from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.initial_weights import InitialWeights, list_training_digests, start_folder
 
-TEACHER_SEED = 1000  # is added to the seed of the run
 LOCK = "run.lock"  # a row of a sweep has another lock
 
 
@@ -73,7 +74,6 @@ class _Run:
 
 
 def _run_stage(run: _Run, stage: str) -> Results | None:
-    """Run one stage, and write the time that it took. Returns the results of an evaluation."""
     results = None
     seconds = read_times(run.folder).get(stage, 0.0) if _is_unfinished(run, stage) else 0.0
     began, worked = time.perf_counter(), False
@@ -126,13 +126,12 @@ def _write_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(run: _Run) -> bool:
-    """Make the data sets. Returns whether any was missing."""
     from jaxunshear.data.chunks import make_engine
-    from jaxunshear.data.generation import make_sets
 
     complete = all(_list_existing(run, configs.get_set_folder))
     engine = make_engine(run.run_calls)
-    for name, metadata in make_sets(run.experiment, run.data, engine).items():
+    sets = open_source(run.experiment).make_sets(run.data, engine)
+    for name, metadata in sets.items():
         counts = metadata["counts"]
         print(
             f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped"
@@ -153,16 +152,11 @@ def _describe_iterations(counts: Json) -> str:
 
 
 def _list_existing(run: _Run, get_folder: Callable[..., Path]) -> list[bool]:
-    """List for each data set whether its folder exists."""
-    from jaxunshear.data.generation import list_sets
-
-    sensor = run.experiment.sensor
-    sets = list_sets(run.experiment).values()
+    sensor, sets = run.experiment.sensor, open_source(run.experiment).list_sets().values()
     return [get_folder(settings, sensor, run.data).exists() for settings in sets]
 
 
 def _train(run: _Run, network: str) -> bool:
-    """Train a network, unless it is trained already. Returns whether it was trained."""
     from jaxunshear.training.checkpoint import SUMMARY, compute_weights_digest, has_model, load_best
 
     experiment, folder = run.experiment, run.folder / network
@@ -173,31 +167,22 @@ def _train(run: _Run, network: str) -> bool:
             )
         check_origin(experiment, network, run.folder)
         return False
-    from jaxunshear.training.examples import FRAME, open_examples, open_recorded_set
-    from jaxunshear.training.few_pairs import (
-        add_same_pose_slides,
-        add_taps,
-        open_taps,
-        select_few_pairs,
-    )
+    from jaxunshear.training.examples import FRAME, open_examples
+    from jaxunshear.training.few_pairs import add_unpaired, select_few_pairs
     from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
-    seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training = get_training(experiment, network)
+    source, config = open_source(experiment), resolve_network(experiment, network)
+    training, seed = config.training, config.seed
     all_examples = open_examples(experiment, network, run.data, run.folder)
-    if get_recorded(experiment):
-        write_json(run.folder / FRAME, open_recorded_set(experiment, run.data).frame)
+    if frame := source.read_frame(run.data):
+        write_json(run.folder / FRAME, frame)
     examples = all_examples
     if training.paired_share < 1:
-        examples = select_few_pairs(all_examples, training.paired_share, experiment.seed)
+        examples = select_few_pairs(all_examples, training.paired_share, seed)
     task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
-    extra = max(1, training.batch // 2)  # examples a step, in addition to the pairs
-    if "tap_identity" in training.losses:
-        batches = add_taps(batches, open_taps(experiment, run.data), extra, seed)
-    if "consistency" in training.losses:
-        batches = add_same_pose_slides(batches, all_examples, extra, seed)
+    batches = add_unpaired(batches, config, all_examples, run.data)
     begin = start_folder(experiment, network)
     training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),
@@ -205,7 +190,7 @@ def _train(run: _Run, network: str) -> bool:
         examples.epoch,
     )
     provenance = Provenance(
-        describe_origin(experiment, network),
+        source.describe_origin(config),
         list_training_digests(experiment, network, begin),
         InitialWeights(load_best(begin), compute_weights_digest(begin)) if begin else None,
     )

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.config.configs import CONFIGS, compute_config_name, get_set_name
+from jaxunshear.config.configs import CONFIGS, compute_config_name
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.rules import validate
 from jaxunshear.config.sweep import check_sweep, load_sweep, override_base
 from jaxunshear.errors import UserError
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.sweep.grid import find_reference, list_cells, list_rows, select_training_part
+from jaxunshear.sweep.grid import find_reference, list_cells, list_rows
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
@@ -62,7 +63,7 @@ def test_sweeps_are_valid_and_self_describing(path):
     assert sweep.name == path.stem and find_reference(sweep, cells) is not None
     for data in () if is_recorded(sweep.base) else (sweep.base.paired, sweep.base.pose):
         assert (
-            compute_config_name(data, sweep.base.sensor) in CONFIGS[get_set_name(data)]
+            compute_config_name(data, sweep.base.sensor) in CONFIGS[data.set_name]
         )  # a set that an experiment has, too
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text
@@ -97,7 +98,7 @@ def test_rivals_are_of_one_make_and_read_by_one_posenet():
     sweep = override_base(load_sweep(FOLDER / "rivals.py"), SOMEWHERE)
     cells = list_cells(sweep)
     for name in ("posenet", "renderer"):
-        assert len({select_training_part(cell.experiment, name).name for cell in cells}) == 1
+        assert len({resolve_network(cell.experiment, name).digest for cell in cells}) == 1
     for cell in cells:
         pins = cell.experiment.pins
         assert pins.convolved == pins.direct_convolved

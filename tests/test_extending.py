@@ -12,9 +12,12 @@ import pytest
 
 from jaxunshear.config import losses, sensor
 from jaxunshear.config.configs import describe_set
+from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.rules import validate
+from jaxunshear.config.serialization import from_json, to_json
+from jaxunshear.data.sources import list_source_files
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import compute_rings
 from jaxunshear.simulator.pin_layout import compute_pin_tips
@@ -23,12 +26,14 @@ from jaxunshear.simulator.simulate import simulate
 from jaxunshear.sweep.grid import Row
 from jaxunshear.sweep.plan import make_data_task
 from jaxunshear.sweep.tasks import read_order
+from jaxunshear.training.examples import open_examples
+from jaxunshear.training.task_factory import make_task
 from jaxunshear.training.tasks import make_unshear_task
 from tests.training import small
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-LOSS, STIMULUS, FUNCTION, LAYOUT = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+LOSS, STIMULUS, FUNCTION, LAYOUT, SOURCE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture
@@ -38,6 +43,7 @@ def experiment_file(tmp_path, monkeypatch):
     monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
     monkeypatch.setattr(sensor, "LAYOUTS", dict(sensor.LAYOUTS))
     monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(SourceSettings, "registered", dict(SourceSettings.registered))
     monkeypatch.setattr(sys.modules["jaxunshear.training.tasks"], "LOSSES", losses.LOSSES)
 
     def write(text):
@@ -170,3 +176,32 @@ def test_a_layout_that_no_file_has_registered_is_refused_and_a_name_is_taken_onc
         validate(experiment)
     with pytest.raises(UserError, match="layout 'square' is unknown"):
         describe_set(experiment.paired, experiment.sensor)
+
+
+def test_networks_learn_from_a_data_source_of_an_experiment_file(experiment_file, tmp_path):
+    path, generator = experiment_file(SOURCE), np.random.default_rng(0)
+    np.savez(
+        tmp_path / "pairs.npz",
+        split=np.repeat(["train", "validation", "test"], (12, 4, 4)),
+        canonical=generator.choice(np.array([0, 255], np.uint8), (20, 128, 128)),
+        sheared=generator.choice(np.array([0, 255], np.uint8), (20, 128, 128)),
+        pose=generator.uniform(-5, 5, (20, 6)),
+    )
+    words = ["--paired.file", str(tmp_path / "pairs.npz")]
+    experiment = override_fields(load_experiment(path), words)
+    validate(experiment)
+    assert from_json(to_json(experiment)) == experiment
+    assert list_source_files() == [str(path)]
+    for network, images in (("disentangled", {"canonical", "sheared"}), ("posenet", {"image"})):
+        examples = open_examples(experiment, network, tmp_path, tmp_path)
+        _, fields = make_task(experiment, network, examples, tmp_path)
+        batch = next(examples.reader.train_batches(6, 0, 0.015, fields)(0))
+        assert images <= batch.keys() and len(examples.targets) == 6
+        assert all(batch[name].shape == (6, 128, 128, 1) for name in images)
+    with pytest.raises(UserError, match="has images alone"):
+        open_examples(
+            override_fields(experiment, ["--unshear.input", "pins"]),
+            "disentangled",
+            tmp_path,
+            tmp_path,
+        )

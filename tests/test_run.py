@@ -22,7 +22,7 @@ from PIL import Image
 from jaxunshear import run
 from jaxunshear.config import configs
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.data import generation
+from jaxunshear.data import sources
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import select_reproducible
 from jaxunshear.files import read_json, write_json
@@ -37,16 +37,8 @@ SMALL = Experiment(name="small", claim="none")
 
 
 def run_command(folder: Path, *more: str) -> list[str]:
-    words = [
-        "run",
-        str(TINY),
-        "--out",
-        str(folder / "runs"),
-        "--data",
-        str(folder / "datasets"),
-        *more,
-    ]
-    return [sys.executable, "-m", "jaxunshear", *words]
+    folders = ("--out", str(folder / "runs"), "--data", str(folder / "datasets"))
+    return [sys.executable, "-m", "jaxunshear", "run", str(TINY), *folders, *more]
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +59,8 @@ def results(folder: Path) -> dict:
 def test_results_bear_the_names_that_others_rely_on(finished):
     found = results(finished)
     shapes = {"disk", "clover", "teardrop", "overall"}
-    assert {
-        kind: set(found["ms_ssim"][kind]) for kind in ("sheared", "entangled", "disentangled")
-    } == {
-        "sheared": shapes,
-        "entangled": shapes,
-        "disentangled": shapes,
-    }
+    for kind in ("sheared", "entangled", "disentangled"):
+        assert set(found["ms_ssim"][kind]) == shapes
     for kind in ("tap", "sheared", "entangled", "disentangled"):
         assert set(found["pose_mae"][kind]) == {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}
     assert {"swap", "pin_error", "time_s"} <= set(found) and found["simulated"] is True
@@ -125,15 +112,8 @@ def test_the_report_stands_alone(finished):
 @pytest.mark.long
 def test_leakage_of_networks_over_images(finished, command):
     run = finished / "runs" / "tiny"
-    answer = command(
-        "ablate",
-        run,
-        "--leakage",
-        "--data",
-        finished / "datasets",
-        "--json",
-        finished / "leakage.json",
-    )
+    places = ("--data", finished / "datasets", "--json", finished / "leakage.json")
+    answer = command("ablate", run, "--leakage", *places)
     assert answer.code == 0, answer.err
     found = json.loads((run / "leakage.json").read_text())
     assert (
@@ -156,16 +136,8 @@ def test_a_second_run_keeps_all_work_and_all_numbers(finished):
 
 
 def test_another_experiment_is_not_mixed_in(finished, command):
-    answer = command(
-        "train",
-        TINY,
-        "--out",
-        finished / "runs",
-        "--data",
-        finished / "datasets",
-        "--train.epochs",
-        "3",
-    )
+    folders = ("--out", finished / "runs", "--data", finished / "datasets")
+    answer = command("train", TINY, *folders, "--train.epochs", "3")
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
@@ -191,16 +163,8 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(
 @pytest.mark.long
 def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold no DS."""
-    words = [
-        TINY,
-        "--out",
-        tmp_path,
-        "--data",
-        finished / "datasets",
-        "--networks",
-        "disentangled,posenet",
-    ]
-    words += ["--train.losses.pose_label", 1]
+    words = [TINY, "--out", tmp_path, "--data", finished / "datasets"]
+    words += ["--networks", "disentangled,posenet", "--train.losses.pose_label", 1]
     done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"
@@ -241,16 +205,8 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     """With so small a learning rate it stays there: equal but for the statistics' last digits."""
-    words = [
-        "--out",
-        tmp_path,
-        "--data",
-        finished / "datasets",
-        "--networks",
-        "disentangled,posenet",
-        "--train.epochs",
-        1,
-    ]
+    words = ["--out", tmp_path, "--data", finished / "datasets"]
+    words += ["--networks", "disentangled,posenet", "--train.epochs", 1]
     begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
     done = command("train", TINY, *words, *begin, "--network", "disentangled")
     assert done.code == 0, done.err
@@ -370,7 +326,7 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock)
         part.rmdir()
         return {}
 
-    monkeypatch.setattr(generation, "make_sets", make)
+    monkeypatch.setattr(sources.DataSource, "make_sets", make)
     for seconds in (5, 10):
         with contextlib.suppress(KeyboardInterrupt):
             run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
@@ -389,9 +345,7 @@ def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
         with pytest.raises(UserError, match=f"another run is at work in {folder}"):
             run.run_stages(SMALL, ("posenet",), tmp_path, tmp_path, "none")
         assert [path.name for path in folder.iterdir()] == [run.LOCK]
-    with hold_lock(
-        folder / tasks.LOCK, wait=False
-    ) as free:  # as the worker of a sweep's row holds it
+    with hold_lock(folder / tasks.LOCK, wait=False) as free:  # as the worker of a row holds it
         assert free and stage(1, "finish") == {"posenet": 1}
 
 

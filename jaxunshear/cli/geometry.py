@@ -4,7 +4,6 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_parser
-from jaxunshear.config.experiment import require_simulated
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import GeometryScores
 from jaxunshear.serialization import to_builtins
@@ -42,7 +41,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
         read_recordings(arguments.path, Preprocess())
         check_not_among(arguments.path, out, "--out")
     folder, experiment = model
-    paired, _ = require_simulated(experiment, "geometry")
+    paired = experiment.paired.get_simulated("geometry")
     scores = score_geometry(folder, experiment, arguments.contacts)
     figure = geometry_figure.plot_contacts(
         scores.lattice, paired.names, scores.contacts, scores.geometry

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
-from jaxunshear.config.experiment import require_simulated
 from jaxunshear.errors import UserError
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.results.applications import PinScores
@@ -101,7 +100,7 @@ def _choose_lattice(
 
     if model:
         experiment = model[1]
-        paired, _ = require_simulated(experiment, "pins --model")
+        paired = experiment.paired.get_simulated("pins --model")
         if arguments.size or arguments.rest:
             raise UserError(
                 "--model knows the images' size and the untouched pins: leave --size and --rest out"

@@ -12,7 +12,6 @@ from jaxunshear.cli.options import (
     new_parser,
     parse_stimuli,
 )
-from jaxunshear.config.experiment import require_simulated
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
@@ -40,7 +39,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.text_table import format_text_table
 
     folder, experiment = model
-    require_simulated(experiment, "reconstruct")  # a model of recordings has no trajectories
+    experiment.paired.get_simulated("reconstruct")  # a model of recordings has no trajectories
     files = _find_trajectory_files(arguments, out)
     rows: list[ObjectScore] = []
     for result in reconstruct(folder, experiment, [load_trajectories(file) for file in files]):

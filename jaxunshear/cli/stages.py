@@ -13,7 +13,8 @@ from jaxunshear.cli.options import (
     new_parser,
     read_engine_options,
 )
-from jaxunshear.config.experiment import Experiment, get_recorded, list_trained_networks
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.errors import UserError
 from jaxunshear.protected_folders import check_outside
 
@@ -220,7 +221,7 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
     from jaxunshear.evaluation.sim_to_real import score_transfer
     from jaxunshear.results.record_files import write_record
 
-    if get_recorded(experiment):
+    if not experiment.paired.is_simulated:
         results = score_recordings(
             experiment, arguments.file, arguments.recordings, arguments.data, command
         )

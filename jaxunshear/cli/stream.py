@@ -59,8 +59,8 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
     from jaxunshear.apps.robot.frame_sources import make_label_reader, open_frames
     from jaxunshear.apps.robot.stream import load_stream_model, stream
+    from jaxunshear.data.sources import open_source
     from jaxunshear.inference.perceiver import find_pin_frame
-    from jaxunshear.inference.suitability import describe_training
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> StreamResult:
     if summary.pose_mae:
         errors = ", ".join(f"{name} {value:.3f}" for name, value in summary.pose_mae.items())
         print(f"mean error against the labels: {errors}", file=sys.stderr)
-    print(f"note: {describe_training(experiment)}", file=sys.stderr)
+    print(f"note: {open_source(experiment).describe()}", file=sys.stderr)
     for problem, count in list(summary.problems.items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
     return summary

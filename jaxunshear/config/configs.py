@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.config.data import PairedData, PoseData, Ranges, Recorded
+from jaxunshear.config.data import DataSettings, PairedData, PoseData, Ranges
 from jaxunshear.config.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.config.sensor import (
     FITTED_FRICTION,
@@ -20,23 +20,9 @@ from jaxunshear.config.sensor import (
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
-VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
-RECORDED_VERSION = "1.0.0"
 METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and versions
 # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
 MANIFEST = "shards.json"
-PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
-# fields of `Recorded` that do not decide a set's bits: its place, and how trainings use it
-NOT_STORED_CONFIGS = (
-    "tap_folder",
-    "slide_folder",
-    "pairs",
-    "pairing",
-    "labelled",
-    "unlabelled",
-    "direct_taps",
-)
-DataSettings = PairedData | PoseData | Recorded
 
 # what sets of the fitted sensor share
 FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}
@@ -105,8 +91,8 @@ POSE = {
     )
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {
-    PAIRED_SET: PAIRED,
-    POSE_SET: POSE,
+    PairedData.set_name: PAIRED,
+    PoseData.set_name: POSE,
 }
 
 
@@ -115,25 +101,14 @@ def get_config_sensor(config: str) -> Sensor:
     return {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}.get(config, TACTIP_331_FITTED)
 
 
-def get_set_name(settings: DataSettings) -> str:
-    """Return the name of the data set that these settings describe."""
-    if isinstance(settings, Recorded):
-        return RECORDED_SET
-    return PAIRED_SET if isinstance(settings, PairedData) else POSE_SET
-
-
-def get_version(settings: DataSettings) -> str:
-    return RECORDED_VERSION if isinstance(settings, Recorded) else VERSION
-
-
 def describe_set(settings: DataSettings, sensor: Sensor) -> dict:
     """Describe in plain JSON types everything that decides a set's bits."""
-    fields = dataclasses.asdict(settings)
-    for name in NOT_STORED_CONFIGS if isinstance(settings, Recorded) else ("config",):
+    fields = dataclasses.asdict(settings)  # type: ignore[arg-type]
+    for name in settings.not_stored:
         del fields[name]
     description = {
-        "set": get_set_name(settings),
-        "version": get_version(settings),
+        "set": settings.set_name,
+        "version": settings.version,
         "sensor": describe_sensor(sensor),
         "settings": fields,
     }
@@ -150,10 +125,15 @@ def convert_to_floats(settings: Any) -> Any:
     return float(settings) if is_integer else settings
 
 
-def compute_fingerprint(settings: DataSettings, sensor: Sensor) -> str:
-    """Compute a hash of `describe_set`, eight hexadecimal digits."""
-    text = json.dumps(convert_to_floats(describe_set(settings, sensor)), sort_keys=True)
+def compute_digest(settings: Any) -> str:
+    """Compute eight hexadecimal digits of nested settings; 1 and 1.0 are the same setting."""
+    text = json.dumps(convert_to_floats(settings), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def compute_fingerprint(settings: DataSettings, sensor: Sensor) -> str:
+    """Compute the digest of `describe_set`."""
+    return compute_digest(describe_set(settings, sensor))
 
 
 def compute_config_name(settings: DataSettings, sensor: Sensor = TACTIP_331) -> str:
@@ -163,33 +143,29 @@ def compute_config_name(settings: DataSettings, sensor: Sensor = TACTIP_331) -> 
     `custom-<fingerprint>`; for recordings `recorded-<fingerprint>`. Raises UserError for an unknown
     configuration.
     """
-    if isinstance(settings, Recorded):
+    configs = CONFIGS.get(settings.set_name)
+    if configs is None:
         return f"recorded-{compute_fingerprint(settings, sensor)}"
-    name = get_set_name(settings)
-    configs = CONFIGS[name]
-    if settings.config not in configs:
+    config = getattr(settings, "config", "")
+    if config not in configs:
         raise UserError(
-            f"config '{settings.config}' of {name} is unknown: use one of {', '.join(configs)}"
+            f"config '{config}' of {settings.set_name} is unknown: use one of {', '.join(configs)}"
         )
-    if settings == configs[settings.config] and sensor == get_config_sensor(settings.config):
-        return settings.config
+    if settings == configs[config] and sensor == get_config_sensor(config):
+        return config
     return f"custom-{compute_fingerprint(settings, sensor)}"
 
 
 def get_set_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Path:
     """Return a finished set's folder as TFDS names it: <data_dir>/<set>/<config>/<version>."""
-    return (
-        Path(data_dir).absolute()
-        / get_set_name(settings)
-        / compute_config_name(settings, sensor)
-        / get_version(settings)
-    )
+    name = compute_config_name(settings, sensor)
+    return Path(data_dir).absolute() / settings.set_name / name / settings.version
 
 
 def get_unfinished_folder(settings: DataSettings, sensor: Sensor, data_dir: Path) -> Path:
     """Return the folder of a set's chunks until it is finished."""
     config = compute_config_name(settings, sensor)
-    name = f"{get_set_name(settings)}-{config}-{compute_fingerprint(settings, sensor)}"
+    name = f"{settings.set_name}-{config}-{compute_fingerprint(settings, sensor)}"
     return Path(data_dir).absolute() / ".partial" / name
 
 

@@ -1,54 +1,55 @@
-"""Settings of the two simulated data sets, and of recordings."""
+"""Settings of data sources: the two simulated data sets, and recordings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
-from jaxunshear.config.splits import BLOCK
+from jaxunshear.config.registry import (
+    POSENET_SHEARED,
+    RENDERER,
+    NetworkSpec,
+)
+from jaxunshear.config.splits import BLOCK, count_train_poses
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
-from jaxunshear.config.types import Rule
+from jaxunshear.config.types import Bound, Count, NotNegative, Positive, Rule, Share, between
+from jaxunshear.errors import UserError
 
 PairingMethod = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
-SplitMethod = Literal["random", "block", "folder"]
 SPLIT_TEXTS: dict[str, str] = {  # how a report says what each method keeps out of training
     "random": "random split",
     "block": "block of poses",
     "folder": "split by folders",
 }
-MAX_TWIST_DEG = 90.0
 MAX_SEED = 2**31 - 1
-
-
-def make_seed_rule(seed: int) -> Rule:
-    return Rule(0 <= seed <= MAX_SEED, "seed", f"use an integer from 0 to {MAX_SEED}")
+Seed = Annotated[int, between(0, MAX_SEED)]
+Poses = Annotated[
+    int,
+    Bound(
+        lambda poses: poses >= BLOCK,
+        f"use at least {BLOCK}, so that each of the three splits gets a pose",
+    ),
+]
+Half = Annotated[float, Bound(lambda share: 0 < share < 0.5, "use a share between 0 and 0.5")]
 
 
 @dataclass(frozen=True)
 class Ranges:
     """Ranges from which poses and slides are drawn uniformly (paper section 3.2)."""
 
-    lateral_mm: float = 5.0  # x and y within +- this
-    yaw_deg: float = 45.0  # the text's "[-45, -45]" read as +-45
-    depth_min_mm: float = 1.0  # indentation depth from this
+    lateral_mm: NotNegative = 5.0  # x and y within +- this
+    # the text's "[-45, -45]" read as +-45
+    yaw_deg: Annotated[float, between(0, 180)] = 45.0
+    depth_min_mm: Positive = 1.0  # indentation depth from this
     depth_max_mm: float = 6.0  # to this
-    move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
+    move_mm: NotNegative = 2.5  # slide offset within +- this, along x or y or both, by chance
     # a slide turns within +- this while it moves, and ends at the pose's yaw
-    twist_deg: float = 0.0
+    twist_deg: Annotated[float, between(0, 90)] = 0.0
     # the sensor leans by up to this in any direction, from first touch to the slide's end alike
-    tilt_deg: float = 0.0
+    tilt_deg: NotNegative = 0.0
 
     def rules(self) -> Iterator[Rule]:
         """Yield the rules that hold for any sensor; `rules_simulated.py` has those of its reach."""
-        for name in ("lateral_mm", "move_mm", "tilt_deg"):
-            yield Rule(getattr(self, name) >= 0, name, "must not be below zero")
-        yield Rule(0 <= self.yaw_deg <= 180, "yaw_deg", "use 0 to 180")
-        yield Rule(0 <= self.twist_deg <= MAX_TWIST_DEG, "twist_deg", f"use 0 to {MAX_TWIST_DEG:g}")
-        yield Rule(
-            self.depth_min_mm > 0,
-            "depth_min_mm",
-            "must be above zero: at its top or above it the stimulus is not touched",
-        )
         yield Rule(
             self.depth_min_mm <= self.depth_max_mm,
             "depth_min_mm",
@@ -60,19 +61,69 @@ class Ranges:
 DRIFTING_NUISANCE = Nuisance(drift_px=1.0, drift_brightness=0.1)
 
 
+class ExampleCounts(NamedTuple):
+    """How many examples networks learn from."""
+
+    pairs: int
+    taps: int
+
+
+class StoredSettings:
+    """What is common to the settings of all sets that are stored on disk."""
+
+    set_name: ClassVar[str] = ""
+    version: ClassVar[str] = ""  # of the stored set; raise it whenever equal settings give new bits
+    # fields that do not decide the bits of the set: names, and how trainings use it
+    not_stored: ClassVar[tuple[str, ...]] = ()
+
+
+class SourceSettings(StoredSettings):
+    """Settings of a data source, as an experiment's `paired`; docs/extending.md adds one."""
+
+    registered: ClassVar[dict[str, type["SourceSettings"]]] = {}
+    # the DataSource of data/sources.py that reads it, or its place, as `module:class`
+    source: ClassVar[type | str] = ""
+    is_simulated: ClassVar[bool] = False
+    contacts: ClassVar[str] = "other data"  # what networks learn from, in messages
+    preprocess: Preprocess = Preprocess()
+
+    @property
+    def pose_kind(self) -> type:
+        """The class of the settings that an experiment's `pose` must have beside these."""
+        return RecordedTaps
+
+    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
+        """Count the training examples; without a limit if they are not known before a run."""
+        return ExampleCounts(2**62, 2**62)
+
+    def get_simulated(self, what: str) -> "PairedData":
+        """Return the settings of simulated contacts. Raises UserError, as `what` needs these."""
+        raise UserError(
+            f"{what} needs a model of simulated touches: this one learnt from {self.contacts}"
+        )
+
+    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
+        """List the networks that a network over images or pins learns from, by its data."""
+        return ()
+
+    def select_for(
+        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
+    ) -> "SourceSettings | PoseData":
+        """Return the set that a network learns from, settings that it does not use at defaults."""
+        return self
+
+
 @dataclass(frozen=True)
-class PairedData:
-    """The set `tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
+class SimulatedData(StoredSettings):
+    """Settings that both simulated sets have."""
+
+    version: ClassVar[str] = "3.0.0"
+    not_stored: ClassVar[tuple[str, ...]] = ("config",)
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
     stimuli: tuple[StimulusSetting, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
-    poses: int = 600  # per stimulus
-    taps: int = 1  # canonical images a pose
-    slides: int = 2  # sheared images a pose
-    poses_a_slide: int = 1  # poses of a split that share their slides (`data/factorial.py`)
-    # a tap misses its slide's depth by up to this (the paper: 1.0)
-    tap_depth_jitter_mm: float = 0.0
-    seed: int = 0  # of poses and slides
+    poses: Poses = 600  # per stimulus
+    seed: Seed = 0  # of poses and slides; another for taps than for pairs
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
@@ -84,21 +135,49 @@ class PairedData:
         """The names of the stimuli."""
         return list_stimulus_names(self.stimuli)
 
+    def count_training_poses(self) -> int:
+        """Count the training poses over all stimuli."""
+        return sum(count_train_poses(self.seed, name, self.poses) for name in self.names)
+
     def rules(self) -> Iterator[Rule]:
-        yield from _list_simulated_rules(self)
+        yield Rule(len(self.stimuli) > 0, "stimuli", "name at least one")
+        yield Rule(len(set(self.names)) == len(self.names), "stimuli", "name each stimulus once")
         yield Rule(
-            self.taps >= 1, "taps", "use at least 1: a sheared image needs a tap to pair with"
+            self.friction is None or self.friction >= 0,
+            "friction",
+            "use 0 or more, or none for each material's own",
         )
+        frame_px = self.camera.frame_px
         yield Rule(
-            self.poses_a_slide >= 1,
-            "poses_a_slide",
-            "use at least 1: a slide belongs to one pose at least",
+            self.preprocess.size <= frame_px,
+            "preprocess.size",
+            f"larger than the camera's frame of {frame_px} px: "
+            "use a smaller size or a larger camera.frame_px",
         )
-        yield Rule(
-            self.slides >= 1,
-            "slides",
-            "use at least 1: without slides there is nothing to unshear",
-        )
+        for name, most in (("blur_px", frame_px / 8), ("drift_px", frame_px / 4)):
+            yield Rule(
+                0 <= getattr(self.nuisance, name) <= most,
+                f"nuisance.{name}",
+                f"use 0 to {most:g} for a frame of {frame_px} px",
+            )
+
+
+@dataclass(frozen=True)
+class PairedData(SimulatedData, SourceSettings):
+    """The set `tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
+
+    set_name: ClassVar[str] = "tactip_paired"
+    source: ClassVar[type | str] = "jaxunshear.data.simulated_source:SimulatedSource"
+    is_simulated: ClassVar[bool] = True
+
+    taps: Count = 1  # canonical images a pose
+    slides: Count = 2  # sheared images a pose
+    poses_a_slide: Count = 1  # poses of a split that share their slides (`data/factorial.py`)
+    # a tap misses its slide's depth by up to this (the paper: 1.0)
+    tap_depth_jitter_mm: float = 0.0
+
+    def rules(self) -> Iterator[Rule]:
+        yield from super().rules()
         yield Rule(
             self.taps <= self.slides,
             "taps",
@@ -111,57 +190,31 @@ class PairedData:
             "or a tap may miss the stimulus",
         )
 
+    @property
+    def pose_kind(self) -> type:
+        return PoseData
+
+    def count_examples(self, pose: "PoseData | RecordedTaps") -> ExampleCounts:
+        taps = cast(PoseData, pose)
+        return ExampleCounts(self.slides * self.count_training_poses(), taps.count_training_poses())
+
+    def get_simulated(self, what: str) -> "PairedData":
+        return self
+
+    def select_for(
+        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
+    ) -> "SourceSettings | PoseData":
+        return cast(PoseData, pose) if spec.learns_from == "taps" else self
+
 
 @dataclass(frozen=True)
-class PoseData:
+class PoseData(SimulatedData):
     """The set `tactip_pose`: taps at poses drawn separately from the pairs' (section 3.2.2)."""
 
-    config: str = "demo"
-    stimuli: tuple[StimulusSetting, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
-    poses: int = 2400  # per stimulus
-    seed: int = 1  # of the poses; another than that of the pairs
-    friction: float | None = None  # of all stimuli; None: that of each one's material
-    ranges: Ranges = field(default_factory=Ranges)
-    camera: Camera = field(default_factory=Camera)
-    nuisance: Nuisance = DRIFTING_NUISANCE
-    preprocess: Preprocess = field(default_factory=Preprocess)
+    set_name: ClassVar[str] = "tactip_pose"
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the stimuli."""
-        return list_stimulus_names(self.stimuli)
-
-    def rules(self) -> Iterator[Rule]:
-        yield from _list_simulated_rules(self)
-
-
-def _list_simulated_rules(data: PairedData | PoseData) -> Iterator[Rule]:
-    yield Rule(len(data.stimuli) > 0, "stimuli", "name at least one")
-    yield Rule(len(set(data.names)) == len(data.names), "stimuli", "name each stimulus once")
-    yield Rule(
-        data.poses >= BLOCK,
-        "poses",
-        f"use at least {BLOCK}, so that each of the three splits gets a pose",
-    )
-    yield make_seed_rule(data.seed)
-    yield Rule(
-        data.friction is None or data.friction >= 0,
-        "friction",
-        "use 0 or more, or none for each material's own",
-    )
-    camera, nuisance = data.camera, data.nuisance
-    yield Rule(
-        data.preprocess.size <= camera.frame_px,
-        "preprocess.size",
-        f"larger than the camera's frame of {camera.frame_px} px: "
-        "use a smaller size or a larger camera.frame_px",
-    )
-    for name, most in (("blur_px", camera.frame_px / 8), ("drift_px", camera.frame_px / 4)):
-        yield Rule(
-            0 <= getattr(nuisance, name) <= most,
-            f"nuisance.{name}",
-            f"use 0 to {most:g} for a frame of {camera.frame_px} px",
-        )
+    poses: Poses = 2400
+    seed: Seed = 1
 
 
 # pairings that need a renderer; "simulated" for test slides alone
@@ -169,7 +222,7 @@ RENDERED_PAIRINGS = ("rendered", "simulated")
 
 
 @dataclass(frozen=True)
-class Recorded:
+class Recorded(SourceSettings):
     """The set `tactip_recorded`, which replaces `PairedData`: recorded slides, each with a tap.
 
     `split` chooses what is kept out of training:
@@ -180,6 +233,15 @@ class Recorded:
     * "folder": folders so named alone; an error if there is none.
     """
 
+    set_name: ClassVar[str] = "tactip_recorded"
+    version: ClassVar[str] = "1.0.0"
+    not_stored: ClassVar[tuple[str, ...]] = (
+        *("tap_folder", "slide_folder", "pairs", "pairing"),
+        *("labelled", "unlabelled", "direct_taps"),
+    )
+    source: ClassVar[type | str] = "jaxunshear.data.recorded_source:RecordedSource"
+    contacts: ClassVar[str] = "recordings"
+
     tap_folder: str = ""  # empty: there are no taps
     slide_folder: str = ""  # may be the tap folder: labels distinguish slides from taps
     digest: str = ""  # of the files there; computed when the recordings are named
@@ -188,17 +250,17 @@ class Recorded:
     # the tap of the nearest pose; "pose_id" and "file": a recorded tap; "simulated": training
     # slides are simulated, and recorded ones are for tests alone
     pairing: PairingMethod = "rendered"
-    labelled: float = 1.0  # share of the training slides whose labels are used
+    labelled: Share = 1.0  # share of the training slides whose labels are used
     # training slides without a label; "read": posenet_sheared reads their poses
     unlabelled: Literal["left_out", "read"] = "left_out"
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
     # kept out of training: poses at "random", a "block" of poses that are close, or a "folder"
-    split: SplitMethod = "random"
-    test: float = 0.1  # share of the poses for test, if no folder is
-    validation: float = 0.1  # likewise, to choose the best checkpoint
-    seed: int = 0  # of that draw, or of the block's place
+    split: Literal["random", "block", "folder"] = "random"
+    test: Half = 0.1  # share of the poses for test, if no folder is
+    validation: Half = 0.1  # likewise, to choose the best checkpoint
+    seed: Seed = 0  # of that draw, or of the block's place
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def rules(self) -> Iterator[Rule]:
@@ -212,29 +274,46 @@ class Recorded:
             "pairs",
             "a table of pairs goes with pairing file: add both, or neither",
         )
+        is_default = (self.labelled, self.unlabelled, self.direct_taps) == (1, "left_out", "none")
         yield Rule(
-            self.pairing != "simulated" or (self.labelled == 1 and self.unlabelled == "left_out"),
+            self.pairing != "simulated" or is_default,
             "pairing",
             "simulated takes no recorded slide to learn from: "
-            "leave labelled at 1 and unlabelled at left_out",
+            "leave labelled at 1, unlabelled at left_out and direct_taps at none",
         )
-        yield Rule(
-            self.direct_taps == "none" or self.pairing != "simulated",
-            "direct_taps",
-            "adds taps to recorded slides: leave it at none with pairing simulated",
-        )
-        yield Rule(0 < self.labelled <= 1, "labelled", "use a share above 0, at most 1")
         yield Rule(
             self.unlabelled == "left_out" or self.pairing in ("rendered", "nearest"),
             "unlabelled",
             f"poses that are read give no partner for pairing {self.pairing}: "
             "use pairing rendered or nearest",
         )
-        for name in ("test", "validation"):
-            yield Rule(0 < getattr(self, name) < 0.5, name, "use a share between 0 and 0.5")
-        yield make_seed_rule(self.seed)
+
+    def list_helpers(self, spec: NetworkSpec, pins: bool) -> tuple[str, ...]:
+        if spec.role == "unshears":
+            reads = (POSENET_SHEARED,) if self.unlabelled == "read" else ()
+            return reads + ((RENDERER,) if self.pairing in RENDERED_PAIRINGS else ())
+        if spec.learns_from == "slides":
+            return (RENDERER,) if self.direct_taps == "rendered" else ()
+        return (RENDERER,) if pins and spec.name != RENDERER else ()
+
+    def select_for(
+        self, spec: NetworkSpec, pose: "PoseData | RecordedTaps"
+    ) -> "SourceSettings | PoseData":
+        used = replace(self, labelled=1.0) if spec.learns_from == "taps" else self
+        if spec.name != POSENET_SHEARED:
+            used = replace(used, direct_taps="none")
+        if spec.role == "unshears":
+            return used
+        # of all these only posenet_sheared uses pairing, if it learns from simulated slides
+        simulated = spec.learns_from == "slides" and used.pairing == "simulated"
+        pairing: PairingMethod = "simulated" if simulated else "rendered"
+        return replace(used, pairing=pairing, pairs="", unlabelled="left_out")
 
 
 @dataclass(frozen=True)
 class RecordedTaps:
-    """The taps of the recordings that `Recorded` names; replaces `PoseData`."""
+    """The taps of the source that `paired` names; replaces `PoseData`."""
+
+
+SourceSettings.registered |= {kind.__name__: kind for kind in (PairedData, Recorded)}
+DataSettings = SourceSettings | PoseData

@@ -1,40 +1,16 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import cast
 
-from jaxunshear.config.data import (
-    RENDERED_PAIRINGS,
-    PairedData,
-    PoseData,
-    Recorded,
-    RecordedTaps,
-    make_seed_rule,
-)
+from jaxunshear.config.data import PairedData, PoseData, RecordedTaps, Seed, SourceSettings
 from jaxunshear.config.networks import PinNet, PoseNet, UnshearNet
-from jaxunshear.config.registry import (
-    ALL_NETWORKS,
-    NETWORKS,
-    POSENET_SHEARED,
-    POSENETS,
-    RENDERER,
-    TAP_NETWORKS,
-    TEACHER,
-    UNSHEARING,
-    Network,
-)
+from jaxunshear.config.registry import ALL_NETWORKS, NETWORKS, Network
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
-from jaxunshear.config.training import (
-    POSENET_TRAINING,
-    Training,
-    drop_pair_losses,
-    uses_teacher,
-)
+from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Rule
-from jaxunshear.errors import UserError
 
 PIN_TRAINING = Training(
     epochs=100,
@@ -58,7 +34,7 @@ class Experiment:
 
     name: str  # also of the folder of its results
     claim: str  # what it is to show
-    seed: int = 0  # of weights and batches
+    seed: Seed = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # to train and evaluate, of ALL_NETWORKS
     # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
@@ -69,7 +45,7 @@ class Experiment:
     sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
     # pose targets, written as in targets.py; empty: all usual ones that vary in the data
     targets: tuple[str, ...] = ()
-    paired: PairedData | Recorded = field(default_factory=PairedData)
+    paired: SourceSettings = field(default_factory=PairedData)
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
@@ -87,7 +63,6 @@ class Experiment:
             "name",
             "use letters, digits, '-', '_' and '.'; it names the folder of the results",
         )
-        yield make_seed_rule(self.seed)
         yield Rule(
             len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
         )
@@ -101,99 +76,17 @@ class Experiment:
         )
 
 
-def get_recorded(experiment: Experiment) -> Recorded | None:
-    """Return the recordings that an experiment is about; None for a simulated one."""
-    return experiment.paired if isinstance(experiment.paired, Recorded) else None
-
-
-def require_simulated(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
-    """Return the simulated sets of an experiment.
-
-    Raises UserError if it is about recordings, which `what` cannot use.
-    """
-    if isinstance(experiment.paired, Recorded) or isinstance(experiment.pose, RecordedTaps):
-        raise UserError(
-            f"{what} needs a model of simulated touches: '{experiment.name}' learnt from recordings"
-        )
-    return experiment.paired, experiment.pose
-
-
 def uses_pins(experiment: Experiment) -> bool:
     """Return whether the networks that are evaluated read pins, not images."""
     return experiment.unshear.input == "pins"
 
 
-def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
-    """List the networks to train, in this order: `experiment.networks` after those they need.
-
-    They may need a renderer, a teacher, and a PoseNet that reads slides without labels.
-    """
-    recorded = get_recorded(experiment)
-    networks: list[str] = []
-    if set(experiment.networks) & set(UNSHEARING):
-        training = experiment.train_pins if uses_pins(experiment) else experiment.train
-        if uses_teacher(training):
-            networks.append(TEACHER)
-        if recorded and recorded.unlabelled == "read":
-            networks.append(POSENET_SHEARED)
-    networks += experiment.networks
-    if recorded and _needs_renderer(recorded, networks, uses_pins(experiment)):
-        networks.insert(0, RENDERER)
-    return tuple(dict.fromkeys(networks))
-
-
-def _needs_renderer(recorded: Recorded, networks: Collection[str], pins: bool) -> bool:
-    """Return whether one of `networks` learns from rendered taps."""
-    return (
-        (recorded.pairing in RENDERED_PAIRINGS and not set(UNSHEARING).isdisjoint(networks))
-        or (recorded.direct_taps == "rendered" and POSENET_SHEARED in networks)
-        or (pins and not set(TAP_NETWORKS).isdisjoint(networks))
-    )
-
-
-def list_required_networks(experiment: Experiment, network: str) -> tuple[str, ...]:
-    """List the networks that must be trained in a folder, in this order, to have `network`."""
-    return list_trained_networks(replace(experiment, networks=(cast(Network, network),)))
-
-
-def get_training_data(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
-    """Return the data set that `network` learns from."""
-    if isinstance(experiment.pose, PoseData) and network in TAP_NETWORKS:
-        return experiment.pose
-    return experiment.paired
-
-
-def takes_taps(experiment: Experiment) -> bool:
-    """Return whether a network of a simulated experiment learns from the taps of `pose`."""
-    return any(
-        name in TAP_NETWORKS or "tap_identity" in get_training(experiment, name).losses
-        for name in list_trained_networks(experiment)
-    )
-
-
-def get_training(experiment: Experiment, network: str) -> Training:
-    """Return how `network` is trained."""
-    if network == RENDERER:
-        return drop_pair_losses(experiment.train_pins, pins=1.0)
-    if uses_pins(experiment) and network in POSENETS:
-        return drop_pair_losses(
-            experiment.train_pins, **_get_pin_posenet_losses(experiment, network)
-        )
-    if uses_pins(experiment):
-        return experiment.train_pins
-    if network == TEACHER:
-        return experiment.train_teacher
-    return experiment.train_posenet if network in POSENETS else experiment.train
-
-
-def _get_pin_posenet_losses(experiment: Experiment, network: str) -> dict[str, float]:
-    """Return the losses of a PoseNet over pins, which also learns from rendered taps, if any."""
-    recorded = get_recorded(experiment)
-    if network in TAP_NETWORKS:
-        rendered = RENDERER in list_trained_networks(experiment)
-    else:
-        rendered = recorded is not None and recorded.direct_taps == "rendered"
-    return {"pose": 1.0} | ({"rendered_pose": 1.0} if rendered else {})
+# fields of an experiment that add further tests, and how these tests are called
+FURTHER_TESTS = {
+    "other_jitters_mm": "depth_{:g}mm",
+    "other_twists_deg": "twist_{:g}deg",
+    "other_tilts_deg": "tilt_{:g}deg",
+}
 
 
 def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:
@@ -201,19 +94,21 @@ def list_further_tests(experiment: Experiment) -> dict[str, PairedData]:
 
     All splits of such a set are for testing, so it has a fifth of the poses, like a test split.
     """
-    if not isinstance(experiment.paired, PairedData):
-        return {}
     paired = experiment.paired
+    if not isinstance(paired, PairedData):
+        return {}
     fifth = replace(paired, poses=max(5, round(0.2 * paired.poses)), seed=paired.seed + 1000)
-    tests = {}
-    if experiment.unseen:
-        tests["unseen"] = replace(fifth, stimuli=experiment.unseen)
-    for jitter in experiment.other_jitters_mm:
-        tests[f"depth_{jitter:g}mm"] = replace(fifth, tap_depth_jitter_mm=jitter)
-    for twist in experiment.other_twists_deg:
-        tests[f"twist_{twist:g}deg"] = replace(
-            fifth, ranges=replace(paired.ranges, twist_deg=twist)
-        )
-    for tilt in experiment.other_tilts_deg:
-        tests[f"tilt_{tilt:g}deg"] = replace(fifth, ranges=replace(paired.ranges, tilt_deg=tilt))
+    tests = {"unseen": replace(fifth, stimuli=experiment.unseen)} if experiment.unseen else {}
+    changes: dict[str, Callable[[float], PairedData]] = {
+        "other_jitters_mm": lambda jitter: replace(fifth, tap_depth_jitter_mm=jitter),
+        "other_twists_deg": lambda twist: _replace_range(fifth, twist_deg=twist),
+        "other_tilts_deg": lambda tilt: _replace_range(fifth, tilt_deg=tilt),
+    }
+    for group, name in FURTHER_TESTS.items():
+        for value in getattr(experiment, group):
+            tests[name.format(value)] = changes[group](value)
     return tests
+
+
+def _replace_range(data: PairedData, **ranges: float) -> PairedData:
+    return replace(data, ranges=replace(data.ranges, **ranges))

@@ -133,7 +133,6 @@ def _format_item(item: object) -> str:
 
 
 def _suggest_field(name: str, kinds: list[str]) -> str:
-    """Return how a message about an unknown field goes on."""
     if name in ("paired.config", "pose.config"):
         return (
             ": a configuration is chosen by the experiment's file; "

@@ -1,11 +1,23 @@
 """The camera, what disturbs its frames, and how a frame becomes a binary image."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
-from jaxunshear.config.types import Rule
+from jaxunshear.config.types import Bound, Fraction, Positive, Share, between
 
-SMALLEST_PX, LARGEST_PX = 16, 4096
+Pixels = Annotated[int, between(16, 4096)]
+Housing = Annotated[
+    float,
+    Bound(lambda ratio: ratio >= 1, "use 1 or more: the housing lies outside the outermost pins"),
+]
+Offset = Annotated[
+    float,
+    Bound(lambda offset: -1 < offset < 1, "use a fraction of full scale between -1 and 1"),
+]
+OuterPins = Annotated[
+    float,
+    Bound(lambda share: 0 < share <= 0.5, "use a fraction of the image above 0, at most 0.5"),
+]
 
 
 @dataclass(frozen=True)
@@ -18,24 +30,11 @@ class Camera:
     this; a far pinhole does the same without a model of the lens.
     """
 
-    frame_px: int = 256  # side of the frame
-    mm_across: float = 33.5  # that the frame shows, at the height of the undeformed apex pin
+    frame_px: Pixels = 256  # side of the frame
+    mm_across: Positive = 33.5  # that the frame shows, at the height of the undeformed apex pin
     distance_mm: float = 200.0  # from the undeformed apex up to the pinhole
     # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
-    housing: float = 1.22
-
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            SMALLEST_PX <= self.frame_px <= LARGEST_PX,
-            "frame_px",
-            f"use {SMALLEST_PX} to {LARGEST_PX}",
-        )
-        yield Rule(self.mm_across > 0, "mm_across", "must be above zero")
-        yield Rule(
-            self.housing >= 1,
-            "housing",
-            "use 1 or more: the housing lies outside the outermost pins",
-        )
+    housing: Housing = 1.22
 
 
 # shows the wider outer ring of `sensor.TACTIP_331_FLUSH` at the same place in the frame
@@ -52,21 +51,12 @@ class Nuisance:
     """
 
     housing_ring: bool = True  # the lit housing around the dome
-    specks: int = 6  # mean number in a frame
+    specks: Annotated[int, between(0, 1000)] = 6  # mean number in a frame
     blur_px: float = 0.6  # standard deviation, frame pixels
-    noise: float = 0.02  # standard deviation of each pixel
-    brightness: float = 0.15  # largest relative change of the pins' brightness
+    noise: Fraction = 0.02  # standard deviation of each pixel
+    brightness: Fraction = 0.15  # largest relative change of the pins' brightness
     drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
-    drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
-
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(0 <= self.specks <= 1000, "specks", "use 0 to 1000")
-        for field in ("noise", "brightness", "drift_brightness"):
-            yield Rule(
-                0 <= getattr(self, field) < 1,
-                field,
-                "use 0 up to, but not, 1 (fractions of full scale)",
-            )
+    drift_brightness: Fraction = 0.0  # relative loss of brightness over a set: wear
 
 
 @dataclass(frozen=True)
@@ -76,29 +66,10 @@ class Preprocess:
     The steps are: grey, crop, resize by area, threshold against a local mean, circular mask.
     """
 
-    size: int = 128  # output pixels, square
-    block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
+    size: Pixels = 128  # output pixels, square
+    block: Share = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
     # a pixel is white if it exceeds the local mean by this fraction of full scale
-    offset: float = 0.08
-    mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
+    offset: Offset = 0.08
+    mask_radius: Share = 0.48  # of the circular mask, as a fraction of `size`
     # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
-    outer_pins: float = 0.375
-
-    def rules(self) -> Iterator[Rule]:
-        yield Rule(
-            SMALLEST_PX <= self.size <= LARGEST_PX,
-            "size",
-            f"use {SMALLEST_PX} to {LARGEST_PX} px",
-        )
-        yield Rule(0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1")
-        yield Rule(-1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1")
-        yield Rule(
-            0 < self.outer_pins <= 0.5,
-            "outer_pins",
-            "use a fraction of the image above 0, at most 0.5",
-        )
-        yield Rule(
-            0 < self.mask_radius <= 1,
-            "mask_radius",
-            "use a fraction of the image above 0, at most 1",
-        )
+    outer_pins: OuterPins = 0.375

@@ -6,8 +6,10 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
-from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.data import PoseData
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.serialization import build_value
@@ -40,7 +42,8 @@ def apply_preset(experiment: Experiment, file: Path) -> Experiment:
 
     Raises UserError.
     """
-    paired, pose = require_simulated(experiment, "--sensor-from")
+    paired = experiment.paired.get_simulated("--sensor-from")
+    pose = cast(PoseData, experiment.pose)
     preset = read_preset(file)
     camera = replace(preset.camera, frame_px=paired.camera.frame_px)
     return replace(

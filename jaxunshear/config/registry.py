@@ -30,8 +30,6 @@ class NetworkSpec:
     name: str
     role: Literal["unshears", "reads poses", "renders"]
     learns_from: Literal["pairs", "taps", "slides"]
-    # groups of an experiment that its training over images does not read
-    unused_groups: tuple[str, ...]
     title: str = ""  # of its images in tables and figures
     has_codes: bool = False  # whether it depends on the sizes of the codes
     supports_pins: bool = True  # whether it may read pins instead of images
@@ -39,19 +37,15 @@ class NetworkSpec:
     released_parts: tuple[str, ...] | None = None
 
 
-_UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
 REGISTRY = {
     spec.name: spec
     for spec in (
-        NetworkSpec(RENDERER, "renders", "taps", _UNSHEARS),
-        NetworkSpec(
-            TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")
-        ),
+        NetworkSpec(RENDERER, "renders", "taps"),
+        NetworkSpec(TEACHER, "reads poses", "taps"),
         NetworkSpec(
             ENTANGLED,
             "unshears",
             "pairs",
-            _UNSHEARS,
             "entangled",
             released_parts=("E", "DC", *PIN_CONSTANTS),
         ),
@@ -59,35 +53,21 @@ REGISTRY = {
             DISENTANGLED,
             "unshears",
             "pairs",
-            _UNSHEARS,
             "disentangled",
             has_codes=True,
             released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
         ),
-        NetworkSpec(
-            POSENET,
-            "reads poses",
-            "taps",
-            ("paired", "unshear", "train", "train_teacher"),
-            released_parts=(),
-        ),
+        NetworkSpec(POSENET, "reads poses", "taps", released_parts=()),
         NetworkSpec(
             ENTANGLED_LARGE,
             "unshears",
             "pairs",
-            _UNSHEARS,
             "entangled, as many parameters",
             has_codes=True,
             supports_pins=False,
         ),
-        NetworkSpec(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", supports_pins=False),
-        NetworkSpec(
-            POSENET_SHEARED,
-            "reads poses",
-            "slides",
-            ("pose", "unshear", "train", "train_teacher"),
-            released_parts=(),
-        ),
+        NetworkSpec(UNET, "unshears", "pairs", "U-Net", supports_pins=False),
+        NetworkSpec(POSENET_SHEARED, "reads poses", "slides", released_parts=()),
     )
 }
 TRAINABLE = tuple(REGISTRY)

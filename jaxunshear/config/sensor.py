@@ -13,12 +13,17 @@ A marker layout is one function. In an experiment file it is registered by one l
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from jaxunshear.config.types import Rule, check_rules
+from jaxunshear.config.types import Bound, NotNegative, Positive, Rule, between, check_rules
 from jaxunshear.errors import UserError
+
+Poisson = Annotated[
+    float,
+    Bound(lambda ratio: 0 <= ratio < 0.5, "use 0 up to, but not, 0.5 (exactly incompressible)"),
+]
 
 
 @dataclass(frozen=True)
@@ -34,16 +39,16 @@ class Sensor:
     # "rings": of 1, 6, 12, ... pins; "hexagonal": a triangular lattice cut to a hexagon; or one
     # that an experiment file registers
     layout: str = "rings"
-    rings: int = 10  # of pins, around the one at the apex
-    pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
-    pin_radius_mm: float = 0.45  # of a white tip
-    pin_length_mm: float = 1.0  # from the skin's inner face to the white tip
-    dome_radius_mm: float = 20.0  # outside
-    skin_mm: float = 1.0  # thickness
-    skin_modulus_mpa: float = 1.0  # Young's
-    gel_modulus_mpa: float = 0.1  # Young's
-    skin_poisson: float = 0.49  # ratio; 0.5 would be incompressible
-    gel_poisson: float = 0.49  # likewise
+    rings: Annotated[int, between(1, 50)] = 10  # of pins, around the one at the apex
+    pin_spacing_mm: Positive = 1.5  # between neighbouring rings, along the dome
+    pin_radius_mm: Positive = 0.45  # of a white tip
+    pin_length_mm: NotNegative = 1.0  # from the skin's inner face to the white tip
+    dome_radius_mm: Positive = 20.0  # outside
+    skin_mm: Positive = 1.0  # thickness
+    skin_modulus_mpa: Positive = 1.0  # Young's
+    gel_modulus_mpa: Positive = 0.1  # Young's
+    skin_poisson: Poisson = 0.49  # ratio; 0.5 would be incompressible
+    gel_poisson: Poisson = 0.49  # likewise
 
     @property
     def pins(self) -> int:
@@ -66,27 +71,8 @@ class Sensor:
 
     def rules(self) -> Iterator[Rule]:
         yield Rule(self.layout in LAYOUTS, "layout", _explain_layouts())
-        yield Rule(1 <= self.rings <= 50, "rings", "use 1 to 50")
-        for field in (
-            "pin_spacing_mm",
-            "pin_radius_mm",
-            "dome_radius_mm",
-            "skin_mm",
-            "skin_modulus_mpa",
-            "gel_modulus_mpa",
-        ):
-            yield Rule(0 < getattr(self, field) < math.inf, field, "must be above zero, and finite")
-        yield Rule(
-            0 <= self.pin_length_mm < math.inf,
-            "pin_length_mm",
-            "must not be below zero, and finite",
-        )
-        for field in ("skin_poisson", "gel_poisson"):
-            yield Rule(
-                0 <= getattr(self, field) < 0.5,
-                field,
-                "use 0 up to, but not, 0.5 (exactly incompressible)",
-            )
+        for name, value in vars(self).items():
+            yield Rule(not isinstance(value, float) or math.isfinite(value), name, "must be finite")
         yield Rule(
             2 * self.pin_radius_mm < self.pin_spacing_mm,
             "pin_radius_mm",

@@ -129,75 +129,59 @@ def _check_form(sweep: Sweep, source: str) -> None:
 
 
 def _list_form_rules(sweep: Sweep) -> Iterator[Rule]:
-    """Yield the rules that the fields of a sweep file are of the right types and fit together."""
-    yield Rule(isinstance(sweep.name, str), "name", "is no text")
-    yield Rule(isinstance(sweep.claim, str), "claim", "is no text")
-    yield Rule(
-        isinstance(sweep.base, Experiment),
-        "base",
-        f"is of type {type(sweep.base).__name__}, not Experiment",
-    )
-    yield from _list_grid_rules(sweep)
-    yield from _list_row_rules(sweep)
-    yield from _list_field_rules(sweep)
-    yield from _list_seed_rules(sweep.seeds)
+    for field, value in (
+        ("name", sweep.name),
+        ("claim", sweep.claim),
+        ("reference", "" if sweep.reference is None else sweep.reference),
+    ):
+        yield Rule(isinstance(value, str), field, "is no text")
+    kind = type(sweep.base).__name__
+    yield Rule(isinstance(sweep.base, Experiment), "base", f"is of type {kind}, not Experiment")
     yield Rule(isinstance(sweep.ablation, bool), "ablation", "is neither True nor False")
     yield Rule(
-        sweep.reference is None or isinstance(sweep.reference, str),
-        "reference",
-        "is no label of a cell",
-    )
-
-
-def _list_grid_rules(sweep: Sweep) -> Iterator[Rule]:
-    yield Rule(
-        isinstance(sweep.grid, tuple) and all(map(_is_change, sweep.grid)),
+        _are_axes(sweep.grid),
         "grid",
         'is no tuple of axes ("field", (value, value)) '
         'or (("field", "field"), ((value, value), (value, value)))',
     )
-    for fields, values in sweep.grid:
-        yield Rule(
-            isinstance(values, tuple) and len(values) > 0,
-            "grid",
-            f"lists no values for {fields}: give a tuple of some",
-        )
-        yield Rule(
-            all(_has_value_each(fields, value) for value in values),
-            "grid",
-            f"needs tuples of a value each for {fields}",
-        )
-
-
-def _list_row_rules(sweep: Sweep) -> Iterator[Rule]:
     yield Rule(
-        isinstance(sweep.rows, tuple) and all(map(_is_row, sweep.rows)),
+        isinstance(sweep.rows, tuple) and all(map(_are_axes, sweep.rows)),
         "rows",
         'is no tuple of rows (("field", value), ("field", value))',
     )
+    for fields, values in sweep.grid:
+        has_values = isinstance(values, tuple) and len(values) > 0
+        yield Rule(has_values, "grid", f"lists no values for {fields}: give a tuple of some")
+        for value in values:
+            yield _make_value_rule("grid", fields, value)
+    for row in sweep.rows:
+        for fields, value in row:
+            yield _make_value_rule("rows", fields, value)
+    yield from _list_field_rules(sweep)
+    yield from _list_label_rules(sweep)
+    seeds = sweep.seeds
     yield Rule(
-        isinstance(sweep.labels, tuple)
-        and all(isinstance(label, str) and label for label in sweep.labels),
+        isinstance(seeds, tuple) and len(seeds) > 0 and all(map(_is_seed, seeds)),
+        "seeds",
+        f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
+    )
+    yield Rule(len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice")
+
+
+def _list_label_rules(sweep: Sweep) -> Iterator[Rule]:
+    labels, rows = sweep.labels, len(sweep.rows)
+    yield Rule(
+        isinstance(labels, tuple) and all(isinstance(label, str) and label for label in labels),
         "labels",
         "is no tuple of texts",
     )
     yield Rule(
-        len(sweep.labels) in (0, len(sweep.rows)),
-        "labels",
-        f"needs one for each of the {len(sweep.rows)} rows, or none",
+        len(labels) in (0, rows), "labels", f"needs one for each of the {rows} rows, or none"
     )
-    yield Rule(len(set(sweep.labels)) == len(sweep.labels), "labels", "lists one twice")
-    for row in sweep.rows:
-        for fields, value in row:
-            yield Rule(
-                _has_value_each(fields, value),
-                "rows",
-                f"needs a tuple of a value each for {fields}",
-            )
+    yield Rule(len(set(labels)) == len(labels), "labels", "lists one twice")
 
 
 def _list_field_rules(sweep: Sweep) -> Iterator[Rule]:
-    """Yield the rules of which fields may be varied."""
     varied = list_varied_fields(sweep)
     repeated = next((field for field in varied if varied.count(field) > 1), None)
     yield Rule(repeated is None, "grid", f"varies {repeated} on two axes")
@@ -211,36 +195,22 @@ def _list_field_rules(sweep: Sweep) -> Iterator[Rule]:
             yield Rule(field not in fields, place, f"varies {field}, which decides nothing")
 
 
-def _list_seed_rules(seeds: object) -> Iterator[Rule]:
-    yield Rule(
-        isinstance(seeds, tuple) and len(seeds) > 0 and all(map(_is_seed, seeds)),
-        "seeds",
-        f"(or --seeds) is no tuple of integers from 0 to {MAX_SEED}",
-    )
-    yield Rule(
-        isinstance(seeds, tuple) and len(set(seeds)) == len(seeds),
-        "seeds",
-        "(or --seeds) lists a seed twice",
-    )
+def _make_value_rule(place: str, fields: Fields, value: Value) -> Rule:
+    is_single = isinstance(fields, str)
+    has_each = is_single or (isinstance(value, tuple) and len(value) == len(fields))
+    return Rule(has_each, place, f"needs tuples of a value each for {fields}")
 
 
 def _is_seed(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MAX_SEED
 
 
-def _is_row(row: object) -> bool:
-    return isinstance(row, tuple) and all(map(_is_change, row))
+def _are_axes(axes: object) -> bool:
+    return isinstance(axes, tuple) and all(
+        isinstance(pair, tuple) and len(pair) == 2 and _are_fields(pair[0]) for pair in axes
+    )
 
 
-def _is_change(pair: object) -> bool:
-    """Return whether a pair begins with a field, or a tuple of fields."""
-    if not isinstance(pair, tuple) or len(pair) != 2:
-        return False
-    fields = pair[0]
-    if isinstance(fields, tuple):
-        return len(fields) > 0 and all(isinstance(field, str) for field in fields)
-    return isinstance(fields, str)
-
-
-def _has_value_each(fields: Fields, value: Value) -> bool:
-    return isinstance(fields, str) or (isinstance(value, tuple) and len(value) == len(fields))
+def _are_fields(fields: object) -> bool:
+    names = fields if isinstance(fields, tuple) else (fields,)
+    return len(names) > 0 and all(isinstance(name, str) for name in names)

@@ -96,6 +96,17 @@ def parse_target(text: str, names: Iterable[str]) -> TargetText:
     return TargetText(name, kind, weight)
 
 
+def list_text_problems(texts: Sequence[str], names: Iterable[str]) -> list[str]:
+    """List what is wrong with the texts of targets, whose names must be among `names`."""
+    problems, parsed = [], []
+    for text in texts:
+        try:
+            parsed.append(parse_target(text, names).name)
+        except UserError as error:
+            problems.append(str(error))
+    return problems + (["name each once"] if len(set(parsed)) < len(parsed) else [])
+
+
 def make_range_targets(texts: Sequence[str], ranges: Ranges) -> Targets:
     """Make the targets of a simulated set; without texts, those of PAPER_TARGETS that vary.
 

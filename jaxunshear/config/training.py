@@ -2,29 +2,46 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
-from jaxunshear.config.losses import EXCHANGE, SUPERVISION, LossWeights
-from jaxunshear.config.types import Rule
+from jaxunshear.config.losses import SUPERVISION, LossWeights
+from jaxunshear.config.types import (
+    Bound,
+    Count,
+    Fraction,
+    NotNegative,
+    Positive,
+    Rule,
+    Share,
+    between,
+)
+
+Drops = Annotated[
+    tuple[tuple[float, float], ...],
+    Bound(
+        lambda drops: all(epoch > 0 and 0 < factor <= 1 for epoch, factor in drops),
+        "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
+    ),
+]
 
 
 @dataclass(frozen=True)
 class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
-    epochs: float = 6.0  # passes through the training examples
-    batch: int = 16  # examples a step
+    epochs: Positive = 6.0  # passes through the training examples
+    batch: Count = 16  # examples a step
     # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
     optimiser: Literal["adam", "muon"] = "adam"
-    learning_rate: float = 1e-3  # at the start
+    learning_rate: Share = 1e-3  # at the start
     # "cosine": to zero over the run; "steps": factors of `drops`
     schedule: Literal["cosine", "steps"] = "cosine"
-    drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
+    drops: Drops = ()  # (epoch, factor on the first learning rate)
     # of Adam, which with "muon" trains the first and last layers, biases and normalisation
-    beta1: float = 0.5
-    beta2: float = 0.999  # of Adam
-    l1: float = 0.0  # weight of |w|, added up over all convolution and dense kernels
-    l2: float = 0.0  # weight of w^2, likewise
+    beta1: Fraction = 0.5
+    beta2: Fraction = 0.999  # of Adam
+    l1: NotNegative = 0.0  # weight of |w|, added up over all convolution and dense kernels
+    l2: NotNegative = 0.0  # weight of w^2, likewise
     # "sum": over a kernel's weights, as Keras does; "mean": does not depend on a kernel's size
     kernels: Literal["sum", "mean"] = "sum"
     # weights of all losses that are computed, by their names in config/losses.py; the defaults are
@@ -32,58 +49,37 @@ class Training:
     losses: Mapping[str, float] = LossWeights(
         {"supervised": 1.0, "patch": 0.1, "reconstruction": 1.0}
     )
-    crops: int = 100  # random crops an image, of the patch loss
-    crop_px: int = 20  # their side
+    crops: Count = 100  # random crops an image, of the patch loss
+    crop_px: Count = 20  # their side
     # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap;
     # other slides are left out
-    paired_share: float = 1.0
+    paired_share: Share = 1.0
     # decay of the exponential moving average of the weights; 0 switches it off
-    averaging: float = 0.99
+    averaging: Fraction = 0.99
     # largest random shift of images, as a fraction of their size (the paper: 1-2 %)
-    shift: float = 0.015
+    shift: Annotated[float, between(0, 0.25)] = 0.015
     # weights to start from: the name of released ones, or a run's folder; empty: random ones
     start: str = ""
-    validate_every: int = 100  # steps; a checkpoint is then written, too
-    validation_images: int = 256  # at most; the first of the validation split
+    validate_every: Count = 100  # steps; a checkpoint is then written, too
+    validation_images: Count = 256  # at most; the first of the validation split
 
     def __post_init__(self) -> None:
         if isinstance(self.losses, Mapping):  # else `check_types` reports it
             object.__setattr__(self, "losses", LossWeights(self.losses))
 
     def rules(self) -> Iterator[Rule]:
-        yield Rule(self.epochs > 0, "epochs", "must be above zero")
-        for field in ("batch", "validate_every", "validation_images"):
-            yield Rule(getattr(self, field) >= 1, field, "must be at least 1")
-        yield Rule(0 < self.learning_rate <= 1, "learning_rate", "use a number above 0, at most 1")
         yield Rule(
             not self.drops or self.schedule == "steps",
             "drops",
             "have no effect with this schedule: use schedule 'steps'",
         )
-        yield Rule(
-            all(epoch > 0 and 0 < factor <= 1 for epoch, factor in self.drops),
-            "drops",
-            "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
-        )
         epochs = [epoch for epoch, _ in self.drops]
         yield Rule(epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs")
-        for field in ("beta1", "beta2", "averaging"):
-            yield Rule(0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1")
-        for field in ("l1", "l2"):
-            yield Rule(getattr(self, field) >= 0, field, "must not be below zero")
         yield Rule(len(self.losses) > 0, "losses", "name at least one, as supervised:1")
         for name, weight in self.losses.items():
             yield Rule(
                 weight > 0, f"losses.{name}", "must not be below zero; 0 leaves the loss out"
             )
-        yield Rule(0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1")
-        yield Rule(0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25")
-        yield Rule(
-            self.crops >= 1,
-            "crops",
-            "must be at least 1; losses.patch 0 leaves the patch loss out",
-        )
-        yield Rule(self.crop_px >= 1, "crop_px", "must be at least 1")
 
 
 POSENET_TRAINING = Training(losses={"pose": 1.0})
@@ -98,11 +94,6 @@ def drop_pair_losses(training: Training, **losses: float) -> Training:
         crop_px=Training.crop_px,
         paired_share=Training.paired_share,
     )
-
-
-def uses_code_exchange(training: Training) -> bool:
-    """Return whether a network that unshears learns by exchanging codes between slides."""
-    return any(name in training.losses for name in EXCHANGE)
 
 
 def uses_teacher(training: Training) -> bool:

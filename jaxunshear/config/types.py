@@ -9,8 +9,8 @@ import math
 import sys
 import types
 import typing
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Annotated, Any, NamedTuple
 
 from jaxunshear.errors import UserError
 
@@ -26,6 +26,31 @@ class Rule(NamedTuple):
     remedy: str  # what is wrong with its value, and what to do instead
 
 
+class Bound(NamedTuple):
+    """A condition on each value of a field, which stands in the type of the field.
+
+    >>> epochs: Annotated[float, Bound(lambda value: value > 0, "must be above zero")] = 6.0
+    """
+
+    holds: Callable[[Value], bool]
+    remedy: str
+
+
+def between(low: float, high: float) -> Bound:
+    """Make the bound that a value is at least `low` and at most `high`."""
+    return Bound(lambda value: low <= value <= high, f"use {low:g} to {high:g}")
+
+
+Positive = Annotated[float, Bound(lambda value: value > 0, "must be above zero")]
+NotNegative = Annotated[float, Bound(lambda value: value >= 0, "must not be below zero")]
+Count = Annotated[int, Bound(lambda value: value >= 1, "must be at least 1")]
+Share = Annotated[float, Bound(lambda value: 0 < value <= 1, "use a share above 0, at most 1")]
+Fraction = Annotated[float, Bound(lambda value: 0 <= value < 1, "use 0 up to, but not, 1")]
+Counts = Annotated[
+    tuple[int, ...], Bound(lambda each: all(n >= 1 for n in each), "list positive numbers")
+]
+
+
 def check_types(settings: object) -> None:
     """Refuse, by dotted name, values of a wrong type; NaN and infinity count as wrong."""
     _check(settings, type(settings), "")
@@ -36,8 +61,11 @@ def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
     kind: type = type(settings)
     hints = list_hints(kind)
     for field, hint in hints.items():
+        value = getattr(settings, field)
         if choices := list_choices(hint):
-            yield _make_choice_rule(getattr(settings, field), choices, f"{group}{field}")
+            yield _make_choice_rule(value, choices, f"{group}{field}")
+        for bound in list_bounds(kind).get(field, ()):
+            yield Rule(bound.holds(value), f"{group}{field}", bound.remedy)
     for rule in settings.rules() if hasattr(settings, "rules") else ():
         yield rule._replace(field=f"{group}{rule.field}")
     for field in hints:
@@ -47,7 +75,6 @@ def list_declared_rules(settings: object, group: str = "") -> Iterator[Rule]:
 
 
 def _make_choice_rule(value: Value, choices: tuple[str, ...], field: str) -> Rule:
-    """Make the rule that the names in `value` are among `choices`."""
     items = value if isinstance(value, tuple) else (value,)
     unknown = ", ".join(item for item in items if isinstance(item, str) and item not in choices)
     subject = f"{unknown} is" if isinstance(value, tuple) else "is"
@@ -79,7 +106,18 @@ def is_weights(kind: Hint) -> bool:
 @functools.cache
 def list_hints(kind: type) -> dict[str, Hint]:
     """Return the fields of a group of settings and their types."""
-    return typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+@functools.cache
+def list_bounds(kind: type) -> dict[str, list[Bound]]:
+    """Return the bounds in the types of the fields of a group of settings."""
+    bounds: dict[str, list[Bound]] = {}
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        metadata = getattr(hint, "__metadata__", ())
+        bounds[name] = [each for each in metadata if isinstance(each, Bound)]
+    return bounds
 
 
 def get_origin(kind: Hint) -> object:
@@ -88,9 +126,17 @@ def get_origin(kind: Hint) -> object:
 
 
 def list_groups(kind: Hint) -> list[type]:
-    """Return the dataclasses that a field may hold: none, one, or those of a union."""
+    """Return the dataclasses that a field may hold: none, one, or those of a union or registry."""
     kinds = typing.get_args(kind) if _is_union(kind) else (kind,)
-    return [typing.cast(type, each) for each in kinds if dataclasses.is_dataclass(each)]
+    return [part for each in kinds for part in _list_dataclasses(each)]
+
+
+def _list_dataclasses(kind: Hint) -> list[type]:
+    """Return a dataclass, or those that have registered with a class as kinds of it."""
+    registered = getattr(kind, "__dict__", {}).get("registered")
+    if isinstance(registered, dict):
+        return list(registered.values())
+    return [typing.cast(type, kind)] if dataclasses.is_dataclass(kind) else []
 
 
 def get_optional(kind: Hint) -> Hint:
@@ -171,7 +217,6 @@ def _has_item_types(values: tuple, kind: Hint) -> bool:
 
 
 def _check(value: object, kind: Hint, name: str) -> None:
-    """Refuse a value, or one within it, that is not of the type `kind`."""
     if kinds := list_groups(kind):
         group = next((each for each in kinds if isinstance(value, each)), None)
         if group is None:

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.cluster import Call, CallRunner, WorkerDied, run_locally
-from jaxunshear.config.configs import compute_config_name, get_set_name
+from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import LAYOUTS, LayoutFunction, Sensor
@@ -91,7 +91,7 @@ def simulate_chunks(
         )
         for path, batch in missing.items()
     )
-    label = f"simulate {get_set_name(settings)}/{compute_config_name(settings, sensor)}"
+    label = f"simulate {settings.set_name}/{compute_config_name(settings, sensor)}"
     done = len(scenes) - sum(map(len, missing.values()))
     with Progress(label, len(scenes), unit="contacts", done=done) as progress:
         for path, chunk in engine.run_calls(calls):
@@ -160,6 +160,26 @@ def load_chunk(path: Path) -> Chunk:
         raise UserError(
             f"chunk {path} cannot be read ({error}): delete it and run the same command again"
         ) from error
+
+
+def write_chunks(
+    folder: Path, parts: list[np.ndarray], make: Callable[[list[int]], Iterable[Chunk]], label: str
+) -> list[Path]:
+    """Write a file for each part, rows of contacts; files that exist are kept, returns all.
+
+    `make` yields the chunks of the parts of these numbers, in order.
+    """
+    paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    if not missing:
+        return paths
+    count = sum(map(len, parts))
+    done = count - sum(len(parts[index]) for index in missing)
+    with Progress(label, count, "contacts", done=done) as progress:
+        for index, chunk in zip(missing, make(missing), strict=True):
+            write_npz(paths[index], chunk)
+            progress.advance(len(parts[index]))
+    return paths
 
 
 class ChunkRow(NamedTuple):

@@ -36,7 +36,7 @@ def summarise_set(
         iterations[chunk["number"]] = chunk["iterations"]
         retried += int(chunk["retried"].sum())
     written, unpaired = usable, 0
-    if isinstance(settings, PairedData):
+    if samples.is_slide.any():
         slides = usable & samples.is_slide
         written = slides & _has_tap(samples, usable)
         unpaired = int(slides.sum() - written.sum())

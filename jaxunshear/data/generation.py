@@ -1,4 +1,4 @@
-"""Make the data sets of an experiment, or find them."""
+"""Make stored data sets, or find them."""
 
 import contextlib
 import io
@@ -6,8 +6,7 @@ import shutil
 from pathlib import Path
 
 from jaxunshear.config import configs
-from jaxunshear.config.data import PoseData, Recorded
-from jaxunshear.config.experiment import Experiment, list_further_tests, takes_taps
+from jaxunshear.config.data import DataSettings, PairedData, PoseData, Recorded
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.data.chunks import SimulationEngine
 from jaxunshear.data.sampling import check_settings
@@ -27,7 +26,7 @@ def make_damage_error(folder: Path, what: str) -> UserError:
     return UserError(f"the data set in {folder} is damaged ({what}): {format_remedy(folder)}")
 
 
-def read_metadata(settings: configs.DataSettings, sensor: Sensor, data_dir: Path) -> dict:
+def read_metadata(settings: DataSettings, sensor: Sensor, data_dir: Path) -> dict:
     """Read `metadata.json` of a set: settings, sensor, counts, versions.
 
     Raises `UserError` if it is missing or damaged, or was made with other settings.
@@ -59,7 +58,7 @@ def read_metadata(settings: configs.DataSettings, sensor: Sensor, data_dir: Path
 
 
 def make_set(
-    settings: configs.DataSettings,
+    settings: DataSettings,
     sensor: Sensor = TACTIP_331,
     data_dir: Path = Path("datasets"),
     engine: SimulationEngine | None = None,
@@ -69,8 +68,7 @@ def make_set(
     A killed run is continued. Returns the set's metadata. Raises `UserError` for settings out of
     range, a set made with other settings, or a full disk.
     """
-    if not isinstance(settings, Recorded):
-        check_settings(settings)
+    check_settings(settings, sensor)
     folder = configs.get_set_folder(settings, sensor, data_dir)
     if not folder.exists():
         try:
@@ -84,19 +82,19 @@ def make_set(
 
 
 def _build(
-    settings: configs.DataSettings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
+    settings: DataSettings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
 ) -> None:
     import absl.logging
     import tensorflow_datasets as tfds
 
-    from jaxunshear.data.builders import paired, pose, recorded, stored
+    from jaxunshear.data.builders import recorded, simulated, stored
 
     builders = {
-        configs.PAIRED_SET: paired.TactipPaired,
-        configs.POSE_SET: pose.TactipPose,
-        configs.RECORDED_SET: recorded.TactipRecorded,
+        PairedData.set_name: simulated.TactipPaired,
+        PoseData.set_name: simulated.TactipPose,
+        Recorded.set_name: recorded.TactipRecorded,
     }
-    set_name, name = configs.get_set_name(settings), configs.compute_config_name(settings, sensor)
+    set_name, name = settings.set_name, configs.compute_config_name(settings, sensor)
     is_standard = name in configs.CONFIGS.get(set_name, {})
     config = name if is_standard else stored.SetConfig(name=name, settings=settings, sensor=sensor)
     # TFDS warns of each configuration that it does not know
@@ -107,26 +105,3 @@ def _build(
         builder.engine = engine
     with contextlib.redirect_stdout(io.StringIO()):  # TFDS announces a download
         builder.download_and_prepare()
-
-
-def list_sets(experiment: Experiment) -> dict[str, configs.DataSettings]:
-    """List the settings of all sets that an experiment needs.
-
-    They are named after the sets, and those of further tests after the tests.
-    """
-    sets: dict[str, configs.DataSettings] = {
-        configs.get_set_name(experiment.paired): experiment.paired
-    }
-    if takes_taps(experiment) and isinstance(experiment.pose, PoseData):
-        sets[configs.POSE_SET] = experiment.pose
-    return sets | list_further_tests(experiment)
-
-
-def make_sets(
-    experiment: Experiment, data_dir: Path, engine: SimulationEngine | None = None
-) -> dict[str, dict]:
-    """Make the sets of `list_sets`; returns their metadata by the same names."""
-    return {
-        name: make_set(settings, experiment.sensor, data_dir, engine)
-        for name, settings in list_sets(experiment).items()
-    }

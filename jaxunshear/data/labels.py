@@ -28,30 +28,14 @@ MAX_POSE_ID = 2.0**53
 UNKNOWN_ID = -1
 
 
-class WrongRow(NamedTuple):
-    number: int  # in the file, the heading being 1
-    text: str  # what is wrong with it
-
-
-@dataclass(frozen=True)
-class TableRow:
-    number: int  # in the file, the heading being 1
-    cells: dict[str, str]
-
-
-class MisfitRow(NamedTuple):
-    """A row that does not fit the heading."""
-
-    number: int
-    cells: int  # how many it has
-
-
 @dataclass(frozen=True)
 class LabelTable:
+    """A table of text; rows are known by their number in the file, the heading being 1."""
+
     file: Path
     columns: tuple[str, ...]
-    rows: tuple[TableRow, ...]
-    uneven: tuple[MisfitRow, ...]  # not among `rows`
+    rows: dict[int, dict[str, str]]  # cells by column
+    uneven: dict[int, int]  # rows that do not fit the heading: how many cells they have
 
 
 class Problem(str):
@@ -89,31 +73,26 @@ class ImageLabels(NamedTuple):
 
 def read_table(file: Path) -> LabelTable:
     """Read a table. Raises UserError, by file and row, for what is no table of text."""
-    heading, *lines = _read_lines(file)
-    columns = tuple(heading.cells)
-    for i, name in enumerate(columns):
-        if name and name in columns[:i]:
-            text = f"the heading names column {_format_cell(name)} twice"
-            raise _make_error(file, text, heading.number)
-    width = len(columns)
-    rows = [
-        TableRow(number, dict(zip(columns, cells, strict=True)))
-        for number, cells in lines
-        if len(cells) == width
-    ]
-    uneven = [MisfitRow(number, len(cells)) for number, cells in lines if len(cells) != width]
-    return LabelTable(file, columns, tuple(rows), tuple(uneven))
+    lines = _read_lines(file)
+    heading = min(lines)
+    columns = tuple(lines.pop(heading))
+    repeated = next((name for name in columns if name and columns.count(name) > 1), None)
+    if repeated is not None:
+        text = f"the heading names column {_format_cell(repeated)} twice"
+        raise _make_error(file, text, heading)
+    width, rows, uneven = len(columns), {}, {}
+    for number, cells in lines.items():
+        if len(cells) == width:
+            rows[number] = dict(zip(columns, cells, strict=True))
+        else:
+            uneven[number] = len(cells)
+    return LabelTable(file, columns, rows, uneven)
 
 
-class _Line(NamedTuple):
-    number: int
-    cells: list[str]
-
-
-def _read_lines(file: Path) -> list[_Line]:
-    """Read the lines of a CSV file that are not blank: one at least, or UserError."""
+def _read_lines(file: Path) -> dict[int, list[str]]:
+    """Read the cells of the lines of a CSV file that are not blank: one at least, or UserError."""
     reader = csv.reader(io.StringIO(_read_text(file), newline=""))
-    lines: list[_Line] = []
+    lines: dict[int, list[str]] = {}
     while True:
         number = reader.line_num + 1
         try:
@@ -123,7 +102,7 @@ def _read_lines(file: Path) -> list[_Line]:
         if cells is None:
             break
         if any(cell.strip() for cell in cells):
-            lines.append(_Line(number, [cell.strip() for cell in cells]))
+            lines[number] = [cell.strip() for cell in cells]
     if not lines:
         raise _make_error(file, "is empty")
     return lines
@@ -151,18 +130,17 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
     if column is None:
         text = f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used"
         raise _make_error(table.file, text, 1)
-    rows_by_name, problems = _index_rows(table, column, set(names))
-    missing = [name for name in names if name not in rows_by_name]
-    if missing:
+    numbers_by_name, problems = _index_rows(table, column, set(names))
+    numbers = [numbers_by_name.get(name) for name in names]
+    if missing := [name for name, number in zip(names, numbers, strict=True) if number is None]:
         text = (
             f"has no row for {len(missing)} of {len(names)} images, "
             f"the first {missing[0]}: poses unknown"
         )
         problems.append(Problem.with_place(table.file, text))
-    rows = [rows_by_name.get(name) for name in names]
-    poses, bad_poses = _read_six(table, rows, POSE_COLUMNS, "pose")
-    moves, bad_moves = _read_six(table, rows, MOVE_COLUMNS, "slide")
-    ids, bad_ids = _read_pose_ids(table, rows)
+    poses, bad_poses = _read_six(table, numbers, POSE_COLUMNS, "pose")
+    moves, bad_moves = _read_six(table, numbers, MOVE_COLUMNS, "slide")
+    ids, bad_ids = _read_pose_ids(table, numbers)
     return ImageLabels(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
 
 
@@ -174,86 +152,80 @@ def make_unknown_labels(images: int) -> ImageLabels:
 
 def _index_rows(
     table: LabelTable, column: str, names: set[str]
-) -> tuple[dict[str, TableRow], list[Problem]]:
+) -> tuple[dict[str, int], list[Problem]]:
     """Return the row of each image, without images of which two rows differ, and the problems."""
-    rows_by_name: dict[str, TableRow] = {}
-    absent, repeated, ambiguous = list[WrongRow](), list[WrongRow](), set[str]()
-    for row in table.rows:
-        name = re.split(r"[/\\]", row.cells[column])[-1]
-        first = rows_by_name.setdefault(name, row)
+    numbers: dict[str, int] = {}
+    absent, repeated, ambiguous = dict[int, str](), dict[int, str](), set[str]()
+    for number, cells in table.rows.items():
+        name = re.split(r"[/\\]", cells[column])[-1]
+        first = numbers.setdefault(name, number)
         if name not in names:
-            text = f"there is no image {_format_cell(name)} in this folder"
-            absent.append(WrongRow(row.number, text))
-        elif row.cells != first.cells:
-            text = f"{name} has another row, {first.number}, that differs: neither is used"
-            repeated.append(WrongRow(row.number, text))
+            absent[number] = f"there is no image {_format_cell(name)} in this folder"
+        elif cells != table.rows[first]:
+            repeated[number] = f"{name} has another row, {first}, that differs: neither is used"
             ambiguous.add(name)
-        elif row is not first:
-            text = f"{name} has the same row already, {first.number}"
-            repeated.append(WrongRow(row.number, text))
+        elif number != first:
+            repeated[number] = f"{name} has the same row already, {first}"
     width = len(table.columns)
-    uneven = [
-        WrongRow(number, f"{cells} cells where the heading has {width}: this row is not used")
-        for number, cells in table.uneven
-    ]
-    problems = [
-        *_summarise_problems(table, uneven),
-        *_summarise_problems(table, absent),
-        *_summarise_problems(table, repeated),
-    ]
-    unique = {name: row for name, row in rows_by_name.items() if name not in ambiguous}
-    return unique, problems
+    uneven = {
+        number: f"{cells} cells where the heading has {width}: this row is not used"
+        for number, cells in table.uneven.items()
+    }
+    problems = []
+    for wrong in (uneven, absent, repeated):
+        problems += _summarise_problems(table, wrong)
+    return {name: row for name, row in numbers.items() if name not in ambiguous}, problems
 
 
-def _summarise_problems(table: LabelTable, wrong: list[WrongRow]) -> list[Problem]:
+def _summarise_problems(table: LabelTable, wrong: dict[int, str]) -> list[Problem]:
     """Make one problem of all rows with the same, by the first: there may be thousands."""
     if not wrong:
         return []
     first = min(wrong)
     count = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-    return [Problem.with_place(table.file, first.text + count, first.number)]
+    return [Problem.with_place(table.file, wrong[first] + count, first)]
 
 
 def _read_six(
     table: LabelTable,
-    rows: Sequence[TableRow | None],
+    numbers: Sequence[int | None],
     namings: tuple[tuple[str, ...], ...],
     what: str,
 ) -> tuple[np.ndarray, list[Problem]]:
     """Read six columns (N, 6) by the naming of the file; a row is NaN unless it has all six."""
-    values = np.full((len(rows), 6), np.nan)
+    values = np.full((len(numbers), 6), np.nan)
     names = max(namings, key=lambda naming: len(set(table.columns).intersection(naming)))
     absent = [name for name in names if name not in table.columns]
     if absent:
         text = f"has no column {', '.join(absent)}: {what}s are not known"
         return values, [Problem.with_place(table.file, text)]
-    bad: list[WrongRow] = []
-    for i, row in enumerate(rows):
-        if row is None:
+    bad: dict[int, str] = {}
+    for i, number in enumerate(numbers):
+        if number is None:
             continue
-        wrong = next((name for name in names if _parse_number(row.cells[name]) is None), None)
+        cells = table.rows[number]
+        wrong = next((name for name in names if _parse_number(cells[name]) is None), None)
         if wrong is None:
-            values[i] = [float(row.cells[name]) for name in names]
+            values[i] = [float(cells[name]) for name in names]
         else:
-            cell = _format_cell(row.cells[wrong])
-            text = f"{wrong} is {cell}, no usable number: this {what} is unknown"
-            bad.append(WrongRow(row.number, text))
+            cell = _format_cell(cells[wrong])
+            bad[number] = f"{wrong} is {cell}, no usable number: this {what} is unknown"
     return values, _summarise_problems(table, bad)
 
 
 def _read_pose_ids(
-    table: LabelTable, rows: Sequence[TableRow | None]
+    table: LabelTable, numbers: Sequence[int | None]
 ) -> tuple[np.ndarray, list[Problem]]:
-    ids, bad = np.full(len(rows), UNKNOWN_ID, np.int64), list[WrongRow]()
-    for i, row in enumerate(rows):
-        if row is None or not (cell := row.cells.get("pose_id")):
+    ids, bad = np.full(len(numbers), UNKNOWN_ID, np.int64), dict[int, str]()
+    for i, number in enumerate(numbers):
+        cell = "" if number is None else table.rows[number].get("pose_id", "")
+        if number is None or not cell:
             continue
-        number = _parse_number(cell, MAX_POSE_ID)
-        if number is None or number < 0 or number % 1:
-            text = f"pose_id is {_format_cell(cell)}, not an integer"
-            bad.append(WrongRow(row.number, text))
+        pose_id = _parse_number(cell, MAX_POSE_ID)
+        if pose_id is None or pose_id < 0 or pose_id % 1:
+            bad[number] = f"pose_id is {_format_cell(cell)}, not an integer"
         else:
-            ids[i] = int(number)
+            ids[i] = int(pose_id)
     return ids, _summarise_problems(table, bad)
 
 
@@ -289,21 +261,21 @@ def read_pair_table(file: str | Path) -> list[ImagePair]:
             text = f"there is no column '{name}': pairs need the columns slide and tap"
             raise _make_error(table.file, text, 1)
     if table.uneven:
-        number, cells = table.uneven[0]
+        number, cells = next(iter(table.uneven.items()))
         text = f"{cells} cells where the heading has {len(table.columns)}"
         raise _make_error(table.file, text, number)
     if not table.rows:
         raise _make_error(table.file, "names no pairs: give a row for each slide, with its tap")
     first: dict[str, int] = {}
     pairs = []
-    for row in table.rows:
-        pair = ImagePair(row.cells["slide"], row.cells["tap"])
+    for number, row in table.rows.items():
+        pair = ImagePair(row["slide"], row["tap"])
         if not pair.slide or not pair.tap:
             text = f"the {'tap' if pair.slide else 'slide'} is not named"
-            raise _make_error(table.file, text, row.number)
+            raise _make_error(table.file, text, number)
         if pair.slide in first:
             text = f"{pair.slide} has a tap already, in row {first[pair.slide]}"
-            raise _make_error(table.file, text, row.number)
-        first[pair.slide] = row.number
+            raise _make_error(table.file, text, number)
+        first[pair.slide] = number
         pairs.append(pair)
     return pairs

@@ -19,14 +19,13 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits
+from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits, write_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_probes import LARGEST_PX, find_common_view, select_probes
+from jaxunshear.data.recorded_probes import LARGEST_PX, find_training_view, select_probes
 from jaxunshear.data.recordings import Recordings, read_image
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_npz
-from jaxunshear.progress import Progress
 from jaxunshear.selection import select_evenly
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def find_sensor_frame(
 
     Raises UserError if they do not show pins of this sensor.
     """
-    view = find_common_view(contacts, settings.preprocess)
+    view = find_training_view(contacts, settings.preprocess)
     size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
     taps = train[~contacts.is_slide[train]]
@@ -100,7 +99,6 @@ def find_recordings_frame(
 
 
 def _read_first_image(files: Sequence[Path]) -> np.ndarray:
-    """Read the first image that can be read. Raises UserError if there is none."""
     for file in files:
         with suppress(UserError):
             return read_image(file)
@@ -159,17 +157,15 @@ def prepare_chunks(
     """
     count = len(contacts.files)
     numbers = [np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    paths = [folder / f"{index:05d}.npz" for index in range(len(numbers))]
-    missing = [i for i, path in enumerate(paths) if not path.exists()]
-    done = count - sum(len(numbers[i]) for i in missing)
-    jobs = []
-    for i in missing:
-        files = tuple(contacts.files[number] for number in numbers[i])
-        jobs.append((files, numbers[i], settings.preprocess, frame))
-    with Progress(label, count, "frames", done=done) as progress:
-        for i, chunk in zip(missing, _map_over_cores(_prepare_chunk, jobs), strict=True):
-            write_npz(paths[i], chunk)
-            progress.advance(len(numbers[i]))
+
+    def prepare(missing: list[int]) -> Iterator[Chunk]:
+        jobs = []
+        for i in missing:
+            files = tuple(contacts.files[number] for number in numbers[i])
+            jobs.append((files, numbers[i], settings.preprocess, frame))
+        return _map_over_cores(_prepare_chunk, jobs)
+
+    paths = write_chunks(folder, numbers, prepare, label)
     prior = _fit_motion_prior(contacts, paths, frame)
     hard = [path for path in paths if prior is not None and _has_hard_frames(path)]
     retries = _map_over_cores(_retry_chunk, [(path, frame, prior) for path in hard])
@@ -270,13 +266,11 @@ def _fit_motion_prior(
 
 
 def _has_hard_frames(path: Path) -> bool:
-    """Return whether frames without identities may be tried once more."""
     chunk = load_chunk(path)
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
 def _make_detection_lattice(frame: SensorFrame) -> "Lattice":
-    """Make the lattice, px of the image that pins are detected in."""
     from jaxunshear.perception.lattice import make_lattice
 
     return make_lattice(to_detection_px(frame, frame.rest), frame.ring)

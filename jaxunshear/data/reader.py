@@ -8,15 +8,12 @@ shifted by processes of grain, if `shift` is above zero.
     next(steps)["sheared"]  # (16, 128, 128, 1) uint8 in {0, 255}
 
 A split is decoded once and held in memory at one bit a pixel: 9 MB of images for the demo's
-training pairs, 0.9 GB for the paper's. A split with more than `MAX_MEMORY_BYTES` of images has them
-in an unlinked file beside the set instead.
+training pairs, 0.9 GB for the paper's.
 """
 
 import functools
 import io
 import itertools
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,8 +23,8 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.config.configs import MANIFEST, DataSettings, get_set_folder
-from jaxunshear.config.data import PairedData
+from jaxunshear.config.configs import MANIFEST, get_set_folder
+from jaxunshear.config.data import DataSettings
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import pack_bits, unpack_bits
@@ -36,7 +33,6 @@ from jaxunshear.data.pose_groups import group_by_pose
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import raise_machine_error, read_object
 
-MAX_MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared", "other", "swapped")  # the last two as in `factorial`
 PINS = ("pins", "canonical_pins", "sheared_pins", "other_pins", "swapped_pins")
 TAP_FIELDS = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
@@ -98,7 +94,6 @@ class Reader:
     def _make_shifted_batches(
         self, batch: int, seed: int, max_shift_px: float, fields: Sequence[str]
     ) -> Callable[[int], Batch]:
-        """Return a function of the step that draws each example, its tap and its shift."""
         rows = self.rows("train")
         groups = group_by_pose(rows["stimulus"], rows["pose_id"])
 
@@ -125,7 +120,6 @@ class Reader:
     def _make_plain_batches(
         self, batch: int, seed: int, fields: Sequence[str]
     ) -> Callable[[int], Batch]:
-        """Return a function of the step that draws all examples and their taps at once."""
         rows = self.rows("train")
         groups = group_by_pose(rows["stimulus"], rows["pose_id"])
         select_rows = _make_shuffle(self.length("train"), batch, seed)
@@ -182,7 +176,7 @@ class SetReader(Reader):
         count = self.length(split)
         try:
             rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
-            if isinstance(self.settings, PairedData):
+            if "sheared_pins" in rows:  # simulated pairs
                 return rows | {"felt": to_sensor_frame(rows["move"], rows["pose"])}
             return rows
         except UserError:
@@ -311,7 +305,7 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
     for name, feature in features.items():
         if name in images:
             bits = -(-feature.shape[0] * feature.shape[1] // 8)
-            rows[name] = _allocate(folder, (count, bits), len(images))
+            rows[name] = np.zeros((count, bits), np.uint8)
         else:
             dtype = np.int32 if np.issubdtype(feature.np_dtype, np.integer) else feature.np_dtype
             rows[name] = np.zeros((count, *feature.shape), dtype)
@@ -325,15 +319,3 @@ def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> B
 
 def _pack_png(data: bytes) -> np.ndarray:
     return pack_bits(np.asarray(Image.open(io.BytesIO(data)))[None])[0]
-
-
-def _allocate(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
-    """Allocate bytes for one of a split's `images` fields.
-
-    They are in memory, or in an unlinked file if all image fields together are too large.
-    """
-    if images * shape[0] * shape[1] <= MAX_MEMORY_BYTES:
-        return np.zeros(shape, np.uint8)
-    # data that are shared may be read-only
-    beside = folder.parent if os.access(folder.parent, os.W_OK) else None
-    return np.memmap(tempfile.TemporaryFile(dir=beside), np.uint8, "w+", shape=shape)

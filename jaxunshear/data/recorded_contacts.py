@@ -8,7 +8,7 @@ Imports no JAX.
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from jaxunshear.data.labels import read_pair_table
 from jaxunshear.data.pose_block import cut_block
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
-
-if TYPE_CHECKING:
-    pass
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {
@@ -116,7 +113,6 @@ def _classify_moves(move: np.ndarray) -> _MoveLabels:
 
 
 def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
-    """Return the taps and slides of one folder, by their labels."""
     is_labelled, is_slide = _classify_moves(_get_labels(recordings.moves, len(recordings)))
     if not is_labelled.any():
         raise UserError(
@@ -150,7 +146,6 @@ def _select_kind(recordings: Recordings, is_slide: bool) -> RecordedContacts:
 
 
 def _drop(contacts: RecordedContacts, dropped: np.ndarray, note: str) -> RecordedContacts:
-    """Drop contacts (N,) bool, and note it."""
     return contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~dropped))
 
 

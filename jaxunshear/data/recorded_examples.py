@@ -1,41 +1,22 @@
 """Turn chunks of recorded frames into examples of `tactip_recorded`, and count them.
 
-contacts, frame, paths = prepare_recordings(settings, sensor, folder)
 for key, example in iterate_examples(settings, contacts, paths, "train"): ...
 """
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import iterate_usable_rows, load_chunk
-from jaxunshear.data.preprocessing import SensorFrame, find_sensor_frame, prepare_chunks
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts
+from jaxunshear.data.preprocessing import SensorFrame
+from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 MAX_NAMED = 20  # dropped frames that metadata name, at most
-
-
-class PreparedRecordings(NamedTuple):
-    """Contacts, what their frames have in common, and the files of their chunks."""
-
-    contacts: RecordedContacts
-    frame: SensorFrame
-    paths: list[Path]
-
-
-def prepare_recordings(settings: Recorded, sensor: Sensor, folder: Path) -> PreparedRecordings:
-    """Read recordings and prepare their chunks in `folder`. Raises UserError."""
-    contacts = read_contacts(settings)
-    frame = find_sensor_frame(contacts, settings, sensor)
-    paths = prepare_chunks(contacts, settings, frame, folder)
-    return PreparedRecordings(contacts, frame, paths)
 
 
 def summarise_recordings(

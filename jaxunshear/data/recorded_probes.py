@@ -14,7 +14,7 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import SENSORS, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recordings import read_image
+from jaxunshear.data.recordings import find_common_view, read_image
 from jaxunshear.errors import UserError
 from jaxunshear.selection import select_evenly
 
@@ -55,26 +55,15 @@ def select_probes(contacts: RecordedContacts) -> np.ndarray:
     return rows[select_evenly(len(rows), PROBES)]
 
 
-def find_common_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":
+def find_training_view(contacts: RecordedContacts, preprocess: Preprocess) -> "View":
     """Find the crop and whites of the training frames; no crop if these differ in size."""
-    from jaxunshear.perception.preprocess import View, combine_views, find_view
-
-    views, sizes = [], set()
-    for row in select_probes(contacts):
-        try:
-            raw = read_image(contacts.files[row])
-            views.append(find_view(preprocess, raw))
-            sizes.add(raw.shape[:2])
-        except UserError:
-            continue  # `prepare_chunks` notes which
-    common = combine_views(views)
-    return common if len(sizes) == 1 else View(None, common.whites)
+    return find_common_view([contacts.files[row] for row in select_probes(contacts)], preprocess)
 
 
 def _prepare_probes(contacts: RecordedContacts, preprocess: Preprocess) -> list[np.ndarray]:
     from jaxunshear.perception.preprocess import prepare_frame
 
-    view, images, problem = find_common_view(contacts, preprocess), [], ""
+    view, images, problem = find_training_view(contacts, preprocess), [], ""
     for row in select_probes(contacts):
         try:
             raw = read_image(contacts.files[row])

@@ -1,6 +1,6 @@
 """Read a recorded set as networks learn from it: its taps, and its slides each with a partner.
 
-stored = open_recorded(settings, sensor, data_dir)
+stored = RecordedSet(settings, open_set(settings, data_dir, sensor))
 taps = stored.read_taps()  # Reader of image, pins, pose, ...
 pairs = stored.read_pairs(targets, render)  # Reader of canonical, sheared, their pins, pose, ...
 """
@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.config.data import RENDERED_PAIRINGS, Recorded
-from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.config.targets import (
     Targets,
@@ -22,7 +21,7 @@ from jaxunshear.config.targets import (
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import load_chunk, unpack_bits
 from jaxunshear.data.preprocessing import SensorFrame
-from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.reader import Batch, Reader, SetReader
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recorded_examples import count_contacts
 from jaxunshear.errors import UserError
@@ -37,16 +36,6 @@ PoseEstimator = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
 SlideSimulator = Callable[[str], Batch]
 
 CONTACT_FIELDS = ("pose", "move", "sure", "number", "pose_id", "stimulus")
-
-
-def open_recorded(
-    settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0
-) -> "RecordedSet":
-    """Open the set made with `settings`. Raises UserError if it is missing or damaged.
-
-    `seed` draws which slides are labelled, if not all are.
-    """
-    return RecordedSet(settings, open_set(settings, data_dir, sensor), seed)
 
 
 def parse_frame(stored: Json) -> SensorFrame:
@@ -97,7 +86,10 @@ class UnstoredSet:
 
 
 class RecordedSet:
-    """Reads taps, slides and pairs from a recorded set."""
+    """Reads taps, slides and pairs from a recorded set.
+
+    `seed` draws which slides are labelled, if not all are.
+    """
 
     def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet, seed: int = 0) -> None:
         self.seed = seed
@@ -332,7 +324,6 @@ def _concatenate(parts: list[Batch]) -> Batch:
 
 
 def _make_zero_slides(taps: Batch) -> Batch:
-    """Return taps in the form of slides."""
     slides = taps | {"move": np.zeros_like(taps["pose"])}
     batch = {name: slides[name] for name in CONTACT_FIELDS}
     return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}

@@ -1,9 +1,9 @@
 """Read real recordings as they lie on disk, and prepare their frames like simulated ones.
 
 These layouts can be read: one image; a folder of images; the older layout (`images/`,
-`targets.csv`, `meta.json`), its variant (`frames_bw/`), and the newer one
-(`{train,val,test}/processed_images/`, `targets.csv`, four JSON files); and folders of these. What
-is broken and not needed is noted, not fatal. Imports no JAX until a frame is prepared.
+`targets.csv`), its variant (`frames_bw/`), and the newer one
+(`{train,val,test}/processed_images/`, `targets.csv`); and folders of these. JSON beside them is not
+read. What is broken and not needed is noted, not fatal. Imports no JAX until a frame is prepared.
 
     recordings = read_recordings("recordings/edge", Preprocess(size=128))
     for row, name, image in recordings.iterate_frames():  # image (S, S) uint8 of {0, 255}
@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -144,17 +143,22 @@ class Recordings:
         The crop is one for all, as a crop that trembled would appear as motion. There is none if
         the frames differ in size.
         """
-        from jaxunshear.perception.preprocess import View, combine_views, find_view
-
         files = [file for file in self.files if folder in (None, file.parent)]
-        views, sizes = [], set[tuple[int, ...]]()
-        for file in files[:: -(-len(files) // PROBES)]:
-            with contextlib.suppress(UserError):  # `iterate_frames` reports it
-                raw = read_image(file)
-                sizes.add(raw.shape[:2])
-                views.append(find_view(self.preprocess, raw))
-        common = combine_views(views)
-        return common if len(sizes) == 1 else View(None, common.whites)
+        return find_common_view(files[:: -(-len(files) // PROBES)], self.preprocess)
+
+
+def find_common_view(files: Sequence[Path], preprocess: Preprocess) -> View:
+    """Find the crop and whites of frames; no crop if these differ in size."""
+    from jaxunshear.perception.preprocess import View, combine_views, find_view
+
+    views, sizes = [], set[tuple[int, ...]]()
+    for file in files:
+        with contextlib.suppress(UserError):  # whoever reads all frames reports it
+            raw = read_image(file)
+            views.append(find_view(preprocess, raw))
+            sizes.add(raw.shape[:2])
+    common = combine_views(views)
+    return common if len(sizes) == 1 else View(None, common.whites)
 
 
 def read_image(file: Path | bytes) -> np.ndarray:
@@ -219,7 +223,6 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
     try:
         for folder, images in _find_image_folders(path, MAX_FOLDER_DEPTH, notes):
             files += images
-            _check_json(folder, notes)
             labels.append(_read_labels(folder, images, notes))
             hidden = _find_hidden_folder(folder) if images[0].parent == folder else None
             if hidden is not None:
@@ -302,19 +305,6 @@ def _split_at_numbers(path: Path) -> list[int | str]:
     return [int(part) if part.isdecimal() else part for part in parts]
 
 
-def _check_json(folder: Path, notes: list[str]) -> None:
-    """Note JSON files that are broken; nothing in them is needed to unshear."""
-    for file in sorted(folder.glob("*.json")):
-        try:
-            json.loads(file.read_text(encoding="utf-8"))
-        except (ValueError, OSError, RecursionError) as error:
-            text = (
-                f"this JSON is broken ({get_first_line(error)}); "
-                "it is not needed, so the reading goes on without it"
-            )
-            notes.append(Problem.with_place(file, text))
-
-
 def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:
     """Read the labels of a folder's images from its table, the first that can be read."""
     for file in (folder / name for name in TABLES):
@@ -334,7 +324,6 @@ def _drop_if_unknown(values: np.ndarray) -> np.ndarray | None:
 
 
 def _format_sizes(names: dict[tuple[int, ...], list[str]]) -> str:
-    """Format the usual size of images, and the first names of those that have another."""
     usual, *others = sorted(names, key=lambda size: -len(names[size]))
     parts = [f"{len(names[usual])} of {usual[1]} x {usual[0]}"]
     for size in others[:MAX_SIZES_NAMED]:

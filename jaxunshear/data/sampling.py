@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.config.configs import compute_config_name, get_set_name
-from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.configs import compute_config_name
+from jaxunshear.config.data import DataSettings, PairedData, PoseData
+from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS, assign_splits
 from jaxunshear.config.types import check_rules
 from jaxunshear.simulator.scene import (
@@ -38,10 +39,10 @@ class ContactSamples(NamedTuple):
     edge: np.ndarray  # (B, 2) mm to the edge and its direction, deg (`scene.compute_edge_labels`)
 
 
-def check_settings(settings: PairedData | PoseData) -> None:
-    """Raise UserError, by field, for settings from which no set can be drawn."""
-    compute_config_name(settings)
-    check_rules(settings, get_set_name(settings))
+def check_settings(settings: DataSettings, sensor: Sensor = TACTIP_331) -> None:
+    """Raise UserError, by field, for settings from which no set can be made."""
+    compute_config_name(settings, sensor)
+    check_rules(settings, settings.set_name)
 
 
 def _make_generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
@@ -64,7 +65,6 @@ def _sample_poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
 
 
 def _sample_moves(settings: PairedData, stimulus: str) -> np.ndarray:
-    """Sample (poses, slides, 2), or 3 with their twists."""
     ranges, shape = settings.ranges, (settings.poses, settings.slides)
     generator = _make_generator(settings.seed, stimulus, "move")
     moves = sample_slides(generator, settings.poses * settings.slides, ranges.move_mm)
@@ -107,7 +107,6 @@ def sample_paired(settings: PairedData) -> ContactSamples:
 
 
 def _jitter_depth(settings: PairedData, stimulus: str, depth: np.ndarray) -> np.ndarray:
-    """Change the depths mm (poses, taps) of taps at random."""
     jitter = settings.tap_depth_jitter_mm
     generator = _make_generator(settings.seed, stimulus, "depth")
     change = generator.uniform(-jitter, jitter, depth.shape)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import BLOCK
 from jaxunshear.data.chunks import render_images
 from jaxunshear.data.sampling import sample_paired
@@ -43,7 +43,7 @@ def simulate_contacts(
     stimulus (a block of the split); less those that did not converge. `depth_mm` sets one depth for
     all, else depths are the experiment's. The same seed gives the same contacts.
     """
-    paired, _ = require_simulated(experiment, "this")
+    paired = experiment.paired.get_simulated("this")
     poses = max(BLOCK, -(-count // len(paired.stimuli)))
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
@@ -78,7 +78,7 @@ def render_untouched_images(experiment: Experiment, count: int) -> np.ndarray:
 
     Their light, noise and wear are those of other images.
     """
-    paired, _ = require_simulated(experiment, "this")
+    paired = experiment.paired.get_simulated("this")
     tips = np.repeat(compute_pin_tips(experiment.sensor)[None], count, axis=0)
     numbers, ages = SEED + np.arange(count), np.linspace(0, 1, count)
     images, _ = render_images(paired, experiment.sensor, tips, numbers, ages)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import simulated_contacts
 from jaxunshear.data.simulated_contacts import (
     SimulatedContacts,
@@ -71,7 +71,7 @@ def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> Ge
     """
     if count < 3:
         raise UserError(f"--contacts {count}: use at least 3")
-    paired, _ = require_simulated(experiment, "geometry")
+    paired = experiment.paired.get_simulated("geometry")
     networks = load_unshearers(folder, experiment, list_unshearing_networks(folder))
     if not networks:
         raise UserError(

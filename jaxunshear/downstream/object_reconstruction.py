@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import simulated_contacts
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.simulated_contacts import SimulatedContacts, simulate_contacts
@@ -83,7 +83,7 @@ def reconstruct(
     they are unsheared by the disentangled network. Results come one by one. Raises UserError for
     trajectories of other networks or unfinished ones, before anything is simulated.
     """
-    paired, _ = require_simulated(experiment, "reconstruct")
+    paired = experiment.paired.get_simulated("reconstruct")
     for task, task_trajectories in trajectories:
         methods = task_trajectories.list_methods()
         if (task_trajectories.end == WALKING).any():
@@ -119,7 +119,7 @@ def reconstruct(
 
 def _make_estimators(experiment: Experiment, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
     """Make the shape estimators by name, from taps of known poses and indentations."""
-    paired, _ = require_simulated(experiment, "reconstruct")
+    paired = experiment.paired.get_simulated("reconstruct")
     lattice = perception.compute_model_lattice(experiment)
     xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(experiment.sensor))
     distance = np.zeros(xy.shape[:2])

@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.angles import rotate_2d
-from jaxunshear.config.configs import VERSION
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import Outline, StimulusSetting
@@ -151,7 +150,7 @@ def follow_contour(
 def compute_servo_digest(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
     """Compute a digest of all that decides trajectories except the task."""
     content = {
-        "version": VERSION,
+        "version": PairedData.version,
         "sensor": dataclasses.asdict(sensor),
         "friction": settings.friction,
         "camera": dataclasses.asdict(settings.camera),

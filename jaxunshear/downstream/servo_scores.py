@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, require_simulated
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.contour import Contour, measure_contour_distances
@@ -49,7 +49,7 @@ def servo(
             networks allow.
         out: A folder in which trajectories are saved as <object>.npz, and from which they continue.
     """
-    paired, _ = require_simulated(experiment, "servo")
+    paired = experiment.paired.get_simulated("servo")
     for task in tasks:
         _check_task(task, experiment.sensor)
     if methods is None:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.data.reader import Reader
@@ -78,7 +78,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     scores = _score_test_split(net, variables, pairs)
     results = {
         "experiment": experiment.name,
-        "simulated": get_recorded(experiment) is None,
+        "simulated": experiment.paired.is_simulated,
         "metric": {"ms_ssim": format_ms_ssim_name(count_scales(net.size))},
         "rows": build_rows(scores, poses),
         "contacts": total,

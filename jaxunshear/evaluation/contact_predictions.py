@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxunshear.config.image import Preprocess
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_probes import find_common_view
+from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.inference.perceiver import AS_RECORDED, Perceiver
@@ -47,7 +47,7 @@ def predict_contacts(
     network: Perceiver, contacts: RecordedContacts, title: str
 ) -> ContactPredictions:
     """Predict poses and pins of all contacts, a batch at a time."""
-    view = network.view or find_common_view(contacts, network.preprocess)
+    view = network.view or find_training_view(contacts, network.preprocess)
     count = len(contacts.files)
     poses: dict[str, dict[str, np.ndarray]] = {}
     pins: dict[str, np.ndarray] = {}

@@ -9,12 +9,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.inference_time import measure_ms_per_image
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.recorded_evaluation import evaluate_recorded
-from jaxunshear.evaluation.score_files import write_score_files
-from jaxunshear.evaluation.simulated_evaluation import evaluate_simulated
+from jaxunshear.evaluation.score_files import EvaluatedRun, write_score_files
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
@@ -39,8 +38,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     for network in experiment.networks:
         check_finished(run_dir / network)
         check_origin(experiment, network, run_dir)
-    evaluate_contacts = evaluate_recorded if get_recorded(experiment) else evaluate_simulated
-    evaluated = evaluate_contacts(experiment, run_dir, data_dir)
+    evaluated: EvaluatedRun = open_source(experiment).evaluate(run_dir, data_dir)
     results = round_values(
         replace(
             evaluated.results,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
@@ -103,7 +103,7 @@ def measure_leakage(
     rows = _probe_all(codes, untrained, train, test)
     results = {
         "experiment": experiment.name,
-        "simulated": get_recorded(experiment) is None,
+        "simulated": experiment.paired.is_simulated,
         "metric": METRIC,
         "rows": rows,
         "summary": [

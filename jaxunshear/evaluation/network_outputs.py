@@ -11,6 +11,7 @@ from jax import Array
 
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.config.targets import Targets
+from jaxunshear.data.sources import PinLayout
 from jaxunshear.evaluation.baselines import make_baseline_images
 from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
@@ -20,7 +21,6 @@ from jaxunshear.models.dispatch import predict, unshear
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
-from jaxunshear.training.examples import PinLayout
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 

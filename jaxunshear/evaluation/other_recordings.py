@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import prepare_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
@@ -50,8 +50,8 @@ def score_recordings(
     Raises UserError if the run is about simulated touches, has learned from these recordings, or
     nothing can be read or scored.
     """
-    settings = get_recorded(experiment)
-    if settings is None:
+    settings = experiment.paired
+    if not isinstance(settings, Recorded):
         raise UserError(
             f"{run_dir} learnt from simulated touches: score it with `jaxunshear evaluate`"
         )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, get_recorded, uses_pins
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
@@ -130,7 +130,7 @@ def _list_estimators(experiment: Experiment) -> tuple[str, ...]:
     """List the estimators that the outputs of an experiment's networks can be given to."""
     if uses_pins(experiment):
         return (PIN_PLACES,)  # their images are drawn from the pins, and show nothing else
-    if get_recorded(experiment) is not None:
+    if not experiment.paired.is_simulated:
         return (PIXELS,)  # the pins in unsheared images of recordings have no identities
     return (PIXELS, PIN_PLACES)
 

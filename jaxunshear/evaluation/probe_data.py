@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import PairedData, Ranges
-from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import (
     SIMULATED_FIELDS,
     Target,
@@ -15,12 +15,12 @@ from jaxunshear.config.targets import (
     read_true_values,
 )
 from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.modality import PinModality, get_modality
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
 from jaxunshear.selection import select_evenly
-from jaxunshear.training.examples import Examples, open_recorded_set
 
 MAX_TRAINING, MAX_TESTED = 4000, 2000  # slides, evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
@@ -70,7 +70,7 @@ def _read_split(
 
 def read_labelled_slides(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
     """Read at most `most` slides, evenly chosen, that have labels and identified pins."""
-    is_recorded = get_recorded(experiment) is not None
+    is_recorded = bool(open_source(experiment).pin_fields)
     fields = (*LABELS, "sure") if is_recorded else LABELS
     batch = reader.take(split, np.arange(reader.length(split)), fields)
     usable = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
@@ -98,7 +98,7 @@ def read_slides(slides: Targets, batch: Batch) -> Quantities:
 def _list_pose_targets(experiment: Experiment, data_dir: Path) -> Targets:
     """List all components of the pose that the data vary."""
     if not isinstance(experiment.paired, PairedData):
-        return open_recorded_set(experiment, data_dir).make_targets(())
+        return open_source(experiment).open_stored(data_dir).make_targets(())
     targets: list[Target] = []
     for name in SIMULATED_FIELDS:
         targets += _list_varied_targets(name, experiment.paired.ranges)

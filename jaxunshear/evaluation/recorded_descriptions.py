@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import SPLIT_TEXTS
-from jaxunshear.config.experiment import Experiment, get_recorded
+from jaxunshear.config.data import SPLIT_TEXTS, Recorded
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Reader
@@ -47,8 +47,8 @@ def describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordin
 
 def describe_pairing(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
     """Describe how slides are paired, and how far the partners' poses are from theirs."""
-    recorded = get_recorded(experiment)
-    if recorded is None or slides is None:
+    recorded = experiment.paired
+    if not isinstance(recorded, Recorded) or slides is None:
         return Pairing("none", {})
     gaps: dict[str, dict[str, Scores | int]] = {}
     for split in ("train", "test"):

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.data.sources import open_source
 from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
 from jaxunshear.evaluation.pose_estimators import fit_estimators, make_batch_estimators
 from jaxunshear.evaluation.recorded_results import build_results
@@ -15,7 +16,6 @@ from jaxunshear.evaluation.recorded_scores import (
     load_recorded_run,
 )
 from jaxunshear.evaluation.score_files import EvaluatedRun
-from jaxunshear.training.examples import open_recorded_set
 
 
 def evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
@@ -23,7 +23,7 @@ def evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> 
 
     Raises `UserError` if nothing can be scored, or a network or the data set is missing or damaged.
     """
-    stored = open_recorded_set(experiment, data_dir)
+    stored = open_source(experiment).open_stored(data_dir)
     targets = stored.make_targets(experiment.targets)
     test = choose_test(experiment, stored, targets, run_dir, data_dir)
     estimators = {}

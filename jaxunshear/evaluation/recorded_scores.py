@@ -17,6 +17,8 @@ from jaxunshear.config.registry import POSENET, POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import RecordedSet
+from jaxunshear.data.recorded_source import read_pin_layout
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.modality import Modality, PinModality, get_modality
 from jaxunshear.evaluation.network_outputs import Run, load_run
@@ -31,7 +33,7 @@ from jaxunshear.evaluation.score_collection import (
     collect_scores,
 )
 from jaxunshear.results.run import TestData
-from jaxunshear.training.examples import open_pairs, read_pin_layout
+from jaxunshear.training.examples import RunInputs
 
 KEPT_SLIDES = 72  # slides whose pins are detected, and from which the montage is chosen
 LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
@@ -71,7 +73,9 @@ def choose_test(
     paired = False
     if stored.count_contacts("slides", "test"):
         if data_dir is not None and unshears:
-            slides = open_pairs(experiment, stored, targets, run_dir, data_dir)
+            inputs = RunInputs(experiment, data_dir, run_dir)
+            images = not uses_pins(experiment)
+            slides = open_source(experiment).open_pairs(stored, targets, inputs, images)
             paired = True
         else:
             slides = stored.read_slides()

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
@@ -85,7 +85,7 @@ def score_transfer(
     taps and slides of one edge.
     """
     started = time.perf_counter()
-    paired, _ = require_simulated(experiment, "this")
+    paired = experiment.paired.get_simulated("this")
     digest = compute_digest((str(recordings),))
     settings = Recorded(str(recordings), str(recordings), digest, preprocess=paired.preprocess)
     predictions = _predict_all(experiment, model, network, settings)

@@ -9,7 +9,6 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import (
     Experiment,
     list_further_tests,
-    require_simulated,
     uses_pins,
 )
 from jaxunshear.config.registry import DISENTANGLED
@@ -60,7 +59,7 @@ def evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) ->
 
     Raises `UserError` if the test split is empty, or a network or a data set is missing or damaged.
     """
-    paired, _ = require_simulated(experiment, "this")
+    paired = experiment.paired.get_simulated("this")
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     pairs = examples.reader
     total = pairs.length("test")

@@ -3,11 +3,12 @@
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
 
-from jaxunshear.config.data import PairedData
-from jaxunshear.config.experiment import Experiment, list_further_tests, require_simulated
+from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.evaluation.bootstrap import number_poses
 from jaxunshear.evaluation.detected_pins import DETECTED
@@ -39,7 +40,7 @@ def build_results(
 
     `further` are scores of further tests, by name.
     """
-    paired, pose = require_simulated(experiment, "this")
+    paired, pose = experiment.paired.get_simulated("this"), cast(PoseData, experiment.pose)
     labels = scores.labels
     targets = make_range_targets(experiment.targets, paired.ranges)
     further_data = list_further_tests(experiment) | {DETECTED: paired}

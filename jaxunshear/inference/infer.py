@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_text
 from jaxunshear.inference.inference_stats import (
@@ -26,7 +26,6 @@ from jaxunshear.inference.inference_stats import (
     count_rows,
     make_row,
 )
-from jaxunshear.inference.suitability import describe_training
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.png import encode_png, to_uint8
@@ -41,15 +40,6 @@ if TYPE_CHECKING:
 
 BATCH = 32
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-FRAMES = (
-    "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
-    "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "
-    "recorded_* are the labels that came with the images, in their own work frame."
-)
-OWN_FRAME = (
-    "Poses have the names, the frame and the units of the recorded labels "
-    "that the networks learnt from."
-)
 
 
 class _Source(NamedTuple):
@@ -87,7 +77,7 @@ def unshear_recordings(
     model = find_model_folder(model)
     experiment = _load_settings(path, model)
     check_not_among(path, out, "--out")
-    with_sheared_poses = uses_pins(experiment) or isinstance(experiment.paired, Recorded)
+    with_sheared_poses = uses_pins(experiment) or open_source(experiment).predicts_directly
     perceiver = _load_perceiver(model, experiment, with_sheared_poses, like or path)
     source = _open_source(path, perceiver, force)
     recordings = source.recordings
@@ -121,7 +111,7 @@ def unshear_recordings(
     _write_note(out / "NOTE.txt", model, experiment, notes)
     used = len(table) - rejected.count
     print(f"{used} images unsheared, {len(recordings) - used} left out; see {out / 'poses.csv'}")
-    _report(rejected, errors, [*notes, describe_training(experiment)], print)
+    _report(rejected, errors, [*notes, open_source(experiment).describe()], print)
     return _add_provenance(
         [
             *count_rows("unshear", used, recordings),
@@ -167,7 +157,7 @@ def predict_recordings(
     log = partial(print, file=sys.stderr)
     used = len(table) - rejected.count
     log(f"poses of {used} images, {len(recordings) - used} left out")
-    _report(rejected, errors, [*recordings.notes, describe_training(experiment)], log)
+    _report(rejected, errors, [*recordings.notes, open_source(experiment).describe()], log)
     return _add_provenance([*measured, *count_rows("pose", used, recordings), *errors.rows()])
 
 
@@ -246,8 +236,8 @@ def _format_labels(recordings: "Recordings", row: int) -> dict[str, str]:
 
 
 def _write_note(file: Path, model: Path, experiment: Experiment, notes: list[str]) -> None:
-    pose_frame = OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
-    lines = [describe_training(experiment), pose_frame, f"Networks: {model.name}", *notes]
+    source = open_source(experiment)
+    lines = [source.describe(), source.pose_frame, f"Networks: {model.name}", *notes]
     write_text(file, "\n".join(lines) + "\n")
 
 

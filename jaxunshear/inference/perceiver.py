@@ -21,7 +21,6 @@ from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
@@ -35,6 +34,7 @@ from jaxunshear.data.preprocessing import (
 )
 from jaxunshear.data.recorded_set import parse_frame
 from jaxunshear.data.recordings import read_recordings
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
@@ -135,7 +135,7 @@ def load_perceiver(
     """
     keep_freed_memory()
     available = [name for name in NETWORKS if has_model(model / name)]
-    if not isinstance(experiment.paired, Recorded):
+    if not open_source(experiment).predicts_directly:
         available = [name for name in available if name != POSENET_SHEARED]
     if not available:
         raise UserError(
@@ -168,7 +168,7 @@ def load_training_frame(model: Path, experiment: Experiment) -> SensorFrame | No
 
     Returns None if it was trained on simulated contacts. Raises UserError.
     """
-    if not isinstance(experiment.paired, Recorded):
+    if not open_source(experiment).has_frame:
         return None
     return parse_frame(read_object(model / FRAME))
 
@@ -178,7 +178,7 @@ def find_pin_frame(path: Path, experiment: Experiment) -> SensorFrame | None:
 
     Returns None for other networks, which do not need them. Raises UserError.
     """
-    if isinstance(experiment.paired, Recorded) or not uses_pins(experiment):
+    if open_source(experiment).has_frame or not uses_pins(experiment):
         return None
     preprocess = experiment.paired.preprocess
     return find_recordings_frame(read_recordings(path, preprocess), preprocess, experiment.sensor)

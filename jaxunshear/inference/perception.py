@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.registry import (
     ALL_NETWORKS,
     DISENTANGLED,
@@ -204,7 +204,7 @@ def compute_model_lattice(experiment: Experiment) -> Lattice:
 
     Raises `UserError` for a model that was trained on recordings.
     """
-    paired, _ = require_simulated(experiment, "this")
+    paired = experiment.paired.get_simulated("this")
     return compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
 
 

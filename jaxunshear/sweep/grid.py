@@ -5,50 +5,34 @@ disk. Trainings, which several rows may share, have such a digest too. Imports n
 """
 
 import dataclasses
-import hashlib
 import itertools
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
 
-from jaxunshear.config.configs import VERSION, convert_to_floats
-from jaxunshear.config.data import PairingMethod, PoseData, Recorded
-from jaxunshear.config.experiment import (
-    Experiment,
-    drop_pair_losses,
-    get_recorded,
-    list_required_networks,
-    uses_pins,
-)
+from jaxunshear.config.configs import compute_digest
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import format_value, replace_field
-from jaxunshear.config.networks import (
-    drop_codes,
-    drop_direct,
-    drop_pin_codes,
-    drop_rotation,
-)
-from jaxunshear.config.registry import (
-    ALL_NETWORKS,
-    DISENTANGLED,
-    POSENET_SHEARED,
-    POSENETS,
-    REGISTRY,
-    RENDERER,
-    TAP_NETWORKS,
-)
+from jaxunshear.config.network_config import NetworkConfig
+from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
-from jaxunshear.config.sweep import Axis, Change, Fields, Sweep, Value, get_base, list_fields
+from jaxunshear.config.sweep import (
+    Axis,
+    Change,
+    Fields,
+    Sweep,
+    Value,
+    get_base,
+    list_changed_fields,
+    list_fields,
+    list_varied_fields,
+)
 from jaxunshear.errors import UserError
-from jaxunshear.files import Json
 
 MAX_NAME_LENGTH = 90  # of a folder, before its digest
-# settings of the test and of other networks, which decide no numbers of a training
-TEST_SETTINGS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
-UNUSED_WITH_TEACHER = ("train_posenet",)
 
 
 @dataclass(frozen=True)
@@ -98,10 +82,10 @@ def list_cells(sweep: Sweep) -> list[Cell]:
 
 
 def _describe_changes(changes: tuple[Change, ...], sweep: Sweep) -> str:
-    parts = []
-    for fields, value in changes:
-        parts.append(f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}")
-    return ", ".join(parts)
+    return ", ".join(
+        f"{format_field_name(fields, sweep)}={format_value_label(fields, value)}"
+        for fields, value in changes
+    )
 
 
 def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
@@ -126,59 +110,14 @@ def compute_row_digest(experiment: Experiment, ablation: bool) -> str:
     """
     networks = tuple(sorted(experiment.networks))
     anonymous = dataclasses.replace(experiment, name="", claim="", networks=networks)
-    return _compute_digest({"experiment": to_json(anonymous), "ablation": ablation})
+    version = experiment.paired.version
+    settings = {"experiment": to_json(anonymous), "ablation": ablation, "data": version}
+    return compute_digest(settings)
 
 
-def select_training_part(experiment: Experiment, network: str) -> Experiment:
-    """Return `experiment` with defaults for all that the training of `network` does not use.
-
-    Rows with equal parts share that training. The name of the part has a digest of it.
-    """
-    plain = Experiment(name="", claim="")
-    unused: tuple[str, ...] = ("name", "claim", *TEST_SETTINGS)
-    # recordings are one set for taps and slides, and networks over pins share one training group
-    if not get_recorded(experiment) and not uses_pins(experiment):
-        has_teacher = len(list_required_networks(experiment, network)) > 1
-        unused += UNUSED_WITH_TEACHER if has_teacher else REGISTRY[network].unused_groups
-    part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
-    if uses_pins(experiment) and network in (*POSENETS, RENDERER):
-        train_pins, pins = (
-            drop_pair_losses(part.train_pins, supervised=1.0),
-            drop_pin_codes(part.pins),
-        )
-        part = dataclasses.replace(part, train_pins=train_pins, pins=pins)
-    if isinstance(part.pose, PoseData) and network in TAP_NETWORKS:  # learns from taps only
-        part = dataclasses.replace(part, paired=plain.paired)
-    if isinstance(part.paired, Recorded):
-        part = dataclasses.replace(part, paired=_drop_unused_labels(part.paired, network))
-    if network in TAP_NETWORKS:
-        part = dataclasses.replace(part, pins=drop_rotation(part.pins))
-    if POSENET_SHEARED not in list_required_networks(experiment, network):
-        part = _drop_direct_prediction(part)
-    if REGISTRY[network].role == "unshears" and not REGISTRY[network].has_codes:
-        part = dataclasses.replace(part, unshear=drop_codes(part.unshear))
-    digest = _compute_digest({"experiment": to_json(part), "network": network})
-    return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{digest}")
-
-
-def _drop_unused_labels(paired: Recorded, network: str) -> Recorded:
-    """Return recordings with defaults for labels and pairs that `network` does not use."""
-    if network in TAP_NETWORKS:
-        paired = dataclasses.replace(paired, labelled=1.0)
-    if network not in (*POSENETS, RENDERER):
-        return paired
-    # of all these only posenet_sheared uses pairing, if it learns from simulated slides
-    simulated = network == POSENET_SHEARED and paired.pairing == "simulated"
-    pairing: PairingMethod = "simulated" if simulated else "rendered"
-    return dataclasses.replace(paired, pairing=pairing, pairs="", unlabelled="left_out")
-
-
-def _drop_direct_prediction(part: Experiment) -> Experiment:
-    """Return `part` with defaults for all that only posenet_sheared uses."""
-    part = dataclasses.replace(part, pins=drop_direct(part.pins))
-    if not isinstance(part.paired, Recorded):
-        return part
-    return dataclasses.replace(part, paired=dataclasses.replace(part.paired, direct_taps="none"))
+def format_training_name(config: NetworkConfig) -> str:
+    """Format the name by which rows share the training of a network."""
+    return f"{config.name}_seed-{config.seed}-{config.digest}"
 
 
 def find_reference(sweep: Sweep, cells: list[Cell]) -> str | None:
@@ -213,16 +152,10 @@ def format_field_name(fields: Fields, sweep: Sweep) -> str:
 
     The name is dotted if the sweep varies two fields of that name.
     """
-    varied = {name for axis in sweep.grid for name in list_fields(axis[0])}
-    for row in sweep.rows:
-        for change in row:
-            varied.update(list_fields(change[0]))
+    varied = {*list_varied_fields(sweep), *list_changed_fields(sweep)}
     shorts = [name.rpartition(".")[2] for name in varied]
-    parts = []
-    for name in list_fields(fields):
-        short = name.rpartition(".")[2]
-        parts.append(short if shorts.count(short) == 1 else name)
-    return ":".join(parts)
+    names = [(name, name.rpartition(".")[2]) for name in list_fields(fields)]
+    return ":".join(short if shorts.count(short) == 1 else name for name, short in names)
 
 
 def format_value_label(fields: Fields, value: Value) -> str:
@@ -261,11 +194,6 @@ def _apply_changes(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Exp
             "swapped"
         )
     return experiment
-
-
-def _compute_digest(settings: Json) -> str:
-    text = json.dumps(convert_to_floats(settings) | {"data": VERSION}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def _list_some_labels(cells: list[Cell]) -> str:

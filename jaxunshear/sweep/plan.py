@@ -13,23 +13,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import list_registering_files
+from jaxunshear.config.network_config import (
+    NetworkConfig,
+    list_required_networks,
+    list_trained_networks,
+    resolve_network,
+)
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
-from jaxunshear.config.training import uses_teacher
+from jaxunshear.data.sources import list_source_files, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_object
 from jaxunshear.results.record_files import write_record
-from jaxunshear.sweep.grid import Row, select_training_part
-from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_outcome
+from jaxunshear.results.run import Settings
+from jaxunshear.sweep.grid import Row, format_training_name
+from jaxunshear.sweep.tasks import TASK, Task, TaskOrder, get_outcome_file, read_order, read_outcome
 from jaxunshear.training.data_origin import check_origin
 
 FINISHED = "summary.json"  # of a training
-NON_DATA_SETTINGS = (
-    *("name", "claim", "seed", "targets", "unshear", "posenet", "pins"),
-    *("train", "train_posenet", "train_teacher", "train_pins"),
-)
 
 
 def find_row_folder(folder: Path, row: Row) -> Path:
@@ -61,30 +64,34 @@ def list_unfinished_rows(folder: Path, rows: Iterable[Row]) -> list[Row]:
 
 def make_data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     """Make the task that makes, or finds, each data set that `rows` need."""
-    experiments = []
-    default = Experiment(name="", claim="")
+    # by their sets: the first experiment that needs these
+    experiments: dict[str, Experiment] = {}
     for row in rows:
-        plain = {field: getattr(default, field) for field in NON_DATA_SETTINGS}
-        if uses_teacher(row.experiment.train):  # it needs its taps, whatever its weight
-            plain["train"] = replace(plain["train"], losses={"pose_tap": 1.0})
-        experiment = to_json(replace(row.experiment, **plain))
-        if experiment not in experiments:
-            experiments.append(experiment)
+        sets = open_source(row.experiment).list_sets()
+        experiments.setdefault(f"{row.experiment.sensor} {sets}", row.experiment)
     task = Task(folder / "data", "data")
     # a set may have been deleted since it was made
     get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
     order = TaskOrder(
-        kind=task.kind, experiments=experiments, data=str(data), files=list_registering_files()
+        kind=task.kind,
+        experiments=[*map(to_json, experiments.values())],
+        data=str(data),
+        files=_list_files(),
     )
     write_record(task.folder / TASK, order)
     return task
+
+
+def _list_files() -> list[str]:
+    """List the experiment files that have registered something; processes of a sweep run them."""
+    return sorted({*list_registering_files(), *list_source_files()})
 
 
 def plan_tasks(
     folder: Path, rows: list[Row], ablation: bool, data: Path, command: str
 ) -> list[Task]:
     """Plan the unfinished `rows`, after the trainings that they share; writes each task.json."""
-    order = TaskOrder(kind="", data=str(data), command=command, files=list_registering_files())
+    order = TaskOrder(kind="", data=str(data), command=command, files=_list_files())
     trainings = SharedTrainings(folder, rows, order)
     tasks = []
     for row in rows:
@@ -117,61 +124,71 @@ class SharedTrainings:
 
     def __init__(self, folder: Path, rows: list[Row], order: TaskOrder) -> None:
         self.folder, self.order = folder, order
-        self.tasks: dict[str, Task] = {}  # by the name of the training's part
+        self.tasks: dict[str, Task] = {}  # by the name of the training
         self._finished = _find_finished_trainings(folder)
-        self._parts = {}  # of each training that a row has yet to do
-        for row in rows:
-            run = folder / "rows" / row.experiment.name
-            for network in list_trained_networks(row.experiment):
-                if not (run / network / FINISHED).exists():
-                    part = select_training_part(row.experiment, network)
-                    self._parts[row.digest, network] = part
-        self._users = Counter(part.name for part in self._parts.values())
+        # of each row: the trainings that it has yet to do
+        self._configs = {row.digest: _list_missing_trainings(folder, row) for row in rows}
+        self._users = Counter(
+            format_training_name(config)
+            for configs in self._configs.values()
+            for config in configs.values()
+        )
 
     def request(self, row: Row) -> RowInputs:
         """Return the trainings that `row` copies; it does the others itself."""
         inputs = RowInputs({}, {})
-        for network in list_trained_networks(row.experiment):
-            part = self._parts.get((row.digest, network))
-            if part is None:
-                continue
-            if part.name in self._finished:
-                inputs.sources[network] = str(self._finished[part.name])
-            elif self._users[part.name] > 1:
-                self._request_task(row, network, part, inputs)
+        for network, config in self._configs[row.digest].items():
+            name = format_training_name(config)
+            if name in self._finished:
+                inputs.sources[network] = str(self._finished[name])
+            elif self._users[name] > 1:
+                self._request_task(row, config, inputs)
         return inputs
 
-    def _request_task(self, row: Row, network: str, part: Experiment, inputs: RowInputs) -> None:
-        teachers = list_required_networks(part, network)[:-1]
-        needs = tuple(inputs.awaited[name] for name in teachers if name in inputs.awaited)
-        task = Task(self.folder / "shared" / part.name, "training", needs)
-        inputs.sources[network] = str(task.folder / network)
+    def _request_task(self, row: Row, config: NetworkConfig, inputs: RowInputs) -> None:
+        name, networks = format_training_name(config), list_required_networks(config)
+        helpers = networks[:-1]
+        needs = tuple(inputs.awaited[helper] for helper in helpers if helper in inputs.awaited)
+        task = Task(self.folder / "shared" / name, "training", needs)
+        inputs.sources[config.name] = str(task.folder / config.name)
         outcome = read_outcome(task.folder, task.kind)
         if outcome and outcome.status != "done":
             return  # the row fails with the reason of this training
         # an outcome without a finished training: its folder was deleted since
         get_outcome_file(task.folder, task.kind).unlink(missing_ok=True)
-        inputs.awaited[network] = task.folder
-        if part.name in self.tasks:
+        inputs.awaited[config.name] = task.folder
+        if name in self.tasks:
             return
-        self.tasks[part.name] = task
+        self.tasks[name] = task
+        experiment: Settings = to_json(replace(row.experiment, name=name))
+        if (task.folder / TASK).exists():  # a stopped sweep began it, maybe for another row
+            experiment = read_order(task.folder).experiment or experiment
         sources = {}
-        for teacher in teachers:
-            name = select_training_part(row.experiment, teacher).name
-            if source := self._finished.get(name, inputs.sources.get(teacher)):
-                sources[teacher] = str(source)
+        for helper in helpers:
+            helper_name = format_training_name(resolve_network(row.experiment, helper))
+            if source := self._finished.get(helper_name, inputs.sources.get(helper)):
+                sources[helper] = str(source)
         order = replace(
             self.order,
             kind=task.kind,
-            experiment=to_json(part),
-            networks=(*teachers, network),
+            experiment=experiment,
+            networks=networks,
             sources=sources,
         )
         write_record(task.folder / TASK, order)
 
 
+def _list_missing_trainings(folder: Path, row: Row) -> dict[str, NetworkConfig]:
+    run = folder / "rows" / row.experiment.name
+    return {
+        network: resolve_network(row.experiment, network)
+        for network in list_trained_networks(row.experiment)
+        if not (run / network / FINISHED).exists()
+    }
+
+
 def _find_finished_trainings(folder: Path) -> dict[str, Path]:
-    """Find all finished trainings in a sweep's folder, by the names of their parts.
+    """Find all finished trainings in a sweep's folder, by their names.
 
     Trainings that are damaged, or of an earlier version, are left out and trained again.
     """
@@ -189,6 +206,6 @@ def _find_finished_trainings(folder: Path) -> dict[str, Path]:
                 check_origin(experiment, network, path)
             except UserError:
                 continue
-            name = select_training_part(experiment, network).name
+            name = format_training_name(resolve_network(experiment, network))
             trainings.setdefault(name, path / network)
     return trainings

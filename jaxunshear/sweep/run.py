@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.config.experiment import list_trained_networks
+from jaxunshear.config.network_config import list_trained_networks
 from jaxunshear.config.sweep import Sweep
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_bytes

@@ -120,7 +120,6 @@ def has_same_contacts(
 
 
 def _get_contact_settings(rows: Mapping[int, RowScores], test: str) -> dict[str, object]:
-    """Return the settings that decide the contacts of a test."""
     results = _get_results(rows)
     settings, further_test = results.settings, results.tests.get(test)
     paired = {}

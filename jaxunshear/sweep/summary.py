@@ -1,13 +1,12 @@
 """The summary of a sweep: figures of each cell, and differences from a reference."""
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields as dataclass_fields
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import get_recorded
 from jaxunshear.config.fields import format_value
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep, get_base, list_fields
@@ -46,25 +45,8 @@ Parts = Mapping[str, np.ndarray]  # contacts (N,) bool by the name of the part
 class ScoredErrors(NamedTuple):
     """Errors of one kind of contact in one quantity."""
 
-    test: str
     values: np.ndarray  # (seeds, N)
     poses: np.ndarray  # (N,), the pose of each contact
-
-    def select(self, contacts: np.ndarray) -> "ScoredErrors":
-        """Select contacts (N,) bool."""
-        return ScoredErrors(self.test, self.values[:, contacts], self.poses[contacts])
-
-
-class RecoveryErrors(NamedTuple):
-    """The errors that a recovery is computed from."""
-
-    tap: ScoredErrors
-    sheared: ScoredErrors
-    unsheared: ScoredErrors
-
-    def select(self, contacts: np.ndarray) -> "RecoveryErrors":
-        """Select contacts (N,) bool, which all three share."""
-        return RecoveryErrors(*(errors.select(contacts) for errors in self))
 
 
 def summarise(
@@ -95,7 +77,7 @@ def summarise(
     summary = SweepResult(
         sweep=sweep.name,
         claim=sweep.claim,
-        simulated=get_recorded(sweep.base) is None,
+        simulated=sweep.base.paired.is_simulated,
         axes=axes,
         seeds=sweep.seeds,
         networks=list(networks),
@@ -182,13 +164,11 @@ def _select_parts(rows: Rows, test: str, name: str) -> Parts:
 
 
 def _make_figure(rows: Rows, values: np.ndarray, poses: np.ndarray) -> Figure:
-    """Make the figure of values (seeds, N) at poses (N,)."""
     by_seed = {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)}
     return Figure(float(values.mean()), compute_interval(values, poses), by_seed)
 
 
 def _list_table(row: RowScores) -> dict[str, float]:
-    """List the figures of `TABLES` as `<table>/<kind>/<column>`."""
     figures = {}
     for name in TABLES:
         table = getattr(row.outcome.evaluated_results, name) or {}
@@ -202,76 +182,54 @@ def _list_table(row: RowScores) -> dict[str, float]:
 def _compute_recoveries(rows: Rows) -> dict[str, Figure]:
     """Compute the recoveries of all metrics that have one, overall and on each shape.
 
-    They are called `pose_recovery/<kind>/<quantity>`.
+    They are called `pose_recovery/<kind>/<quantity>`. Only errors on unsheared contacts of a test
+    that also has taps and sheared contacts have one.
     """
     figures: dict[str, Figure] = {}
     names = dict.fromkeys(list_score_names(rows))
     for test, name in names:
-        errors = _collect_recovery_errors(rows, names, test, name)
-        if errors is None:
+        table, kind, *quantity = name.split("/")
+        if table != "pose" or kind in ("tap", "sheared"):
             continue
+        tap, sheared = "/".join(["pose/tap", *quantity]), "/".join(["pose/sheared", *quantity])
+        tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
+        if tap_test is None or (test, sheared) not in names:
+            continue
+        errors = [
+            ScoredErrors(stack_seeds(rows, each, score), number_contact_poses(rows, each))
+            for each, score in ((tap_test, tap), (test, sheared), (test, name))
+        ]
+        parts: dict[str, np.ndarray | slice] = {"": slice(None)}
+        if tap_test == test:
+            parts |= select_by_shape(rows, test)
         recovery_name = name.replace("pose/", "pose_recovery/", 1)
-        parts = {"": errors}
-        if errors.tap.test == test:
-            for shape, contacts in select_by_shape(rows, test).items():
-                parts[shape] = errors.select(contacts)
-        for shape, part in parts.items():
+        for shape, contacts in parts.items():
+            part = [ScoredErrors(each.values[:, contacts], each.poses[contacts]) for each in errors]
             if figure := _compute_recovery(list(rows), part):
                 figures[format_name(test, recovery_name, shape)] = figure
     return figures
 
 
-def _collect_recovery_errors(
-    rows: Rows, names: Container[tuple[str, str]], test: str, name: str
-) -> RecoveryErrors | None:
-    """Collect the errors for the recovery of `pose/<kind>/<quantity>`.
-
-    Returns None if the kind is not unsheared, or `names` lacks errors on taps or sheared contacts.
-    """
-    table, kind, *quantity = name.split("/")
-    if table != "pose" or kind in ("tap", "sheared"):
-        return None
-    tap, sheared = "/".join(["pose/tap", *quantity]), "/".join(["pose/sheared", *quantity])
-    tap_test = next((each for each in (test, TAP_TEST) if (each, tap) in names), None)
-    if tap_test is None or (test, sheared) not in names:
-        return None
-    return RecoveryErrors(
-        _read_errors(rows, tap_test, tap),
-        _read_errors(rows, test, sheared),
-        _read_errors(rows, test, name),
-    )
-
-
-def _read_errors(rows: Rows, test: str, name: str) -> ScoredErrors:
-    return ScoredErrors(test, stack_seeds(rows, test, name), number_contact_poses(rows, test))
-
-
-def _compute_recovery(seeds: Sequence[int], errors: RecoveryErrors) -> Figure | None:
+def _compute_recovery(seeds: Sequence[int], errors: Sequence[ScoredErrors]) -> Figure | None:
     """Compute (sheared - unsheared) / (sheared - tap) of mean errors, with its interval.
 
-    Returns None if the slide does no damage. There is no interval if it does none in some of the
-    resamples, as the recovery then has no bounds.
+    `errors` are those on taps, sheared and unsheared contacts. Returns None if the slide does no
+    damage. There is no interval if it does none in some of the resamples, as the recovery then has
+    no bounds.
     """
-    tap, sheared = errors.tap.values.mean(), errors.sheared.values.mean()
+    tap, sheared, unsheared = [each.values.mean() for each in errors]
     if sheared <= tap:
         return None
     by_seed: dict[str, float | None] = {}
-    means = [each.values.mean(axis=1) for each in errors]
-    for seed, row in zip(seeds, np.stack(means, axis=1), strict=True):
+    means = np.stack([each.values.mean(axis=1) for each in errors], axis=1)
+    for seed, row in zip(seeds, means, strict=True):
         recovery = float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
         by_seed[str(seed)] = recovery
-    interval, samples = None, _resample_recovery(errors)
-    if samples is not None:
-        interval = bootstrap.compute_interval(samples)
-    recovery = (sheared - errors.unsheared.values.mean()) / (sheared - tap)
-    return Figure(float(recovery), interval, by_seed)
-
-
-def _resample_recovery(errors: RecoveryErrors) -> np.ndarray | None:
-    """Compute the recovery in each resample; None if slides do no damage in some of them."""
-    means = [resample_means(each.values, each.poses) for each in errors]
-    tap, sheared, unsheared = means
-    return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None
+    taps, slides, outputs = [resample_means(each.values, each.poses) for each in errors]
+    interval = None
+    if np.all(slides > taps):
+        interval = bootstrap.compute_interval((slides - outputs) / (slides - taps))
+    return Figure(float((sheared - unsheared) / (sheared - tap)), interval, by_seed)
 
 
 def compute_differences(rows: Rows, other: Rows) -> dict[str, Figure]:

@@ -40,7 +40,6 @@ def format_table(summary: SweepResult) -> str:
 
 
 def _describe_frontiers(summary: SweepResult) -> list[str]:
-    """Describe the frontiers of a sweep over a list of settings, and the cells not ranked."""
     lines = []
     for metric, costs in summary.efficient.items():
         for cost, labels in costs.items():
@@ -75,7 +74,6 @@ def _format_figure(figure: Figure | None) -> str:
 
 
 def _format_costs(cell: CellResult) -> list[str]:
-    """Format the mean seconds of training of all networks, and the largest memory."""
     costs = cell.costs.values()
     if not costs:
         return ["-", "-"]

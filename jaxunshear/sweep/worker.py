@@ -18,9 +18,10 @@ from pathlib import Path
 
 from jaxunshear.allocator import keep_freed_memory
 from jaxunshear.code_version import read_source
-from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.load import run_file
 from jaxunshear.config.serialization import from_json
+from jaxunshear.data.sources import open_source
 from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
 from jaxunshear.files import is_disk_full
@@ -105,7 +106,6 @@ def run_order(order: TaskOrder, folder: Path) -> Outcome:
 
 
 def _add_retry_option(reason: str) -> str:
-    """Add the option that tries a failed task again to a reason that names the same command."""
     option = "--retry-failed"
     if option in reason:
         return reason
@@ -113,12 +113,11 @@ def _add_retry_option(reason: str) -> str:
 
 
 def _make_data(order: TaskOrder, folder: Path) -> Outcome:
-    from jaxunshear.data.generation import make_sets
-
     for file in order.files:
         run_file(Path(file))
     for settings in order.experiments:
-        make_sets(from_json(settings, str(folder / TASK)), Path(order.data))
+        experiment = from_json(settings, str(folder / TASK))
+        open_source(experiment).make_sets(Path(order.data))
     return Outcome(status="done", reason=None)
 
 
@@ -147,12 +146,11 @@ def _run_row(order: TaskOrder, folder: Path) -> Outcome:
 def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
-    """Measure the decoders on swapped codes, and the leakage of each code."""
     from jaxunshear.evaluation.code_swap_test import ablate
     from jaxunshear.evaluation.leakage import measure_leakage
     from jaxunshear.evaluation.leakage_table import build_sweep_rows
 
-    if uses_pins(experiment):
+    if experiment.unshear.input == "pins":
         rows, has_shear_code = [], bool(experiment.pins.shear_code)
     else:
         rows = ablate(experiment, folder, data, command)["rows"]

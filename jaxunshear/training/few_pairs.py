@@ -14,12 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.data import PoseData
-from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.splits import hash_text
 from jaxunshear.data.pose_groups import group_by_pose
-from jaxunshear.data.reader import Batch, Reader, SetReader
-from jaxunshear.training.examples import Examples, open_simulated_set
+from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.sources import Examples
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 Batches = Callable[[int], Iterator[Batch]]
@@ -55,6 +54,19 @@ def choose_poses(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: 
     return is_chosen[row.reshape(-1)]
 
 
+def add_unpaired(
+    batches: Batches, config: NetworkConfig, examples: Examples, data_dir: Path
+) -> Batches:
+    """Add the taps and slides without partners that the losses of a network take."""
+    count = max(1, config.training.batch // 2)  # in a step, in addition to the pairs
+    if config.taps:
+        taps = open_set(config.taps, data_dir, config.sensor)
+        batches = add_taps(batches, taps, count, config.seed)
+    if "consistency" in config.training.losses:
+        batches = add_same_pose_slides(batches, examples, count, config.seed)
+    return batches
+
+
 def add_taps(batches: Batches, taps: Reader, count: int, seed: int) -> Batches:
     """Add the pins of `count` taps to each batch, drawn by seed and step."""
     tap_batches = taps.train_batches(count, seed, 0.0, ("pins",))
@@ -87,9 +99,3 @@ def add_same_pose_slides(batches: Batches, examples: Examples, count: int, seed:
 def _get_set_reader(examples: Examples) -> SetReader:
     assert isinstance(examples.reader, SetReader)  # simulated
     return examples.reader
-
-
-def open_taps(experiment: Experiment, data_dir: Path) -> Reader:
-    """Open the simulated taps without slides. Raises UserError if the set is missing."""
-    assert isinstance(experiment.pose, PoseData)
-    return open_simulated_set(experiment.pose, experiment.sensor, data_dir)

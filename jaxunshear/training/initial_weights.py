@@ -7,18 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.config.configs import compute_fingerprint
-from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import (
-    Experiment,
-    get_training,
-    get_training_data,
-    list_further_tests,
-    list_required_networks,
-    require_simulated,
-)
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import NetworkConfig, resolve_network
 from jaxunshear.config.serialization import OLD_FILES
-from jaxunshear.data.digests import parse_folder_digests
+from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.model_folders import find_model_folder
@@ -34,7 +26,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
 
     Raises UserError if they are missing or learnt the tests.
     """
-    model = get_training(experiment, network).start
+    model = resolve_network(experiment, network).start
     if not model:
         return None
     folder = find_model_folder(Path(model)) / network
@@ -43,12 +35,7 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
             f"start: {folder.parent} holds no {network}: "
             "name a run or released weights that have it"
         )
-    if isinstance(experiment.paired, Recorded):
-        digests = parse_folder_digests(experiment.paired.digest)
-    else:
-        tests = list_further_tests(experiment).values()
-        digests = {compute_fingerprint(test, experiment.sensor) for test in tests}
-    check_unseen(folder, digests)
+    check_unseen(folder, open_source(experiment).list_test_digests())
     return folder
 
 
@@ -57,17 +44,15 @@ def list_training_digests(experiment: Experiment, network: str, start: Path | No
 
     These include the data of the networks that it needs, and of the weights in `start`.
     """
-    if isinstance(experiment.paired, Recorded):
-        digests = parse_folder_digests(experiment.paired.digest)
-    else:
-        sets = [
-            get_training_data(experiment, each)
-            for each in list_required_networks(experiment, network)
-        ]
-        if "tap_identity" in get_training(experiment, network).losses:
-            sets.append(require_simulated(experiment, "the loss tap_identity")[1])
-        digests = {compute_fingerprint(each, experiment.sensor) for each in sets}
+    digests = _collect_digests(open_source(experiment), resolve_network(experiment, network))
     return sorted(digests.union(read_object(start / "model.json")["data"] if start else ()))
+
+
+def _collect_digests(source: DataSource, config: NetworkConfig) -> set[str]:
+    digests = source.list_digests(config.source)
+    if config.taps:
+        digests |= source.list_digests(config.taps)
+    return digests.union(*(_collect_digests(source, need) for need in config.needs))
 
 
 def check_unseen(folder: Path, digests: Iterable[str]) -> None:

@@ -12,7 +12,7 @@ of the taps.
 import functools
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,12 +29,10 @@ from jaxunshear.calibration.simulated_slides import (
 )
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import load_chunk
+from jaxunshear.data.chunks import load_chunk, write_chunks
 from jaxunshear.data.reader import Batch
 from jaxunshear.data.recorded_set import RecordedSet, SlideSimulator
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_npz
-from jaxunshear.progress import Progress
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
@@ -96,7 +94,6 @@ def _make_shear_simulation(stored: RecordedSet) -> Simulate:
 
 
 def _compute_digest() -> str:
-    """Compute the digest of the settings of the simulation."""
     settings = (DEFAULT_CALIBRATION.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
 
@@ -114,16 +111,13 @@ def _simulate_motions(
     taps = _read_taps(stored, split)
     rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
     parts = [rows[start : start + chunk] for start in range(0, len(rows), chunk)]
-    paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
-    missing = [i for i, path in enumerate(paths) if not path.exists()]
-    if missing:
-        done = len(rows) - sum(len(parts[i]) for i in missing)
-        with Progress(
-            f"simulate slides ({split})", len(rows), unit="contacts", done=done
-        ) as progress:
-            for i in missing:
-                _write(paths[i], simulate, taps.pose, parts[i])
-                progress.advance(len(parts[i]))
+
+    def make(missing: list[int]) -> Iterator[Batch]:
+        for index in missing:
+            generator = np.random.default_rng([VERSION, *split.encode(), index])
+            yield _simulate_chunk(simulate, taps.pose, parts[index], generator)
+
+    paths = write_chunks(folder, parts, make, f"simulate slides ({split})")
     chunks = [load_chunk(path) for path in paths]
     fine = _join(chunks, "fine")
     if not fine.all():
@@ -144,20 +138,20 @@ def _join(chunks: list[Batch], name: str) -> np.ndarray:
     return np.concatenate([chunk[name] for chunk in chunks])
 
 
-def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -> None:
-    generator = np.random.default_rng([VERSION, *path.parent.name.encode(), int(path.stem)])
+def _simulate_chunk(
+    simulate: Simulate, pose: np.ndarray, rows: np.ndarray, generator: np.random.Generator
+) -> Batch:
     move = np.zeros((len(rows), 6))
     along = [axis for axis in range(3) if axis != find_depth_axis(pose)]
     move[:, along] = generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
     move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
     motion, fine = simulate(pose[rows], move, generator.uniform(*FRICTION, len(rows)))
-    write_npz(path, {"row": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine})
+    return {"row": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine}
 
 
 def _vary_slides(
     stored: RecordedSet, taps: RecordedTaps, motions: SlideMotions, split: str
 ) -> Batch:
-    """Draw SLIDES_PER_MOTION slides of each motion."""
     rest, spacing_px = np.array(stored.frame["place_px"]), stored.frame["spacing_px"]
     generator = np.random.default_rng([VERSION, *split.encode()])
     repeats = np.tile(np.arange(len(motions.row)), SLIDES_PER_MOTION)

@@ -28,27 +28,11 @@ def changed(*argv: str) -> Experiment:
 
 
 def test_each_kind_of_value_is_overridden_by_name():
-    experiment = changed(
-        *(
-            "--seed",
-            "7",
-            "--train.epochs=2.5",
-            "--train.drops",
-            "40:0.2,80:.1",
-            "--unshear.widths",
-            "8, 16,32",
-        ),
-        *(
-            "--paired.stimuli",
-            "disk",
-            "--paired.nuisance.housing_ring",
-            "false",
-            "--claim",
-            "a b",
-            "--sensor",
-            "tactip127",
-        ),
+    words = (
+        "--seed 7 --train.epochs=2.5 --train.drops 40:0.2,80:.1 --paired.stimuli disk "
+        "--paired.nuisance.housing_ring false --sensor tactip127"
     )
+    experiment = changed(*words.split(), "--unshear.widths", "8, 16,32", "--claim", "a b")
     assert experiment.seed == 7
     assert experiment.train == Training(epochs=2.5, drops=((40.0, 0.2), (80.0, 0.1)))
     assert experiment.unshear.widths == (8, 16, 32)
@@ -71,10 +55,7 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
     shown = set()
     for name, _ in list_field_types():
-        for experiment in (
-            PLAIN,
-            recorded,
-        ):  # some fields are of simulated sets, some of recordings
+        for experiment in (PLAIN, recorded):  # some fields are of simulated sets alone
             value = experiment
             for part in name.split("."):
                 value = getattr(value, part, MISSING)
@@ -165,12 +146,11 @@ def test_depths_beyond_the_contact_model_are_refused():
 
 def test_train_share_of_the_rules_is_that_of_the_split():
     from jaxunshear.config.data import PoseData
-    from jaxunshear.config.rules_simulated import count_training_poses
     from jaxunshear.data.sampling import sample_taps
 
     every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
     for settings in (*every, PoseData(poses=13)):
-        assert (sample_taps(settings).split == 0).sum() == count_training_poses(settings)
+        assert (sample_taps(settings).split == 0).sum() == settings.count_training_poses()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import get_args
 
 import jaxunshear
-from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.registry import (
     ALL_NETWORKS,
     PIN_NETWORKS,
@@ -19,7 +18,6 @@ from jaxunshear.config.registry import (
     Network,
 )
 from jaxunshear.style import COLOURS
-from jaxunshear.training.task_factory import make_unshear_net
 
 PACKAGE = Path(jaxunshear.__file__).parent
 ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # `training.checkpoint.NETS`
@@ -33,10 +31,7 @@ def test_every_network_is_in_the_table():
     assert set(PIN_NETWORKS) == {"entangled", "disentangled", "posenet", "posenet_sheared"}
 
 
-def test_those_that_unshear_are_built_and_titled():
-    assert len({make_unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(
-        UNSHEARING
-    )
+def test_those_that_unshear_are_titled():
     assert all(
         REGISTRY[name].title and REGISTRY[name].learns_from == "pairs" for name in UNSHEARING
     )

@@ -45,7 +45,7 @@ BAD = [
     ({"grid": (("seed", (0, 1)),)}, "sweep.grid varies seed: list the seeds"),
     ({"grid": (("name", ("a", "b")),)}, "varies name, which decides nothing"),
     ({"rows": (("train.batch", 4),)}, "sweep.rows is no tuple of rows"),
-    ({"rows": (((("train.batch", "train.l1"), 4),),)}, "sweep.rows needs a tuple of a value each"),
+    ({"rows": (((("train.batch", "train.l1"), 4),),)}, "sweep.rows needs tuples of a value each"),
     ({"rows": ((("seed", 1),),)}, "sweep.rows varies seed: list the seeds"),
     ({"rows": ((("train.bach", 4),),)}, "did you mean --train.batch"),
     ({"seeds": ()}, "sweep.seeds (or --seeds) is no tuple"),
@@ -55,7 +55,7 @@ BAD = [
     ({"networks": ("resnet",)}, "resnet is unknown: use one of entangled, disentangled"),
     ({"networks": ()}, "name at least one"),
     ({"ablation": 1}, "sweep.ablation is neither True nor False"),
-    ({"reference": 1}, "sweep.reference is no label"),
+    ({"reference": 1}, "sweep.reference is no text"),
 ]
 
 

@@ -16,14 +16,15 @@ import tensorflow_datasets as tfds
 
 import data_specs.tactip_paired
 import data_specs.tactip_pose
-from jaxunshear.config.configs import CONFIGS, VERSION, get_set_folder, get_unfinished_folder
+from jaxunshear.config.configs import CONFIGS, get_set_folder, get_unfinished_folder
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.data.builders.stored import SetConfig, compute_sha256
 from jaxunshear.data.chunks import load_chunk
-from jaxunshear.data.generation import make_set, make_sets
+from jaxunshear.data.generation import make_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 
 BUILDERS = {
@@ -59,11 +60,8 @@ def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path, monkeyp
     builder.download_and_prepare()
     settings = CONFIGS[name]["tiny"]
     each = settings.slides if name == "tactip_paired" else 1
-    assert {split: builder.info.splits[split].num_examples for split in SPLITS} == {
-        "train": 18 * each,
-        "validation": 6 * each,
-        "test": 6 * each,
-    }
+    counts = [builder.info.splits[split].num_examples for split in SPLITS]
+    assert counts == [18 * each, 6 * each, 6 * each]
     for example in tfds.builder(f"{name}/tiny", data_dir=tmp_path).as_data_source("test"):
         image = example["sheared" if name == "tactip_paired" else "image"]
         assert image.shape == (128, 128, 1)
@@ -118,9 +116,8 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
 
 
 def test_both_sets_of_an_experiment(paired, pose, sensor, engine, tmp_path):
-    made = make_sets(
-        Experiment(name="x", claim="", sensor=sensor, paired=paired, pose=pose), tmp_path, engine
-    )
+    experiment = Experiment(name="x", claim="", sensor=sensor, paired=paired, pose=pose)
+    made = open_source(experiment).make_sets(tmp_path, engine)
     assert list(made) == ["tactip_paired", "tactip_pose"]
 
 
@@ -205,16 +202,15 @@ make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"])
 
 
 def start(folder: Path, seconds: float) -> subprocess.Popen:
-    command = [
+    words = [
         sys.executable,
         "-c",
         SCRIPT,
         str(Path(__file__).with_name("conftest.py")),
         str(folder),
     ]
-    return subprocess.Popen(
-        command, env={**os.environ, "FAKE_SECONDS": str(seconds)}, stderr=subprocess.PIPE, text=True
-    )
+    environment = {**os.environ, "FAKE_SECONDS": str(seconds)}
+    return subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
 
 
 def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
@@ -254,11 +250,11 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
 
 
 def test_what_a_run_killed_while_writing_shards_left_is_cleared(pose, sensor, engine, tmp_path):
-    left = get_set_folder(pose, sensor, tmp_path).parent / f"incomplete.ABC123_{VERSION}"
+    left = get_set_folder(pose, sensor, tmp_path).parent / f"incomplete.ABC123_{pose.version}"
     left.mkdir(parents=True)
     (left / "tactip_pose-train.array_record-00000-of-00001").write_bytes(b"half")
     make_set(pose, sensor, tmp_path, engine)
-    assert [path.name for path in left.parent.iterdir()] == [VERSION]
+    assert [path.name for path in left.parent.iterdir()] == [pose.version]
 
 
 def test_chunks_left_by_a_run_killed_at_its_very_end_are_cleared(pose, sensor, engine, tmp_path):

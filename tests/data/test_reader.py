@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from jaxunshear.config.configs import VERSION, get_set_folder
+from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import reader
 from jaxunshear.data.generation import make_set
@@ -178,14 +178,6 @@ def test_the_pose_set(pose, sensor, engine, tmp_path):
     assert batch["pose"].shape == (4, 4)
     assert batch["edge"].shape == (4, 2)
     assert reader.length("train") == 12
-
-
-def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sensor, tmp_path):
-    inside = next(made.split("train", 36))
-    monkeypatch.setattr(reader, "MAX_MEMORY_BYTES", 1000)
-    outside = next(open_set(paired, tmp_path, sensor).split("train", 36))
-    assert all(np.array_equal(inside[name], outside[name]) for name in inside)
-    assert [path.name for path in made.folder.parent.iterdir()] == [VERSION]
 
 
 def test_reading_keeps_up_with_training(made):

@@ -50,18 +50,8 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     grey, true = frames(sensor, SHIFTS)
     write(tmp_path / "images", grey)
     write(tmp_path / "rest", frames(sensor, [(0.0, 0.0)])[0])
-    answer = command(
-        *(
-            "pins",
-            tmp_path / "images",
-            "--sensor",
-            sensor.name,
-            "--rest",
-            tmp_path / "rest",
-            "--out",
-            tmp_path / "out",
-        )
-    )
+    words = ("--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
+    answer = command("pins", tmp_path / "images", *words)
     assert answer.code == 0, answer.err
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]

@@ -84,21 +84,18 @@ def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
     assert len(list(recordings.iterate_frames())) == len(recordings) == 3
 
 
-def test_the_newer_layout_with_a_broken_json(tmp_path):
+def test_the_newer_layout(tmp_path):
     for split in ("train", "val"):
         write_images(tmp_path / split / "processed_images", ["image_1.png", "image_2.png"])
         write_images(tmp_path / split / "sensor_images", ["image_1.png"])
         write_targets(
             tmp_path / split / "targets.csv", "sensor_image", NEWER, ["image_1.png", "image_2.png"]
         )
-        (tmp_path / split / "env_params.json").write_text('{"robot": "cr"}')
-    (tmp_path / "val" / "collect_params.json").write_text('{"sort": false}}')
     recordings = read_recordings(tmp_path, PREPROCESS)
     assert recordings.names[0] == "train/processed_images/image_1.png"
     assert len(recordings) == 4
     assert recordings.poses.shape == recordings.moves.shape == (4, 6)
-    assert len(recordings.notes) == 1
-    assert str(tmp_path / "val" / "collect_params.json") in recordings.notes[0]
+    assert recordings.notes == []
 
 
 def test_bad_images_are_left_out_by_name(tmp_path):
@@ -234,8 +231,7 @@ def test_real_recordings(real_recordings, tmp_path):
     recordings = read_recordings(tmp_path, Preprocess(size=128))
     assert [image.shape for _, _, image in recordings.iterate_frames()] == [(128, 128)] * 12
     assert np.isfinite(recordings.poses).all()
-    (note,) = recordings.notes  # broken as published
-    assert "env_params.json: this JSON is broken" in note
+    assert recordings.notes == []
     np.testing.assert_array_equal(
         recordings.pose_ids == -1, ["franka" in name for name in recordings.names]
     )

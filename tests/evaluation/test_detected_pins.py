@@ -13,6 +13,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.targets import make_range_targets
+from jaxunshear.data.sources import PinLayout
 from jaxunshear.evaluation.detected_pins import (
     DETECTED,
     DETECTED_TAP,
@@ -25,7 +26,6 @@ from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.report import score_sections
-from jaxunshear.training.examples import PinLayout
 from tests.report.conftest import made_up_gathered
 
 SETTINGS = PairedData()

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
+from jaxunshear.data import reader
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
 from jaxunshear.evaluation.evaluate import evaluate
@@ -18,8 +21,6 @@ from jaxunshear.files import read_json, write_json
 from jaxunshear.results.record_files import SCHEMA, read_record
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
-from jaxunshear.training import examples
-from jaxunshear.training.data_origin import describe_origin
 
 SIZE, COUNT = 32, 6
 
@@ -75,7 +76,7 @@ class Reader:
 
 
 def _opens(monkeypatch, count):
-    for module in (simulated_evaluation, examples):
+    for module in (simulated_evaluation, reader):
         monkeypatch.setattr(
             module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
         )
@@ -99,7 +100,15 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
     folder = shutil.copytree(trained, tmp_path / "run")
     for network in ALL_NETWORKS:
         path = folder / network / "model.json"
-        write_json(path, read_json(path) | {"origin": describe_origin(experiment, network)})
+        write_json(
+            path,
+            read_json(path)
+            | {
+                "origin": open_source(experiment).describe_origin(
+                    resolve_network(experiment, network)
+                )
+            },
+        )
     return folder
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.api import load_model
-from jaxunshear.config.configs import get_set_folder, get_set_name
+from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.data import PairedData, PoseData, Recorded
 from jaxunshear.config.load import load_experiment
 from jaxunshear.config.reach import set_ring_spacing
@@ -74,7 +74,7 @@ def list_rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
     for experiment in (tiny, pins):
         folder = get_set_folder(experiment.paired, experiment.sensor, data)
         read = _make_set_reader(experiment.paired, experiment.sensor, data)
-        name = f"stored set {get_set_name(experiment.paired)}"
+        name = f"stored set {experiment.paired.set_name}"
         yield flip(name, "run", [file for file in folder.iterdir() if file.is_file()], read)
     chunks = _make_unfinished_set(tiny.pose, scratch / "unfinished")
     read_chunks = lambda: [compute_array_digest(load_chunk(file)) for file in chunks]  # noqa: E731

@@ -175,11 +175,11 @@ def collect_run(folder: Path, data: Path) -> dict[str, Any]:
 
 
 def _collect_batch(experiment: Any, network: str, data: Path, folder: Path) -> dict[str, Any]:
-    from jaxunshear.config.experiment import get_training
+    from jaxunshear.config.network_config import resolve_network
     from jaxunshear.training.examples import open_examples
     from jaxunshear.training.task_factory import make_task
 
-    training = get_training(experiment, network)
+    training = resolve_network(experiment, network).training
     examples = open_examples(experiment, network, data, folder)
     _, fields = make_task(experiment, network, examples, folder)
     read = examples.reader.train_batches

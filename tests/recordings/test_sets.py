@@ -17,9 +17,10 @@ from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import preprocessing
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
+from jaxunshear.data.reader import open_set
 from jaxunshear.data.recorded_contacts import read_contacts
 from jaxunshear.data.recorded_probes import identify_sensor
-from jaxunshear.data.recorded_set import open_recorded
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
 
 SEEN = Preprocess(size=made.SIZE)
@@ -40,7 +41,8 @@ def stored(recording, tmp_path_factory):
 @pytest.fixture
 def opened(recording, stored):
     def opened(seed=0, **changes):
-        return open_recorded(settings_of(recording, **changes), TACTIP_127, stored, seed)
+        settings = settings_of(recording, **changes)
+        return RecordedSet(settings, open_set(settings, stored, TACTIP_127), seed)
 
     return opened
 
@@ -181,7 +183,7 @@ def test_pairs_of_one_pose_by_its_number(tmp_path):
         settings_of(tmp_path / "edge"), pairing="pose_id", test=0.2, validation=0.2
     )
     make_set(settings, TACTIP_127, tmp_path / "data")
-    stored = open_recorded(settings, TACTIP_127, tmp_path / "data")
+    stored = RecordedSet(settings, open_set(settings, tmp_path / "data", TACTIP_127))
     reader = stored.read_pairs(stored.make_targets(()))
     rows = reader.take(
         "train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id")

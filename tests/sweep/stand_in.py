@@ -19,7 +19,8 @@ import numpy as np
 
 from jaxunshear.code_version import read_source
 from jaxunshear.config.configs import describe_set
-from jaxunshear.config.experiment import Experiment, get_training_data
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import Sweep
@@ -31,7 +32,7 @@ from jaxunshear.results.run import Results
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.serialization import to_builtins
 from jaxunshear.sweep import worker
-from jaxunshear.sweep.grid import select_training_part
+from jaxunshear.sweep.grid import format_training_name
 
 WORKER = (sys.executable, str(Path(__file__).resolve()))
 STEPS = 10
@@ -67,11 +68,9 @@ def train(experiment, network, folder, data):
     if (place / "summary.json").exists():
         return
     place.mkdir(exist_ok=True)
-    write_json(
-        place / "model.json",
-        {"origin": describe_set(get_training_data(experiment, network), experiment.sensor)},
-    )
-    part = select_training_part(experiment, network).name
+    config = resolve_network(experiment, network)
+    write_json(place / "model.json", {"origin": describe_set(config.source, config.sensor)})
+    part = format_training_name(config)
     checkpoint = place / "checkpoint.json"
     state = (
         read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}

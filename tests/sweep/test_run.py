@@ -16,7 +16,7 @@ import pytest
 
 from jaxunshear.code_version import read_source
 from jaxunshear.config.serialization import from_json
-from jaxunshear.data.generation import list_sets
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.locks import hold_lock
@@ -225,7 +225,18 @@ def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
         tmp_path, list(list_rows(sweep, list_cells(sweep)).values()), tmp_path
     )
     (made,) = read_json(task.folder / TASK)["experiments"]
-    assert set(list_sets(from_json(made))) == {"tactip_paired", "tactip_pose"}
+    assert set(open_source(from_json(made)).list_sets()) == {"tactip_paired", "tactip_pose"}
+
+
+def test_a_shared_training_keeps_the_settings_that_it_began_with(stand_in, tmp_path):
+    """The same sweep may go on with its rows in another order."""
+    sweep = replace(stand_in.SWEEP, grid=(("train.losses.patch", (0.0, 0.1)),), seeds=(0,))
+    order = list(list_rows(sweep, list_cells(sweep)).values())
+    shared = []
+    for each in (order, order[::-1]):
+        (task, *_) = plan.plan_tasks(tmp_path, each, False, tmp_path, "none")
+        shared.append((task.folder, read_json(task.folder / TASK)["experiment"]))
+    assert shared[0] == shared[1] and shared[0][0].name.startswith("posenet_seed-0-")
 
 
 def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(

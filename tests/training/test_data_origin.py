@@ -6,15 +6,17 @@ import pytest
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import resolve_network
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.training.data_origin import check_origin, describe_origin
+from jaxunshear.training.data_origin import check_origin
 
 SIMULATED = Experiment(name="small", claim="none", networks=("disentangled",))
 
 
 def test_a_network_of_other_data_is_refused(tmp_path):
-    own = describe_origin(SIMULATED, "disentangled")
+    own = open_source(SIMULATED).describe_origin(resolve_network(SIMULATED, "disentangled"))
     write_json(tmp_path / "disentangled" / "model.json", {"origin": own})
     check_origin(SIMULATED, "disentangled", tmp_path)
     other = replace(SIMULATED, paired=PairedData(seed=7))

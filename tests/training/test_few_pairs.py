@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.config.experiment import PIN_TRAINING, Experiment, get_training
+from jaxunshear.config.experiment import PIN_TRAINING, Experiment
 from jaxunshear.config.fields import override_fields
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.data.generation import list_sets
 from jaxunshear.data.reader import Reader, SetReader
-from jaxunshear.training.examples import Examples, PinLayout
+from jaxunshear.data.sources import Examples, PinLayout, open_source
 from jaxunshear.training.few_pairs import (
     ANOTHER,
     ONE,
@@ -142,13 +142,13 @@ def test_the_only_slide_of_a_pose_is_its_own_other():
 def test_a_network_that_learns_taps_needs_their_set():
     """Their set is made without a PoseNet, too."""
     taught = override_fields(OVER_PINS, ["--train_pins.losses.tap_identity", "0.5"])
-    assert set(list_sets(OVER_PINS)) == {"tactip_paired"}
-    assert set(list_sets(taught)) == {"tactip_paired", "tactip_pose"}
+    assert set(open_source(OVER_PINS).list_sets()) == {"tactip_paired"}
+    assert set(open_source(taught).list_sets()) == {"tactip_paired", "tactip_pose"}
 
 
 def test_no_posenet_is_another_for_fewer_pairs():
     few = override_fields(
         OVER_PINS, ["--train_pins.losses.tap_identity", "0.5", "--train_pins.paired_share", "0.1"]
     )
-    assert get_training(few, "posenet") == get_training(OVER_PINS, "posenet")
-    assert get_training(few, "disentangled") != get_training(OVER_PINS, "disentangled")
+    assert resolve_network(few, "posenet") == resolve_network(OVER_PINS, "posenet")
+    assert resolve_network(few, "disentangled") != resolve_network(OVER_PINS, "disentangled")

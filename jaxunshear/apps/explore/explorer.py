@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, simulate_touch
 from jaxunshear.config.data import PairedData
-from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import SIMULATED_FIELDS
 from jaxunshear.data.chunks import render_images
@@ -142,7 +142,7 @@ def make_explorer(
 
     `like` shows where pins rest in recordings, for networks over pins.
     """
-    paired, _ = require_simulated(experiment, "explore")
+    paired = experiment.paired.get_simulated("explore")
     frame = _make_simulated_frame(experiment.sensor, paired) if uses_pins(experiment) else None
     perceive = load_perceiver(folder, experiment, True, frame)
 

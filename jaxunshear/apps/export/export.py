@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear import __version__
-from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
-from jaxunshear.inference.infer import FRAMES, OWN_FRAME
-from jaxunshear.inference.suitability import describe_training
 from jaxunshear.model_folders import find_model_folder, load_settings
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
@@ -180,8 +178,8 @@ def _make_metadata(
         "names": ",".join(names),
         "units": ",".join(name.rpartition("_")[2] for name in names),
         "pose_of": parts.method,
-        "frame_of_poses": OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
-        "learnt": describe_training(experiment),
+        "frame_of_poses": open_source(experiment).pose_frame,
+        "learnt": open_source(experiment).describe(),
         "preprocess": json.dumps(asdict(experiment.paired.preprocess)),
     }
     if parts.rest is not None:

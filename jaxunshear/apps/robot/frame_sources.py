@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.recordings import read_image, read_recordings
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.perception.preprocess import View
 
@@ -66,7 +66,7 @@ def make_label_reader(
 
     Returns None without labels, and for a model that was not trained on labels of these names.
     """
-    if not Path(source).is_dir() or not isinstance(experiment.paired, Recorded):
+    if not Path(source).is_dir() or not open_source(experiment).has_frame:
         return None
     poses = read_recordings(source, Preprocess()).poses
     if poses is None:

@@ -19,13 +19,13 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.data.preprocessing import SensorFrame as PinFrame
 from jaxunshear.data.recordings import PROBES
+from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
@@ -83,7 +83,7 @@ def load_stream_model(
     Raises UserError.
     """
     minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
-    if not isinstance(experiment.paired, Recorded) and not uses_pins(experiment):
+    if not open_source(experiment).has_frame and not uses_pins(experiment):
         step = make_image_step(model, experiment)
         appearance = load_sensor_appearance(model, experiment)
         return StreamModel(step, experiment.paired.preprocess, None, appearance, minimum)

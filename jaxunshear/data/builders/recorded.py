@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import tensorflow_datasets as tfds
 
-from jaxunshear.config import configs
+from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data import recorded_examples
 from jaxunshear.data.builders.stored import (
@@ -16,11 +16,12 @@ from jaxunshear.data.builders.stored import (
     make_pins_feature,
     make_vector_feature,
 )
-from jaxunshear.data.recorded_contacts import RecordedContacts
+from jaxunshear.data.preprocessing import find_sensor_frame, prepare_chunks
+from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts
 
 
 class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-arg]
-    VERSION = tfds.core.Version(configs.RECORDED_VERSION)
+    VERSION = tfds.core.Version(Recorded.version)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
     MANUAL_DOWNLOAD_INSTRUCTIONS = (
         "The folders of taps and slides that the settings name, in one of the layouts of README.md."
@@ -44,8 +45,9 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         self, dl_manager: tfds.download.DownloadManager
     ) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
-        folder = self._unfinished_folder
-        contacts, frame, paths = recorded_examples.prepare_recordings(settings, sensor, folder)
+        contacts = read_contacts(settings)
+        frame = find_sensor_frame(contacts, settings, sensor)
+        paths = prepare_chunks(contacts, settings, frame, self._unfinished_folder)
         counts, description = recorded_examples.summarise_recordings(contacts, frame, paths)
         self._set_metadata(counts, **description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}

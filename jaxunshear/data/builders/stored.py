@@ -21,6 +21,7 @@ import numpy as np
 import tensorflow_datasets as tfds
 
 from jaxunshear.config import configs
+from jaxunshear.config.data import DataSettings, SimulatedData
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import SimulationEngine, make_engine, simulate_chunks
@@ -40,7 +41,7 @@ HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets
 
 @dataclasses.dataclass(eq=False)
 class SetConfig(tfds.core.BuilderConfig):
-    settings: configs.DataSettings | None = None
+    settings: DataSettings | None = None
     sensor: Sensor = TACTIP_331
 
 
@@ -131,7 +132,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
 class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     """Simulates the contacts of a set, or continues to."""
 
-    VERSION = tfds.core.Version(configs.VERSION)
+    VERSION = tfds.core.Version(SimulatedData.version)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {
         "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
         "2.1.0": "Presses in increments of 3 mm.",

@@ -1,0 +1,177 @@
+"""The config of each network of a run, resolved once from the experiment.
+
+>>> config = resolve_network(experiment, "disentangled")
+>>> config.training.losses, config.digest
+
+A config holds all that decides the weights of a network, and nothing else: two experiments whose
+configs are equal can share the training, as the rows of a sweep do.
+"""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import cast
+
+from jaxunshear.config.configs import compute_digest
+from jaxunshear.config.data import PoseData, SourceSettings
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.losses import InputKind
+from jaxunshear.config.networks import (
+    NetSettings,
+    PinNet,
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    UNet,
+    UnshearNet,
+)
+from jaxunshear.config.registry import (
+    DISENTANGLED,
+    ENTANGLED,
+    POSENET_SHEARED,
+    REGISTRY,
+    RENDERER,
+    TEACHER,
+    UNET,
+    NetworkSpec,
+)
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.training import Training, drop_pair_losses, uses_teacher
+
+TEACHER_SEED = 1000  # is added to the seed of the experiment
+HELPERS = (RENDERER, TEACHER, POSENET_SHEARED)  # networks that others learn from, in their order
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """All that decides the weights of one network; fields that it does not use are at defaults."""
+
+    name: str
+    modality: InputKind
+    source: SourceSettings | PoseData  # the set that it learns from
+    taps: PoseData | None  # simulated taps without slides that it learns from as well
+    sensor: Sensor
+    net: NetSettings
+    training: Training
+    targets: tuple[str, ...]
+    seed: int
+    randomised: float  # share of its batches whose pins are changed by domain randomisation
+    needs: tuple["NetworkConfig", ...] = ()  # the networks that it learns from
+
+    @property
+    def spec(self) -> NetworkSpec:
+        return REGISTRY[self.name]
+
+    @property
+    def start(self) -> str:
+        """The weights to start from: released ones, a run, or empty for random ones."""
+        return self.training.start
+
+    @cached_property
+    def digest(self) -> str:
+        """Eight hexadecimal digits: networks of one digest have equal trainings."""
+        return compute_digest({"config": asdict(self), "data": self.source.version})
+
+
+def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
+    """Resolve the config of one network of an experiment."""
+    spec, pins = REGISTRY[name], experiment.unshear.input == "pins"
+    training, source = _select_training(experiment, spec), experiment.paired
+    helpers = source.list_helpers(spec, pins)
+    if spec.role == "unshears" and uses_teacher(training):
+        helpers = (TEACHER, *helpers)
+    if spec.role == "reads poses" and pins:
+        losses = {"pose": 1.0} | ({"rendered_pose": 1.0} if RENDERER in helpers else {})
+        training = replace(training, losses=losses)
+    pose = experiment.pose
+    takes_taps = "tap_identity" in training.losses and source.is_simulated
+    return NetworkConfig(
+        name=name,
+        modality="pins" if pins or name == RENDERER else "images",
+        source=source.select_for(spec, pose),
+        taps=cast(PoseData, pose) if takes_taps else None,
+        sensor=experiment.sensor,
+        net=_select_net(experiment, spec),
+        training=training,
+        targets=experiment.targets,
+        seed=experiment.seed + (TEACHER_SEED if name == TEACHER else 0),
+        randomised=experiment.pins.turned if pins and source.is_simulated else 0.0,
+        needs=tuple(resolve_network(experiment, helper) for helper in helpers),
+    )
+
+
+def list_trained_networks(experiment: Experiment) -> tuple[str, ...]:
+    """List the networks to train, in this order: `experiment.networks` after those they need."""
+    return _put_helpers_first(
+        resolve_network(experiment, network) for network in experiment.networks
+    )
+
+
+def list_required_networks(config: NetworkConfig) -> tuple[str, ...]:
+    """List the networks that must be trained in a folder, in this order, to have this one."""
+    return _put_helpers_first([config])
+
+
+def _put_helpers_first(configs: Iterable[NetworkConfig]) -> tuple[str, ...]:
+    configs = list(configs)
+    needed = {name for config in configs for name in _list_needed(config)}
+    first = [name for name in HELPERS if name in needed]
+    return tuple(dict.fromkeys([*first, *(config.name for config in configs)]))
+
+
+def _list_needed(config: NetworkConfig) -> set[str]:
+    return {name for need in config.needs for name in (need.name, *_list_needed(need))}
+
+
+def takes_taps(experiment: Experiment) -> bool:
+    """Return whether a network of a simulated experiment learns from the taps of `pose`."""
+    configs = [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
+    return any(config.taps or config.source is experiment.pose for config in configs)
+
+
+def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
+    pins = experiment.unshear.input == "pins"
+    if spec.role == "unshears":
+        training = experiment.train_pins if pins else experiment.train
+        has_few_pairs = pins and experiment.paired.is_simulated
+        return training if has_few_pairs else replace(training, paired_share=1.0)
+    if spec.role == "renders":
+        return drop_pair_losses(experiment.train_pins, pins=1.0)
+    if pins:
+        return drop_pair_losses(experiment.train_pins, pose=1.0)
+    training = experiment.train_teacher if spec.name == TEACHER else experiment.train_posenet
+    return drop_pair_losses(training, **training.losses)
+
+
+def _select_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
+    """Select the settings of a network, derived from those that networks of its kind share."""
+    if spec.role == "renders":
+        return PinRenderer(**_list_dense_settings(experiment.pins))
+    if experiment.unshear.input == "pins":
+        return _select_pin_net(experiment, spec)
+    if spec.role == "reads poses":
+        return experiment.posenet
+    net = replace(experiment.unshear, disentangled=True)
+    if spec.name == UNET:
+        return UNet(net.size, net.widths)
+    if spec.name == ENTANGLED:
+        return UnshearNet(net.size, net.widths, disentangled=False)
+    return net
+
+
+def _select_pin_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
+    pins = experiment.pins
+    if spec.role == "unshears":
+        code = pins.shear_code if spec.name == DISENTANGLED else 0
+        used = replace(pins, direct_convolved=(), turned=0.0, shear_code=code)
+        return PinUnshear(**asdict(used))
+    settings = _list_dense_settings(pins)
+    if spec.learns_from == "slides":
+        # simulated pins are turned by domain randomisation, without a network that knows of it
+        turned = 0.0 if experiment.paired.is_simulated else pins.turned
+        settings |= {"turned": turned, "convolved": pins.direct_convolved}
+    return PinPoseNet(**settings)
+
+
+def _list_dense_settings(pins: PinNet) -> dict:
+    return {"hidden": pins.hidden, "layers": pins.layers, "noise_px": pins.noise_px}

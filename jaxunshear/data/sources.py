@@ -1,0 +1,223 @@
+"""Data sources: where the contacts come from that networks learn from and are tested on.
+
+>>> source = open_source(experiment)
+>>> source.list_sets()  # to be made before anything is trained
+>>> examples = source.open_examples(config, data_dir, inputs)
+>>> examples.reader.train_batches(batch=8, seed=0, shift=0.0, fields=("canonical", "sheared"))
+
+Only a source knows whether contacts are simulated, recorded, or something else. A further one is a
+class with `register_source`, see docs/extending.md. Loads JAX late.
+"""
+
+import pkgutil
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from jaxunshear.config.configs import compute_fingerprint, describe_set
+from jaxunshear.config.data import DataSettings, SourceSettings
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import NetworkConfig
+from jaxunshear.config.targets import Targets, make_label_targets, make_move_targets
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json
+
+if TYPE_CHECKING:
+    from jaxunshear.data.chunks import SimulationEngine
+    from jaxunshear.data.reader import Batch, Reader
+    from jaxunshear.data.recorded_set import (
+        PoseEstimator,
+        RecordedSet,
+        SlideSimulator,
+        TapRenderer,
+    )
+
+
+class PinLayout(NamedTuple):
+    """The pins of a sensor in its images, for networks over pins."""
+
+    rest: np.ndarray  # (P, 2) px: the mean place over training taps
+    radius_px: float
+    size: int  # of the images, px
+
+
+class Examples(NamedTuple):
+    """What a network learns from."""
+
+    reader: "Reader"
+    targets: Targets
+    pins: PinLayout
+    epoch: int  # examples that count as one epoch: unlabelled slides count, too
+    taps: "Reader | None" = None  # recorded ones with labels, if there are any
+    slides: Targets = ()  # what varies between the slides of the data
+
+
+class TrainedInputs(Protocol):
+    """What trained networks and the simulator add to examples, loaded when it is needed."""
+
+    def load_renderer(self) -> "TapRenderer": ...
+
+    def load_estimator(self) -> "PoseEstimator": ...
+
+    def load_simulator(self, stored: "RecordedSet") -> "SlideSimulator": ...
+
+
+class DataSource:
+    """The contacts of an experiment, which its settings `paired` describe.
+
+    A source must have `read_rows`. One that keeps sets on disk, or has tests of its own, overrides
+    more.
+    """
+
+    # a function of experiment, run_dir and data_dir, as `module:function`: scores a run's networks
+    evaluator: ClassVar[str] = ""
+    # what a batch has in addition: of pairs, and for networks over pins
+    pair_fields: ClassVar[tuple[str, ...]] = ()
+    pin_fields: ClassVar[tuple[str, ...]] = ()
+    # in the frame of which labels networks predict poses
+    pose_frame: ClassVar[str] = (
+        "Poses have the names, the frame and the units of the recorded labels "
+        "that the networks learnt from."
+    )
+    # whether a model also predicts poses of slides directly, by `posenet_sheared`
+    predicts_directly: ClassVar[bool] = True
+    # whether a run keeps what the frames of its sensor have in common (`read_frame`)
+    has_frame: ClassVar[bool] = False
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self.settings: Any = experiment.paired
+        # whether poses share slides, so that a batch can have the partners of `data/factorial.py`
+        self.shares_slides = getattr(self.settings, "poses_a_slide", 1) > 1
+
+    def read_rows(self, split: str) -> "Batch":
+        """Read all pairs of a split.
+
+        The fields are `canonical` and `sheared`, images (N, S, S) uint8 of {0, 255}; `pose` (N, 6)
+        mm and deg, NaN where unknown; and `move` (N, 6), the slides, if they are known.
+        """
+        raise NotImplementedError
+
+    def list_sets(self) -> dict[str, DataSettings]:
+        """List the settings of all sets that must be made before a training, by name."""
+        return {}
+
+    def make_sets(
+        self, data_dir: Path, engine: "SimulationEngine | None" = None
+    ) -> dict[str, Json]:
+        """Make the sets of `list_sets` that are missing; returns their metadata by name."""
+        from jaxunshear.data.generation import make_set
+
+        sensor = self.experiment.sensor
+        return {
+            name: make_set(settings, sensor, data_dir, engine)
+            for name, settings in self.list_sets().items()
+        }
+
+    def list_digests(self, settings: DataSettings) -> set[str]:
+        """List the digests of a set that a network learns from."""
+        return {compute_fingerprint(settings, self.experiment.sensor)}
+
+    def list_test_digests(self) -> set[str]:
+        """List the digests of data that are for tests, so that no network may learn from them."""
+        return set()
+
+    def describe_origin(self, config: NetworkConfig) -> Json:
+        """Describe the data set that a network is to learn from, and how it uses that set."""
+        return describe_set(config.source, config.sensor)
+
+    def open_examples(
+        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
+    ) -> Examples:
+        """Open what a network learns from. Raises UserError if data are missing or damaged."""
+        from jaxunshear.data.reader import Reader
+
+        if config.modality == "pins":
+            raise UserError("unshear.input pins: this data source has images alone")
+
+        def load(split: str) -> "Batch":
+            rows = self.read_rows(split)
+            number = np.arange(len(rows["canonical"]), dtype=np.int32)
+            image = {"image": rows["canonical"]} if config.spec.learns_from == "taps" else {}
+            return {"stimulus": np.zeros_like(number), "pose_id": number, **image, **rows}
+
+        size = self.settings.preprocess.size
+        reader = Reader(load, size)
+        rows = reader.rows("train")
+        unknown = np.full_like(rows["pose"], np.nan)
+        return Examples(
+            reader,
+            make_label_targets(config.targets, rows["pose"], rows.get("move")),
+            PinLayout(np.zeros((0, 2), np.float32), 0.0, size),
+            reader.length("train"),
+            slides=make_move_targets(rows.get("move", unknown)),
+        )
+
+    def evaluate(self, run_dir: Path, data_dir: Path) -> Any:
+        """Score the networks in `run_dir` on contacts that were kept out of their training."""
+        if not self.evaluator:
+            raise UserError(
+                f"{type(self.settings).__name__} has no test: set `evaluator` in its data source"
+            )
+        return pkgutil.resolve_name(self.evaluator)(self.experiment, run_dir, data_dir)
+
+    @property
+    def suits_recordings(self) -> bool:
+        """Whether the networks suit frames of a real camera."""
+        return True
+
+    def describe(self) -> str:
+        """Describe in one line what networks learnt from, and what that means for recordings."""
+        return f"These networks learnt from {type(self.settings).__name__}."
+
+    def read_frame(self, data_dir: Path) -> Json | None:
+        """Read what the frames of a real sensor have in common, which a run keeps."""
+        return None
+
+    def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
+        """Open the recorded set. Raises UserError if there is none, or it is damaged."""
+        raise UserError(f"'{self.experiment.name}' is not about recordings")
+
+    def open_pairs(
+        self, stored: "RecordedSet", targets: Targets, inputs: TrainedInputs, images: bool
+    ) -> "Reader":
+        """Open recorded slides with the taps that they are paired with. Raises UserError."""
+        raise UserError(f"'{self.experiment.name}' is not about recordings")
+
+
+def open_source(experiment: Experiment) -> DataSource:
+    """Open the data source that an experiment's settings `paired` name."""
+    source = experiment.paired.source
+    kind = pkgutil.resolve_name(source) if isinstance(source, str) else source
+    opened: DataSource = kind(experiment)
+    return opened
+
+
+Source = TypeVar("Source", bound=type[DataSource])
+
+
+def register_source(settings: type[SourceSettings]) -> Callable[[Source], Source]:
+    """Register a class as the data source of experiments whose `paired` is of type `settings`."""
+
+    def register(source: Source) -> Source:
+        settings.source = source
+        SourceSettings.registered[settings.__name__] = settings
+        return source
+
+    return register
+
+
+def list_source_files() -> list[str]:
+    """List the experiment files that have registered sources; processes of a sweep run them."""
+    sources = [kind.source for kind in SourceSettings.registered.values()]
+    functions = [
+        value
+        for source in sources
+        if not isinstance(source, str)
+        for value in vars(source).values()
+        if isinstance(value, FunctionType)
+    ]
+    return sorted({function.__code__.co_filename for function in functions})
