@@ -31,7 +31,7 @@ from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_pos
 from jaxunshear.downstream.controller import Command, ControllerGains, ControllerState, control
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
-from jaxunshear.inference.perception import EdgeEstimator
+from jaxunshear.inference.edge_methods import EdgeEstimator
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts, Skins
 from jaxunshear.simulator.paths import Paths

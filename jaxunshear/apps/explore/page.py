@@ -32,7 +32,7 @@ def build(explorer: Explorer) -> None:
     """Build one tab."""
     stimulus = (*explorer.own_stimuli, explorer.stimuli["disk"])[0]
     tab = Tab(
-        explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
+        explorer, Touch(stimulus, explorer.model.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
     )
     ui.add_css(STYLE.read_text())
     ui.colors(primary="#1f6feb")

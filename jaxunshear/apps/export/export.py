@@ -14,13 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear import __version__
-from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.infer import FRAMES, OWN_FRAME
-from jaxunshear.inference.suitability import describe_training
-from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
@@ -41,7 +38,7 @@ INPUTS = {
 
 
 def export_model(
-    model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
+    name: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
 ) -> float:
     """Write a model to `out` and return the largest difference to JAX, over an output's range.
 
@@ -52,19 +49,18 @@ def export_model(
         preprocess: frames of a camera; the file then takes such frames as they come.
     """
     _check_arguments(out, batch, preprocess)
-    folder = find_model_folder(model)
-    experiment = load_settings(folder)
-    if preprocess is not None and uses_pins(experiment):
+    model = load_model(name)
+    if preprocess is not None and model.reads_pins:
         raise UserError(
-            f"--preprocess: {model} reads pins, which are found outside of the file; leave it out"
+            f"--preprocess: {name} reads pins, which are found outside of the file; leave it out"
         )
     _check_extra(out.suffix)
     from jaxunshear.apps.export.parts import MAX_DIFFERENCE, load_exported_model
 
-    parts = load_exported_model(folder, experiment)
+    parts = load_exported_model(model)
     if out.suffix == ONNX:
-        camera = _read_camera(folder, experiment, preprocess) if preprocess else None
-        data, difference = _export_onnx(parts, experiment, batch, camera)
+        camera = _read_camera(model, preprocess) if preprocess else None
+        data, difference = _export_onnx(parts, model, batch, camera)
     else:
         data, difference = _export_stablehlo(parts, batch)
     if not difference <= MAX_DIFFERENCE:
@@ -104,18 +100,15 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
-def _read_camera(folder: Path, experiment: Experiment, frames: Path) -> "ExportCamera":
+def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
     from jaxunshear.apps.export.frames import read_camera
-    from jaxunshear.inference.perceiver import load_training_frame
 
-    training_frame = load_training_frame(folder, experiment)
-    view = training_frame.view if training_frame else None
-    return read_camera(frames, experiment.paired.preprocess, view)
+    return read_camera(frames, model.preprocess, model.view)
 
 
 def _export_onnx(
     parts: "ExportedModel",
-    experiment: Experiment,
+    model: TrainedModel,
     batch: int | None,
     camera: "ExportCamera | None",
 ) -> tuple[bytes, float]:
@@ -124,7 +117,7 @@ def _export_onnx(
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
     from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
-    data = build_onnx(parts, batch, camera, _make_metadata(parts, experiment, camera))
+    data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)
     if camera is None:
         return data, measure_difference(parts, run, make_check_inputs(parts), batch)
@@ -168,7 +161,7 @@ def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes,
 
 
 def _make_metadata(
-    parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
+    parts: "ExportedModel", model: TrainedModel, camera: "ExportCamera | None"
 ) -> dict[str, str]:
     """Describe inputs, outputs and training of a file of ONNX to programs and people."""
     from jaxunshear.config.targets import list_target_names
@@ -180,9 +173,9 @@ def _make_metadata(
         "names": ",".join(names),
         "units": ",".join(name.rpartition("_")[2] for name in names),
         "pose_of": parts.method,
-        "frame_of_poses": OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
-        "learnt": describe_training(experiment),
-        "preprocess": json.dumps(asdict(experiment.paired.preprocess)),
+        "frame_of_poses": OWN_FRAME if model.recorded else FRAMES,
+        "learnt": model.describe_training(),
+        "preprocess": json.dumps(asdict(model.experiment.paired.preprocess)),
     }
     if parts.rest is not None:
         rest = json.dumps(np.round(parts.rest.astype(float), 3).tolist())
