@@ -10,7 +10,8 @@ from jaxunshear.downstream.geometry_scores import GeometryResult, score_geometry
 from jaxunshear.downstream.object_reconstruction import ReconstructionResult, reconstruct
 from jaxunshear.downstream.servo import ServoTask
 from jaxunshear.downstream.servo_scores import ServoResult, servo
-from jaxunshear.inference.trained_model import Codes, Predictions, TrainedModel, load_model
+from jaxunshear.inference.readers import Codes, Predictions
+from jaxunshear.inference.trained_model import TrainedModel, load_model
 
 __all__ = [
     "Codes",

@@ -10,6 +10,7 @@ from jaxunshear.cli.options import (
     DATA,
     EXPERIMENT,
     Command,
+    Option,
     engine,
     flag,
     json_file,
@@ -224,78 +225,51 @@ def sweep(arguments: argparse.Namespace, command: str) -> int:
 
 
 OUT = path("--out", "DIR", "results: DIR/<name> (runs)", default=Path("runs"))
-BASE = (
-    path("file", "FILE", "a Python file, such as experiments/demo.py"),
-    OUT,
-    DATA,
-    *EXPERIMENT,
+FILE = path("file", "FILE", "a Python file, such as experiments/demo.py")
+BASE = (FILE, OUT, DATA, *EXPERIMENT)
+FIT = (
+    path("--taps", "DIR", "recorded taps"),
+    path("--slides", "DIR", "recorded slides"),
+    path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
+    *(OUT, DATA, json_file()),
 )
-SETTINGS = {"takes_fields": True, "is_resumable": True, "checks_out": False}
+SWEEP = (
+    path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
+    path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
+    *(DATA, *EXPERIMENT),
+    option("--seeds", "N,N,...", "instead of those in FILE"),
+    *engine("row"),
+    flag("--retry-failed", "also try rows again that failed"),
+    json_file("sweep.json here, too"),
+)
+SIMULATION = engine("chunk of contacts")
 NETWORK = option("--network", "NAME", "only this one of the experiment's (default: all)")
-COMMANDS = (
+HELP = {
+    "run": "all of the next three and the report; continues where a stopped run left off",
+    "data": "simulate the two data sets",
+    "train": "train the networks",
+    "evaluate": "measure the networks on held-out poses",
+    "fit": "fit networks to your own recordings: writes an experiment about them, and runs it",
+    "sweep": "run an experiment over grids of settings and seeds; "
+    "continues where a stopped sweep left off",
+}
+OPTIONS: dict[str, tuple[Option, ...]] = {
+    "run": (*BASE, json_file(), *SIMULATION),
+    "data": (*BASE, *SIMULATION),
+    "train": (*BASE, NETWORK),
+    "evaluate": (*BASE, json_file()),
+    "fit": FIT,
+    "sweep": SWEEP,
+}
+COMMANDS = tuple(
     Command(
-        "run",
-        "all of the next three and the report; continues where a stopped run left off",
-        run_stages,
-        (*BASE, json_file(), *engine("chunk of contacts")),
-        "jaxunshear run FILE [options] [--field value ...]",
-        **SETTINGS,
-    ),
-    Command(
-        "data",
-        "simulate the two data sets",
-        run_stages,
-        (*BASE, *engine("chunk of contacts")),
-        "jaxunshear data FILE [options] [--field value ...]",
-        **SETTINGS,
-    ),
-    Command(
-        "train",
-        "train the networks",
-        run_stages,
-        (*BASE, NETWORK),
-        "jaxunshear train FILE [options] [--field value ...]",
-        **SETTINGS,
-    ),
-    Command(
-        "evaluate",
-        "measure the networks on held-out poses",
-        run_stages,
-        (*BASE, json_file()),
-        "jaxunshear evaluate FILE [options] [--field value ...]",
-        **(SETTINGS | {"is_resumable": False}),
-    ),
-    Command(
-        "fit",
-        "fit networks to your own recordings: writes an experiment about them, and runs it",
-        run_stages,
-        (
-            path("--taps", "DIR", "recorded taps"),
-            path("--slides", "DIR", "recorded slides"),
-            path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
-            OUT,
-            DATA,
-            json_file(),
-        ),
-        "jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]",
-        **SETTINGS,
-    ),
-    Command(
-        "sweep",
-        "run an experiment over grids of settings and seeds; "
-        "continues where a stopped sweep left off",
-        sweep,
-        (
-            path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
-            path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
-            DATA,
-            *EXPERIMENT,
-            option("--seeds", "N,N,...", "instead of those in FILE"),
-            *engine("row"),
-            flag("--retry-failed", "also try rows again that failed"),
-            json_file("sweep.json here, too"),
-        ),
-        "jaxunshear sweep FILE [options] [--field value ...]",
-        **SETTINGS,
-    ),
+        name,
+        text,
+        sweep if name == "sweep" else run_stages,
+        OPTIONS[name],
+        takes_fields="--taps DIR --slides DIR" if name == "fit" else "FILE",
+        is_resumable=name != "evaluate",
+        checks_out=False,
+    )
+    for name, text in HELP.items()
 )

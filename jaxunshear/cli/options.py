@@ -28,8 +28,7 @@ class Command:
     help: str
     run: Run
     options: tuple[Option | list[Option], ...] = ()
-    usage: str | None = None
-    takes_fields: bool = False  # of an experiment, such as --train.epochs 5
+    takes_fields: str = ""  # what it takes beside fields of an experiment, if it takes these
     is_resumable: bool = False  # continues where it stopped
     checks_out: bool = True  # --out may not lie in a run; else `run` checks it
     computes: bool = True  # results, which depend on the environment and on the code
@@ -41,8 +40,11 @@ class Command:
         return flat
 
     def add_to(self, commands: Commands) -> None:
-        parser = new_parser(commands, self.name, self.help, self.usage)
-        parser.set_defaults(takes_fields=self.takes_fields)
+        parser = new_parser(commands, self.name, self.help)
+        if self.takes_fields:
+            start = f"jaxunshear {self.name} {self.takes_fields}"
+            parser.usage = f"{start} [options] [--field value ...]"
+            parser.set_defaults(takes_fields=True)
         for each in self.options:
             if isinstance(each, list):
                 group = parser.add_mutually_exclusive_group()
@@ -52,10 +54,8 @@ class Command:
                 parser.add_argument(each[0], **each[1])
 
 
-def new_parser(
-    commands: Commands, name: str, text: str, usage: str | None = None
-) -> argparse.ArgumentParser:
-    return commands.add_parser(name, help=text, description=text, usage=usage)
+def new_parser(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=text, description=text)
 
 
 def option(name: str, metavar: str, text: str, **settings: Any) -> Option:

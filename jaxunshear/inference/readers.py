@@ -41,6 +41,25 @@ class NetworkOutputs(NamedTuple):
     pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
 
 
+class Predictions(NamedTuple):
+    """The results for B images; those of rejected images are NaN."""
+
+    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]; None if no network unshears
+    poses: Poses
+    pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
+    rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
+    # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
+    # `compute_confidence` of the unsheared image; 0 if it is rejected
+    confidence: np.ndarray
+
+
+class Codes(NamedTuple):
+    """Latent codes of B images, each code as a row of numbers."""
+
+    pose: np.ndarray  # z_p, (B, F)
+    shear: np.ndarray | None  # z_s, (B, G); None for weights without it, such as released ones
+
+
 class FrameTransforms(NamedTuple):
     """Between the pins of an image and those that networks were trained on."""
 

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +39,15 @@ from jaxunshear.inference.forward import (
     run_in_batches,
     scale_inputs,
 )
-from jaxunshear.inference.readers import ImageReader, Poses, Reader, check_images, make_pin_reader
+from jaxunshear.inference.readers import (
+    Codes,
+    ImageReader,
+    Poses,
+    Predictions,
+    Reader,
+    check_images,
+    make_pin_reader,
+)
 from jaxunshear.inference.training_note import (
     describe_recorded_training,
     describe_simulated_training,
@@ -73,25 +80,6 @@ from jaxunshear.training.examples import FRAME
 
 POSENETS = (POSENET, POSENET_SHEARED)
 _compute_confidence = jax.jit(jax.vmap(compute_confidence))
-
-
-class Predictions(NamedTuple):
-    """The results for B images; those of rejected images are NaN."""
-
-    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]; None if no network unshears
-    poses: Poses
-    pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
-    rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
-    # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
-    # `compute_confidence` of the unsheared image; 0 if it is rejected
-    confidence: np.ndarray
-
-
-class Codes(NamedTuple):
-    """Latent codes of B images, each code as a row of numbers."""
-
-    pose: np.ndarray  # z_p, (B, F)
-    shear: np.ndarray | None  # z_s, (B, G); None for weights without it, such as released ones
 
 
 @dataclass(eq=False)

@@ -1,5 +1,7 @@
 """Heights from pins: Voronoi cells, and the inverse of the skin."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,6 +9,7 @@ from PIL import Image
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.downstream.geometry import (
+    INVERSE,
     MIN_INDENTATION_MM,
     compute_cell_areas,
     compute_relative_growth,
@@ -15,8 +18,11 @@ from jaxunshear.downstream.geometry import (
     interpolate_heights,
     interpolate_surface,
 )
-from jaxunshear.downstream.geometry_scores import compute_correlation
-from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
+from jaxunshear.downstream.geometry_scores import (
+    compute_correlation,
+    estimate_recorded_heights,
+)
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
@@ -40,9 +46,11 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
         (tmp_path / name).mkdir()
         Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
     networks = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
-    names, heights = estimate_recorded_heights(
-        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], networks
-    )
+    model = TrainedModel(tmp_path, Experiment("small", "none"))
+    model.lattice = untouched
+    methods = {INVERSE: lambda motion: motion[..., 0]}
+    result = SimpleNamespace(networks=networks, methods=methods)
+    names, heights = estimate_recorded_heights(tmp_path, model, result)
     assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
     for height in heights.values():
         assert np.abs(height[0]).max() < 0.5 and np.isnan(height[1]).all()

@@ -27,16 +27,10 @@ from jaxunshear.evaluation.label_alignment import align_to_labels, choose_scored
 from jaxunshear.evaluation.other_recordings import format_table
 from jaxunshear.evaluation.sim_to_real import UNSHEARED_RAW_OFFSET, score_transfer
 from jaxunshear.files import write_json
-from jaxunshear.inference.perceiver import (
-    AS_RECORDED,
-    UNSHEARED,
-    NetworkInputs,
-    NetworkOutputs,
-    Perceiver,
-    make_frame_transforms,
-)
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
+from jaxunshear.inference.readers import Predictions, make_frame_transforms
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import pin_networks, posenet
-from jaxunshear.perception.sensor_check import measure_sensor_appearance
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 from jaxunshear.training import checkpoint
@@ -120,8 +114,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
 
     asked = batches(contact_predictions.BATCH)
 
-    def values(seen):
-        assert len(seen.values) == contact_predictions.BATCH
+    def predict(images):
+        assert len(images) == contact_predictions.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):
@@ -138,16 +132,13 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             return np.repeat(shown[:, :, None], 2, axis=2)
 
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
-        return NetworkOutputs(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
+        both = {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)}
+        return Predictions(None, poses, both, np.full(len(pose), ""), np.ones(len(pose)))
 
-    def read(images):
-        return NetworkInputs(images, np.ones(len(images), bool))
-
-    expected = measure_sensor_appearance(made.rest_px(), made.SIZE)
-    network = Perceiver(preprocess, None, (), read, values, expected)
-    results = score_transfer(
-        Experiment("small", "none"), tmp_path / "weights", folder, "a command", network
-    )
+    experiment = Experiment("small", "none", paired=PairedData(preprocess=preprocess))
+    network = TrainedModel(tmp_path / "weights", experiment)
+    network.predict = predict
+    results = score_transfer(experiment, network.folder, folder, "a command", network)
     assert next(asked, None) is None
     mae = results.pose_mae
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)

@@ -22,7 +22,8 @@ from jaxunshear.data.preprocessing import SensorFrame
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
-from jaxunshear.inference.trained_model import Predictions, TrainedModel
+from jaxunshear.inference.readers import Predictions
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.png import to_uint8
 from jaxunshear.perception.preprocess import View, prepare_frame

@@ -31,22 +31,18 @@ from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import SENSORS
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
-from jaxunshear.model_folders import RELEASED, load_settings
+from jaxunshear.inference.trained_model import load_model
 from jaxunshear.simulator.stimuli import STIMULI, make_stimulus
-
-FOLDER = RELEASED / "standard"
 
 
 @pytest.fixture(scope="module")
 def explorer():
-    return make_explorer(FOLDER, load_settings(FOLDER))
+    return make_explorer(load_model("standard"))
 
 
 @pytest.fixture(scope="module")
 def touch(explorer):
-    return Touch(
-        STIMULI["disk"], explorer.experiment.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4
-    )
+    return Touch(STIMULI["disk"], explorer.model.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +162,5 @@ def test_what_is_made_ready_reaches_as_deep_as_the_page():
 
 @pytest.mark.long
 def test_pins_need_a_folder_for_recorded_images():
-    skin = RELEASED / "skin"
     with pytest.raises(UserError, match="--like"):
-        make_explorer(skin, load_settings(skin)).infer_recording("a.png", b"")
+        make_explorer(load_model("skin")).infer_recording("a.png", b"")

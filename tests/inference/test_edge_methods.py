@@ -14,14 +14,14 @@ from jaxunshear.config.registry import UNSHEARING
 from jaxunshear.config.targets import make_range_targets, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_json
-from jaxunshear.inference.perception import (
+from jaxunshear.inference.edge_methods import (
     TRUE_POSE,
-    compute_confidence,
     find_unshearing_network,
     list_methods,
-    load_forward,
     make_edge_estimators,
 )
+from jaxunshear.inference.forward import compute_confidence
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.release import RELEASED_PARTS
 from jaxunshear.training import checkpoint
@@ -41,6 +41,10 @@ def write_network(folder, kind, net, variables, targets):
     write_json(folder / "summary.json", {"steps": 1})
 
 
+def model_in(folder):
+    return TrainedModel(folder, Experiment("small", "none"))
+
+
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
@@ -50,7 +54,7 @@ def model(tmp_path_factory):
     write_network(
         folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS
     )
-    return folder
+    return model_in(folder)
 
 
 @pytest.fixture(scope="module")
@@ -58,45 +62,32 @@ def images():
     return (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * 255
 
 
-def run_method(model, method, images):
-    forward, variables, _ = load_forward(model, method)
-    return jax.jit(forward)(variables, images)
-
-
 @pytest.mark.parametrize("method", ["sheared", "disentangled"])
-def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, method):
-    unsheared, pose = run_method(model, method, images)
+def test_a_robot_gets_what_posenet_reads_of_the_image_as_it_is_or_unsheared(model, images, method):
     image = images[..., None] / np.float32(255)
     if method == "disentangled":
         unshear = jax.jit(unshearnet.unshear, static_argnums=0)
-        image = unshear(NET, checkpoint.load_best(model / method), image)
-    np.testing.assert_allclose(unsheared, image, atol=1e-6)
+        image = unshear(NET, model.load_network(method).variables, image)
     predict = jax.jit(posenet.predict, static_argnums=0)
-    outputs = predict(POSENET, checkpoint.load_best(model / "posenet"), image)
+    outputs = predict(POSENET, model.load_network("posenet").variables, image)
     expected = posenet.unscale_outputs(outputs, TARGETS)
-    assert pose.keys() == expected.keys()
-    for name, answer in pose.items():
-        np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-3)
+    edge_mm, edge_deg = make_edge_estimators(model, (method,))[method](images)
+    np.testing.assert_allclose(edge_mm, expected["edge_mm"], rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(edge_deg, expected["edge_deg"], rtol=1e-4, atol=1e-3)
 
 
 def test_released_weights_perceive_as_the_run_does(model, images, tmp_path):
     for name in ("disentangled", "posenet"):
-        checkpoint.write_weights(
-            tmp_path / name, checkpoint.load_best(model / name), RELEASED_PARTS[name]
-        )
-        shutil.copy(model / name / "model.json", tmp_path / name)
-    assert list_methods(tmp_path) == list_methods(model) == ("sheared", "disentangled")
-    run_pose = run_method(model, "disentangled", images)[1]
-    for name, answer in run_method(tmp_path, "disentangled", images)[1].items():
-        np.testing.assert_allclose(answer, run_pose[name], atol=0.1)  # kernels are float16
-
-
-def test_a_robot_gets_the_edge(model, images):
-    estimators = make_edge_estimators(model, Experiment("small", "none"), ("disentangled",))
-    edge_mm, edge_deg = estimators["disentangled"](images)
-    _, pose = run_method(model, "disentangled", images)
-    np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
-    np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
+        variables = model.load_network(name).variables
+        checkpoint.write_weights(tmp_path / name, variables, RELEASED_PARTS[name])
+        shutil.copy(model.folder / name / "model.json", tmp_path / name)
+    released = model_in(tmp_path)
+    assert list_methods(released) == list_methods(model) == ("sheared", "disentangled")
+    own, theirs = (
+        make_edge_estimators(each, ("disentangled",))["disentangled"](images)
+        for each in (model, released)
+    )
+    np.testing.assert_allclose(theirs, own, atol=0.1)  # kernels are float16
 
 
 def test_images_are_unsheared_whatever_gives_the_pose():
@@ -107,21 +98,19 @@ def test_images_are_unsheared_whatever_gives_the_pose():
         assert find_unshearing_network(method) not in UNSHEARING
 
 
-def test_ways_are_those_whose_networks_are_there(model, tmp_path):
-    shutil.copytree(model / "disentangled", tmp_path / "disentangled")
-    assert list_methods(tmp_path) == ()
-    shutil.copytree(model / "posenet", tmp_path / "posenet_sheared")
-    assert list_methods(tmp_path) == ("learnt",)
+def test_methods_are_those_whose_networks_are_there(model, tmp_path):
+    shutil.copytree(model.folder / "disentangled", tmp_path / "disentangled")
+    assert list_methods(model_in(tmp_path)) == ()
+    shutil.copytree(model.folder / "posenet", tmp_path / "posenet_sheared")
+    assert list_methods(model_in(tmp_path)) == ("learnt",)
 
 
 def test_an_edge_that_is_none_is_refused(model, tmp_path):
-    variables = checkpoint.load_best(model / "posenet")
     targets = make_range_targets(("x_mm", "yaw_deg"), Ranges())
-    write_network(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
-    with pytest.raises(
-        UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"
-    ):
-        make_edge_estimators(tmp_path / "other", Experiment("small", "none"), ("sheared",))
+    variables = model.load_network("posenet").variables
+    write_network(tmp_path / "posenet", "posenet", POSENET, variables, targets)
+    with pytest.raises(UserError, match="reads x_mm, yaw_deg: an edge is followed by edge_mm"):
+        make_edge_estimators(model_in(tmp_path), ("sheared",))
 
 
 def test_confidence_of_crisp_grey_and_black(images):
