@@ -10,14 +10,11 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.config.serialization import to_json
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.config.targets import to_json as targets_json
 from jaxunshear.data.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
-from jaxunshear.files import write_json
 from jaxunshear.inference.edge_methods import (
     list_methods,
     load_unshearers,
@@ -30,7 +27,7 @@ from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.stimuli import STIMULI
-from jaxunshear.training import checkpoint
+from tests.helpers.models import change_weights, init, write_run
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))
 PAIRED = EXPERIMENT.paired
@@ -43,25 +40,15 @@ SHIFT_PX = 2.0
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """Write random networks, whose outputs depend on the pins alone."""
-    folder = tmp_path_factory.mktemp("pins")
-    write_json(folder / "experiment.json", to_json(EXPERIMENT))
+    variables = {}
     for seed, (name, net) in enumerate(NETS.items()):
-        count = posenet.count_outputs(TARGETS) if name == "posenet" else 0
-        fresh = pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(seed), outputs=count)
         draw = np.random.default_rng(seed).normal
-        shaken = jax.tree.map(
-            lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"]
+        fresh = init(net, seed, TARGETS if name == "posenet" else (), LATTICE.rest, 2.0)
+        variables[name] = change_weights(
+            fresh, lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype)
         )
-        kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
-        reported = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
-        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
-        checkpoint.save(
-            folder / name,
-            1,
-            {"average": fresh | {"params": shaken}},
-            {"history": [], "best_step": 1},
-        )
-        write_json(folder / name / checkpoint.SUMMARY, {"steps": 1})
+    folder = tmp_path_factory.mktemp("pins")
+    write_run(folder, EXPERIMENT, NETS, variables, TARGETS)
     return TrainedModel(folder, EXPERIMENT)
 
 

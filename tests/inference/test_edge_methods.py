@@ -1,7 +1,6 @@
 """Methods of perception: which networks allow them, and whose output they give."""
 
 import shutil
-from dataclasses import asdict
 
 import jax
 import numpy as np
@@ -11,9 +10,8 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import UNSHEARING
-from jaxunshear.config.targets import make_range_targets, to_json
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_json
 from jaxunshear.inference.edge_methods import (
     TRUE_POSE,
     find_unshearing_network,
@@ -25,20 +23,11 @@ from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.release import RELEASED_PARTS
 from jaxunshear.training import checkpoint
-from jaxunshear.training.trainer import get_compile_options
+from tests.helpers.models import change_weights, init, write_network
 
 NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
 POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
 TARGETS = make_range_targets((), Ranges(lateral_mm=6))
-
-
-def write_network(folder, kind, net, variables, targets):
-    larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
-    checkpoint.write_settings(
-        folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)}
-    )
-    checkpoint.save(folder, 1, {"average": larger}, {"best_step": 1, "history": []})
-    write_json(folder / "summary.json", {"steps": 1})
 
 
 def model_in(folder):
@@ -48,12 +37,9 @@ def model_in(folder):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    make = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
-    write_network(folder / "disentangled", "unshear", NET, make(NET, jax.random.key(0)), ())
-    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=get_compile_options())
-    write_network(
-        folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS
-    )
+    for name, net, targets in (("disentangled", NET, ()), ("posenet", POSENET, TARGETS)):
+        variables = change_weights(init(net, 0, targets), lambda x: 10 * x)
+        write_network(folder / name, net, variables, targets)
     return model_in(folder)
 
 
@@ -108,7 +94,7 @@ def test_methods_are_those_whose_networks_are_there(model, tmp_path):
 def test_an_edge_that_is_none_is_refused(model, tmp_path):
     targets = make_range_targets(("x_mm", "yaw_deg"), Ranges())
     variables = model.load_network("posenet").variables
-    write_network(tmp_path / "posenet", "posenet", POSENET, variables, targets)
+    write_network(tmp_path / "posenet", POSENET, variables, targets)
     with pytest.raises(UserError, match="reads x_mm, yaw_deg: an edge is followed by edge_mm"):
         make_edge_estimators(model_in(tmp_path), ("sheared",))
 

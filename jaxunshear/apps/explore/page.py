@@ -11,7 +11,6 @@ from jaxunshear.apps.explore.tab import (
     COLUMNS,
     IMAGES,
     Tab,
-    begin_outline,
     lift,
     on_change,
     on_file,
@@ -62,9 +61,6 @@ def _build_map(tab: Tab) -> None:
         tab.parts["place"] = ui.label("").classes("hint")
         with ui.element("div").classes("buttons"):
             ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
-            ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props(
-                "outline dense no-caps"
-            )
 
 
 def _build_controls(tab: Tab) -> None:

@@ -14,6 +14,7 @@ from jaxunshear.apps.explore.drawing import (
     render_pins_svg,
     to_mm,
     to_px,
+    trace_outlines,
 )
 from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
 from jaxunshear.apps.explore.touch import (
@@ -33,6 +34,9 @@ from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
 from jaxunshear.inference.trained_model import load_model
 from jaxunshear.simulator.stimuli import STIMULI, make_stimulus
+
+ANGLE = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
 
 
 @pytest.fixture(scope="module")
@@ -141,11 +145,17 @@ def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
         assert "\n" not in str(refused.value)
 
 
+def test_outlines_run_along_the_edge_and_close_at_the_border():
+    (disk,) = trace_outlines(make_stimulus(Outline("ring", tuple(map(tuple, RING)))), HALF_MM)
+    np.testing.assert_allclose(np.linalg.norm(disk - disk.mean(axis=0), axis=-1), 12, atol=0.3)
+    (half,) = trace_outlines(STIMULI["edge"], HALF_MM)
+    assert half[:, 0].min() < -31.5 and half[:, 0].max() == pytest.approx(0, abs=1e-4)
+
+
 def test_places_go_there_and_back(touch, picture):
     assert to_mm(MAP_PX / 2, 0) == (0, HALF_MM)
     np.testing.assert_allclose(to_px(np.array(to_mm(100, 500))), [100, 500])
     assert render_map_svg(touch).count("<circle") == 6
-    assert render_map_svg(touch, [(0.0, 0.0), (1.0, 1.0)]).count("<circle") == 0
     assert render_pins_svg(picture.pins, picture.state, 128).count("<circle") == 1 + len(
         picture.state
     )

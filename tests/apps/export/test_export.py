@@ -39,6 +39,7 @@ from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_grid import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
+from tests.helpers.models import write_network
 
 ROOT = Path(__file__).resolve().parents[3]
 SIZE = 32
@@ -200,16 +201,8 @@ def test_frames_prepared_otherwise_differ(tmp_path):
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
     folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
-    for name, kind, part in (
-        ("disentangled", "unshear", parts.unshear_network),
-        ("posenet", "posenet", parts.pose_network),
-    ):
-        settings = {
-            "kind": kind,
-            "net": dataclasses.asdict(part.net),
-            "targets": targets.to_json(TARGETS),
-        }
-        checkpoint.write_settings(folder / name, settings)
+    for name, part in (("disentangled", parts.unshear_network), ("posenet", parts.pose_network)):
+        write_network(folder / name, part.net, part.variables, part.targets)
         checkpoint.write_weights(folder / name, part.variables)
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     return folder
