@@ -77,7 +77,6 @@ def run_stages(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _select_networks(arguments: argparse.Namespace, experiment: Experiment) -> tuple[str, ...]:
-    """Return the networks to train: all of the experiment, or that of --network."""
     networks = list_trained_networks(experiment)
     network = getattr(arguments, "network", None)
     if not network:
@@ -111,7 +110,6 @@ def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experimen
 
 
 def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
-    """Return the experiment with the sensor of --sensor-from, if it is given."""
     from jaxunshear.config.preset import apply_preset
 
     file = arguments.sensor_from
@@ -119,7 +117,6 @@ def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Expe
 
 
 def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
-    """Return the experiment about the folder of --recordings, if it is given."""
     from jaxunshear.fit import set_recordings
 
     folder = str(arguments.recordings or "")
@@ -127,7 +124,6 @@ def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> 
 
 
 def _read_experiment(arguments: argparse.Namespace) -> Experiment:
-    """Read the experiment of a file, with the recordings that the command line names."""
     from jaxunshear.config.rules import validate
 
     experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
@@ -154,7 +150,6 @@ def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
 
 
 def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
-    """Load the experiment of a finished run, which is named by its folder."""
     from jaxunshear.model_folders import load_settings
 
     if arguments.fields or arguments.sensor_from:

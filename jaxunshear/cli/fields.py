@@ -82,7 +82,6 @@ class _Entry(NamedTuple):
 
 
 def _list_entries(kind: type, settings: object, prefix: str) -> Iterator[_Entry]:
-    """Yield the fields of a kind of settings, with the values of `settings` if it is of it."""
     for field in dataclasses.fields(kind):
         hint = list_hints(kind)[field.name]
         if field.name in NOT_SETTABLE or (list_groups(hint) and prefix + field.name != "sensor"):

@@ -133,7 +133,6 @@ def estimate_geometry(
 def _score(
     names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> list[GeometryScore]:
-    """Score each stimulus, and all together, for each kind of image and method."""
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}

@@ -68,8 +68,6 @@ class ReconstructionResult:
 
 
 class _Target(NamedTuple):
-    """What the trajectories of one task are compared with."""
-
     task: ServoTask
     trajectories: Trajectories
     contour: Contour
@@ -116,7 +114,6 @@ def reconstruct(
 
 
 def _make_estimators(model: TrainedModel, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
-    """Make the shape estimators by name, from taps of known poses and indentations."""
     paired = model.require_simulation("reconstruct")
     xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
     distance = np.zeros(xy.shape[:2])

@@ -264,7 +264,6 @@ def _simulate_step(
 
 
 def _simulate_contacts(loop: _Loop, trajectories: Trajectories, rows: np.ndarray) -> Contacts:
-    """Move the sensors of `rows` from the points of the last step to those of this step."""
     step, stimulus = int(trajectories.steps), loop.task.stimulus
     friction = loop.settings.friction
     if friction is None:
@@ -290,7 +289,6 @@ def _simulate_contacts(loop: _Loop, trajectories: Trajectories, rows: np.ndarray
 def _perceive(
     loop: _Loop, trajectories: Trajectories, images: np.ndarray, rows: np.ndarray
 ) -> None:
-    """Estimate the edge from the images of this step, for the trajectories `rows`."""
     step = int(trajectories.steps)
     walking = np.zeros(len(trajectories.method), bool)
     walking[rows] = True
@@ -307,7 +305,6 @@ def _perceive(
 
 
 def _apply_motion(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Apply moves (B, 2) and turns (B,) in the sensor frame to points (B, 3)."""
     return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 

@@ -175,7 +175,6 @@ def _compute_rest_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
 
 
 def _make_simulated_frame(sensor: Sensor, paired: PairedData) -> SensorFrame:
-    """Return what the simulator's frames have in common."""
     lattice = compute_rest_lattice(sensor, paired.camera, paired.preprocess)
     tips = compute_pin_tips(sensor)[None]
     images, _ = render_images(paired, sensor, tips, np.zeros(1), np.zeros(1), at_once=1)

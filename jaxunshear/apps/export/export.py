@@ -112,7 +112,6 @@ def _export_onnx(
     batch: int | None,
     camera: "ExportCamera | None",
 ) -> tuple[bytes, float]:
-    """Return a file of ONNX, and its difference to JAX."""
     from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
     from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
@@ -145,7 +144,6 @@ def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
 
 
 def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
-    """Return a file of StableHLO, and its difference to JAX."""
     import jax
     from jax import export
 
@@ -163,7 +161,6 @@ def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes,
 def _make_metadata(
     parts: "ExportedModel", model: TrainedModel, camera: "ExportCamera | None"
 ) -> dict[str, str]:
-    """Describe inputs, outputs and training of a file of ONNX to programs and people."""
     from jaxunshear.config.targets import list_target_names
 
     names = list_target_names(parts.targets)

@@ -47,8 +47,6 @@ class _StreamStats:
 
 
 class _Answer(NamedTuple):
-    """The answer to one frame that was understood."""
-
     unsheared: np.ndarray | None  # (S, S) in [0, 1]
     pose: dict[str, float]
     confidence: float
@@ -147,7 +145,6 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
 
 
 def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict[str, float]:
-    """Compute absolute errors of the quantities that have a label."""
     truth = {name: np.array([labels[name]]) for name in pose if _is_labelled(labels, name)}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
     return {name: float(error[0]) for name, error in errors.items()}

@@ -111,17 +111,6 @@ def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     assert lines[1]["confidence"] < 0.01
 
 
-@pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
-def test_other_kinds_of_frames_are_used(kind):
-    grey = np.kron(dots(2, 64), np.ones((4, 4), np.uint8))
-    pixels = {
-        "sixteen bits": grey.astype(np.uint16) * 257,
-        "colour": np.repeat(grey[..., None], 3, -1),
-        "rectangle": np.pad(grey, ((0, 0), (40, 40))),
-    }[kind]
-    assert run([SourceFrame(0, kind, pixels, "")])[0].used == 1
-
-
 class Capture:
     """A camera of OpenCV's that gives the same picture three times."""
 
