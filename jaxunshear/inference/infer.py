@@ -32,15 +32,6 @@ from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.serialization import format_csv
 
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-FRAMES = (
-    "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
-    "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "
-    "recorded_* are the labels that came with the images, in their own work frame."
-)
-OWN_FRAME = (
-    "Poses have the names, the frame and the units of the recorded labels "
-    "that the networks learnt from."
-)
 SAMPLED_FRAMES = 20  # frames by which a folder is judged
 SHOWN_NOTES = 10
 
@@ -102,8 +93,7 @@ def unshear_recordings(
     notes = list(recordings.notes)
     if not model.targets:
         notes.append(f"{model.folder} has no trained PoseNet: poses.csv holds no predicted poses")
-    pose_frame = OWN_FRAME if model.recorded else FRAMES
-    lines = [model.describe_training(), pose_frame, f"Networks: {model.folder.name}", *notes]
+    lines = [model.describe_training(), model.pose_frame, f"Networks: {model.folder.name}", *notes]
     write_text(out / "NOTE.txt", "\n".join(lines) + "\n")
     print(f"{run.used} images unsheared, {run.left_out} left out; see {out / 'poses.csv'}")
     time_row = _make_row("unshear.time_per_image", float(np.median(run.seconds)), "s")

@@ -18,6 +18,13 @@ from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.pin_tracking import track_images
+from jaxunshear.perception.sensor_check import (
+    MIN_PLAUSIBILITY,
+    NO_MINIMUM,
+    SensorAppearance,
+    compute_plausibility,
+    explain_rejection,
+)
 
 EDGE = "edge_deg"  # the target that rotates with the image
 
@@ -131,6 +138,19 @@ def check_images(images: np.ndarray, size: int) -> np.ndarray:
             "`prepare` makes them"
         )
     return images
+
+
+def judge_batch(
+    images: np.ndarray, identified: np.ndarray, expected: SensorAppearance, force: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Say of each image why it is rejected, and how plausible it is, (B,) each."""
+    minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
+    plausibility = [compute_plausibility(image, expected) for image in images]
+    rejection = [
+        explain_rejection(*each, minimum)
+        for each in zip(identified.tolist(), plausibility, strict=True)
+    ]
+    return np.array(rejection), np.array(plausibility)
 
 
 def make_pin_reader(frame: SensorFrame, model_rest: np.ndarray) -> PinReader:

@@ -35,6 +35,7 @@ from jaxunshear.inference.forward import (
     BATCH,
     TrainedNetwork,
     compute_confidence,
+    load_network,
     make_full_forward,
     run_in_batches,
     scale_inputs,
@@ -46,9 +47,12 @@ from jaxunshear.inference.readers import (
     Predictions,
     Reader,
     check_images,
+    judge_batch,
     make_pin_reader,
 )
 from jaxunshear.inference.training_note import (
+    RECORDED_POSE_FRAME,
+    SIMULATED_POSE_FRAME,
     describe_recorded_training,
     describe_simulated_training,
 )
@@ -60,22 +64,8 @@ from jaxunshear.models.weights import Tree
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.rest_positions import compute_rest_lattice
-from jaxunshear.perception.sensor_check import (
-    MIN_PLAUSIBILITY,
-    NO_MINIMUM,
-    SensorAppearance,
-    compute_plausibility,
-    explain_rejection,
-    measure_sensor_appearance,
-)
-from jaxunshear.training.checkpoint import (
-    check_finished,
-    has_model,
-    load_best,
-    read_net,
-    read_slides,
-    read_targets,
-)
+from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
+from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME
 
 POSENETS = (POSENET, POSENET_SHEARED)
@@ -124,9 +114,7 @@ class TrainedModel:
         return tuple(name for name in ALL_NETWORKS if has_model(self.folder / name))
 
     def load_network(self, name: str) -> TrainedNetwork:
-        folder = self.folder / name
-        check_finished(folder)
-        return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
+        return load_network(self.folder / name)
 
     @cached_property
     def _main_networks(self) -> dict[str, TrainedNetwork]:
@@ -200,6 +188,11 @@ class TrainedModel:
         return self.preprocess.size
 
     @property
+    def pose_frame(self) -> str:
+        """What poses are relative to, in words."""
+        return RECORDED_POSE_FRAME if self.recorded else SIMULATED_POSE_FRAME
+
+    @property
     def suits_cameras(self) -> bool:
         """Whether it was trained for frames of a real camera.
 
@@ -262,7 +255,7 @@ class TrainedModel:
 
         def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
             inputs = self.reader.read(batch)
-            rejection, _ = self._judge(batch, inputs.identified)
+            rejection, _ = judge_batch(batch, inputs.identified, self.expected, self.force)
             accepted = jnp.asarray(rejection == "")[:, None]
             return tuple(
                 code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
@@ -291,7 +284,7 @@ class TrainedModel:
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
         inputs = self.reader.read(images)
-        rejection, plausibility = self._judge(images, inputs.identified)
+        rejection, plausibility = judge_batch(images, inputs.identified, self.expected, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         # a compiled program loses the order of the quantities
         poses = {kind: {name: pose[name] for name in self.targets} for kind, pose in poses.items()}
@@ -301,9 +294,12 @@ class TrainedModel:
             accepted = (rejection == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
-        confidence = np.where(rejection == "", plausibility, 0.0)
+        confidence = plausibility
         if outputs.unsheared is not None:
-            confidence = confidence * _compute_confidence(outputs.unsheared[..., None])
+            confidence = plausibility * np.asarray(
+                _compute_confidence(outputs.unsheared[..., None])
+            )
+        confidence = np.where(rejection == "", confidence, 0.0)
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
         return Predictions(unsheared, poses, pins, rejection, confidence)
 
@@ -325,16 +321,6 @@ class TrainedModel:
         return jit_for_inference(
             lambda variables, values: encode(net, variables, values), variables
         )
-
-    def _judge(self, images: np.ndarray, identified: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Say of each image why it is rejected, and how plausible it is, (B,) each."""
-        minimum = NO_MINIMUM if self.force else MIN_PLAUSIBILITY
-        plausibility = [compute_plausibility(image, self.expected) for image in images]
-        rejection = [
-            explain_rejection(*each, minimum)
-            for each in zip(identified.tolist(), plausibility, strict=True)
-        ]
-        return np.array(rejection), np.array(plausibility)
 
     def _run_in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
         images = check_images(images, self.size)

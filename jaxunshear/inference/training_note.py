@@ -1,9 +1,19 @@
-"""One line on what a model was trained on, and what that means for recordings."""
+"""What a model was trained on and what its poses are relative to, in words."""
 
 from collections.abc import Iterable
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.sensor import Sensor
+
+SIMULATED_POSE_FRAME = (
+    "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
+    "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "
+    "recorded_* are the labels that came with the images, in their own work frame."
+)
+RECORDED_POSE_FRAME = (
+    "Poses have the names, the frame and the units of the recorded labels "
+    "that the networks learnt from."
+)
 
 
 def describe_recorded_training(sensor: Sensor, recorded: Recorded) -> str:

@@ -11,19 +11,28 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from jaxunshear import __version__
+from jaxunshear.apps.export.parts import (
+    MAX_DIFFERENCE,
+    ExportedModel,
+    load_exported_model,
+    make_check_inputs,
+    make_exported_function,
+    measure_difference,
+)
+from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
-from jaxunshear.inference.infer import FRAMES, OWN_FRAME
 from jaxunshear.inference.trained_model import TrainedModel, load_model
+from jaxunshear.models import layer_choice
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.frames import ExportCamera
-    from jaxunshear.apps.export.parts import ExportedModel
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -55,8 +64,6 @@ def export_model(
             f"--preprocess: {name} reads pins, which are found outside of the file; leave it out"
         )
     _check_extra(out.suffix)
-    from jaxunshear.apps.export.parts import MAX_DIFFERENCE, load_exported_model
-
     parts = load_exported_model(model)
     if out.suffix == ONNX:
         camera = _read_camera(model, preprocess) if preprocess else None
@@ -107,14 +114,13 @@ def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
 
 
 def _export_onnx(
-    parts: "ExportedModel",
+    parts: ExportedModel,
     model: TrainedModel,
     batch: int | None,
     camera: "ExportCamera | None",
 ) -> tuple[bytes, float]:
     from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
     data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)
@@ -124,16 +130,12 @@ def _export_onnx(
     return data, measure_difference(parts, run, camera.frames, batch, prepare)
 
 
-def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
+def build_stablehlo(parts: ExportedModel, batch: int | None) -> bytes:
     """Serialise `parts.make_exported_function` for `jax.export.deserialize`.
 
     `batch` is None for any.
     """
-    import jax
     from jax import export
-
-    from jaxunshear.apps.export.parts import make_exported_function
-    from jaxunshear.models import layer_choice
 
     count = export.symbolic_shape("batch")[0] if batch is None else batch
     inputs = jax.ShapeDtypeStruct((count, *parts.shape), parts.dtype)
@@ -143,11 +145,8 @@ def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
         return bytes(export.export(function, platforms=PLATFORMS)(inputs).serialize())
 
 
-def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
-    import jax
+def _export_stablehlo(parts: ExportedModel, batch: int | None) -> tuple[bytes, float]:
     from jax import export
-
-    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
     data = build_stablehlo(parts, batch)
     call = jax.jit(export.deserialize(bytearray(data)).call)
@@ -159,10 +158,8 @@ def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes,
 
 
 def _make_metadata(
-    parts: "ExportedModel", model: TrainedModel, camera: "ExportCamera | None"
+    parts: ExportedModel, model: TrainedModel, camera: "ExportCamera | None"
 ) -> dict[str, str]:
-    from jaxunshear.config.targets import list_target_names
-
     names = list_target_names(parts.targets)
     metadata = {
         "jaxunshear": __version__,
@@ -170,7 +167,7 @@ def _make_metadata(
         "names": ",".join(names),
         "units": ",".join(name.rpartition("_")[2] for name in names),
         "pose_of": parts.method,
-        "frame_of_poses": OWN_FRAME if model.recorded else FRAMES,
+        "frame_of_poses": model.pose_frame,
         "learnt": model.describe_training(),
         "preprocess": json.dumps(asdict(model.experiment.paired.preprocess)),
     }
