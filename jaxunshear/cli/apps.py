@@ -178,11 +178,7 @@ COMMANDS = (
                 "a finished run (runs/demo), or released weights by name (standard)",
             ),
             path(
-                "--out",
-                "FILE",
-                "its name ends in .onnx or .stablehlo",
-                dest="file",
-                required=True,
+                "--out", "FILE", "its name ends in .onnx or .stablehlo", dest="file", required=True
             ),
             option("--batch", "N", "how many images it takes at once (any)", default="any"),
             path(

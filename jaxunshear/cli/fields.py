@@ -7,13 +7,7 @@ from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import NOT_SETTABLE, format_value
-from jaxunshear.config.types import (
-    describe_hint,
-    get_origin,
-    list_choices,
-    list_groups,
-    list_hints,
-)
+from jaxunshear.config.types import describe_hint, get_origin, list_choices, list_groups, list_hints
 from jaxunshear.errors import UserError
 
 FLAG = "--help-fields"

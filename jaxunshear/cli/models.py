@@ -4,13 +4,14 @@ import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from jaxunshear.cli.options import (
     CAMERA_MODEL,
     ROWS,
     STIMULUS,
     Command,
+    Option,
     choose_exit_code,
     integer,
     json_file,
@@ -59,11 +60,13 @@ def infer(arguments: argparse.Namespace, command: str) -> int:
     return choose_exit_code(counts[f"{name}.images"], counts[f"{name}.left_out"])
 
 
-Application = Callable[[argparse.Namespace, Path, Any], Any]  # out, model -> record of the results
+Outcome = TypeVar("Outcome")  # a record of results
 
 
-def apply(application: Application, arguments: argparse.Namespace, command: str) -> Any:
-    """Run an application of a model, write its results and return them.
+def apply(
+    application: Callable[..., Outcome], arguments: argparse.Namespace, command: str
+) -> Outcome:
+    """Run an application of arguments, folder and model; write its results and return them.
 
     Those of a finished run's networks go to its own folder, where its report finds them, unless
     --out names another. Those of a command without --out are written nowhere else.
@@ -238,7 +241,12 @@ def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Pat
     return [file for name, file in files.items() if name not in missing]
 
 
-def _make_command(name: str, text: str, application: Application, *options: Any) -> Command:
+def _make_command(
+    name: str,
+    text: str,
+    application: Callable[..., object],
+    *options: Option | list[Option],
+) -> Command:
     def run(arguments: argparse.Namespace, command: str) -> int:
         apply(application, arguments, command)
         return 0
@@ -299,9 +307,7 @@ COMMANDS = (
         STIMULUS,
         integer("--starts", "for each way of perceiving (5)", 5),
         option(
-            "--ways",
-            "NAME,NAME",
-            "of perceiving (default: all that the model's networks allow)",
+            "--ways", "NAME,NAME", "of perceiving (default: all that the model's networks allow)"
         ),
         option("--depth", "MM", "of the contact (3)", type=float, default=3.0),
         integer("--seed", "of the starts (0)", 0),

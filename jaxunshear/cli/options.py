@@ -101,10 +101,7 @@ CAMERA_MODEL = (  # trained for recordings, and what it needs to read them
     flag("--force", "answer images that are not of the model's sensor, too"),
 )
 STIMULUS = option(
-    "--stimulus",
-    "NAME,FILE",
-    "which objects, outlines in files among them (all)",
-    default="all",
+    "--stimulus", "NAME,FILE", "which objects, outlines in files among them (all)", default="all"
 )
 EXPERIMENT = (  # the recordings and the sensor that an experiment in a file is about
     path(

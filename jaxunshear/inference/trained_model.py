@@ -286,8 +286,6 @@ class TrainedModel:
         inputs = self.reader.read(images)
         rejection, plausibility = judge_batch(images, inputs.identified, self.expected, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
-        # a compiled program loses the order of the quantities
-        poses = {kind: {name: pose[name] for name in self.targets} for kind, pose in poses.items()}
         outputs = self.reader.finish(inputs, unsheared, poses)
 
         def keep_accepted_rows(value: np.ndarray) -> np.ndarray:

@@ -114,10 +114,7 @@ def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
 
 
 def _export_onnx(
-    parts: ExportedModel,
-    model: TrainedModel,
-    batch: int | None,
-    camera: "ExportCamera | None",
+    parts: ExportedModel, model: TrainedModel, batch: int | None, camera: "ExportCamera | None"
 ) -> tuple[bytes, float]:
     from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
