@@ -140,6 +140,11 @@ async def on_pose(tab: Tab, index: int, value: float | None) -> None:
         await compute(tab)
 
 
+async def on_friction(tab: Tab, value: float | None) -> None:
+    if value is not None:
+        await on_change(tab, friction=float(value))
+
+
 async def on_change(tab: Tab, **changes: object) -> None:
     tab.request(**changes)
     await compute(tab)
