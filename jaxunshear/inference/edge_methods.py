@@ -9,6 +9,7 @@ images or pins; pins are first detected and tracked in the image.
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import jax
 import numpy as np
@@ -25,13 +26,11 @@ from jaxunshear.config.registry import (
 )
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import make_forward, run_in_batches, scale_inputs
-from jaxunshear.inference.readers import ImageReader, PinReader
+from jaxunshear.inference.forward import make_forward, scale_inputs
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models.dispatch import unshear
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.weights import Variables
-from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.training.checkpoint import compute_weights_digest
 
 TRUE_POSE = "true"  # the pose that the simulator knows
@@ -101,7 +100,7 @@ def _make_edge_estimator(model: TrainedModel, method: str) -> EdgeEstimator:
             f"{model.folder} reads {', '.join(names)}: an edge is followed by edge_mm and edge_deg"
         )
     forward = make_forward(nets, targets)
-    reader = PinReader(model.lattice) if model.reads_pins else ImageReader()
+    reader = model.simulated_reader
 
     def predict_edge(variables: Variables, inputs: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, inputs)
@@ -138,21 +137,7 @@ def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
 
 def _make_unshearer(model: TrainedModel, name: str) -> Unshear:
     net, variables, _ = model.load_network(name)
-    lattice = model.lattice
-
-    def unshear_inputs(variables: Variables, inputs: Array) -> Array:
-        unsheared = unshear(net, variables, scale_inputs(inputs))
-        return unsheared if model.reads_pins else unsheared[..., 0]
-
-    run = jit_for_inference(unshear_inputs, variables)
-
-    def unshear_pins(images: np.ndarray) -> np.ndarray:
-        motion, identified = track_images(lattice, images)
-        pins = (lattice.rest + motion).astype(np.float32)
-        unsheared = run_in_batches(run, pins) - lattice.rest
-        return np.where(identified[:, None, None], unsheared, np.nan)
-
-    def unshear_images(images: np.ndarray) -> np.ndarray:
-        return measure_motions(lattice, run_in_batches(run, images))
-
-    return unshear_pins if model.reads_pins else unshear_images
+    run = jit_for_inference(
+        lambda variables, inputs: unshear(net, variables, scale_inputs(inputs)), variables
+    )
+    return partial(model.simulated_reader.measure_unsheared_motions, model.lattice, run)

@@ -9,15 +9,16 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
 from jaxunshear.data.preprocessing import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.errors import UserError
-from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
 from jaxunshear.perception.lattice import Lattice, make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots
-from jaxunshear.perception.pin_tracking import track_images
+from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,
     NO_MINIMUM,
@@ -29,6 +30,7 @@ from jaxunshear.perception.sensor_check import (
 EDGE = "edge_deg"  # the target that rotates with the image
 
 Poses = dict[str, dict[str, np.ndarray]]  # by kind of input and quantity, (B,)
+Unshear = Callable[[np.ndarray], Array]  # network inputs -> unsheared
 PinTransform = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 
 
@@ -88,6 +90,12 @@ class ImageReader:
         """Make images and poses of these images of what the networks gave."""
         return NetworkOutputs(None if unsheared is None else unsheared[..., 0], poses, {})
 
+    def measure_unsheared_motions(
+        self, lattice: Lattice, unshear: Unshear, images: np.ndarray
+    ) -> np.ndarray:
+        """Measure pin motions (N, P, 2) px in unsheared images; NaN if not identified."""
+        return measure_motions(lattice, run_in_batches(unshear, images)[..., 0])
+
 
 class PinReader(NamedTuple):
     """For networks over pins."""
@@ -117,6 +125,14 @@ class PinReader(NamedTuple):
             if EDGE in pose:
                 pose[EDGE] = wrap_degrees(pose[EDGE] + self.transforms.degrees)
         return NetworkOutputs(image, poses, pins)
+
+    def measure_unsheared_motions(
+        self, lattice: Lattice, unshear: Unshear, images: np.ndarray
+    ) -> np.ndarray:
+        motion, identified = track_images(lattice, images)
+        pins = (lattice.rest + motion).astype(np.float32)
+        unsheared = run_in_batches(unshear, pins) - lattice.rest
+        return np.where(identified[:, None, None], unsheared, np.nan)
 
 
 Reader = ImageReader | PinReader

@@ -43,6 +43,7 @@ from jaxunshear.inference.forward import (
 from jaxunshear.inference.readers import (
     Codes,
     ImageReader,
+    PinReader,
     Poses,
     Predictions,
     Reader,
@@ -161,6 +162,11 @@ class TrainedModel:
         variables = next(iter(self._main_networks.values())).variables
         return make_pin_reader(frame, np.asarray(variables["batch_stats"]["rest"]))
 
+    @cached_property
+    def simulated_reader(self) -> Reader:
+        """For images of the simulated sensor that it was trained on."""
+        return PinReader(self.lattice) if self.reads_pins else ImageReader()
+
     def _require_frame(self) -> SensorFrame:
         if self.frame is None:
             raise UserError(
@@ -194,10 +200,7 @@ class TrainedModel:
 
     @property
     def suits_cameras(self) -> bool:
-        """Whether it was trained for frames of a real camera.
-
-        That is on recordings, or on simulated pins drawn as other sensors and cameras show them.
-        """
+        """Whether it was trained on recordings, or on pins drawn as other cameras show them."""
         return bool(self.recorded) or (self.reads_pins and self.experiment.pins.turned > 0)
 
     def describe_training(self) -> str:
@@ -246,12 +249,12 @@ class TrainedModel:
 
     def codes(self, images: np.ndarray) -> Codes:
         """Compute pose code and shear code. Raises UserError if the model has no codes."""
-        if self._encode is None:
+        run = self._encode
+        if run is None:
             raise UserError(
                 f"{self.folder} holds no network with codes: "
                 f"train {DISENTANGLED}, or load another model"
             )
-        run = self._encode
 
         def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
             inputs = self.reader.read(batch)
