@@ -171,7 +171,7 @@ def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, com
     from jaxunshear.inference.trained_model import load_model
     from jaxunshear.results.record_files import write_record
 
-    if load_model(arguments.file).recorded:
+    if load_model(arguments.file).recordings:
         results = score_recordings(
             experiment, arguments.file, arguments.recordings, arguments.data, command
         )

@@ -191,7 +191,7 @@ def estimate_recorded_heights(
     frames = list(islice(recordings.iterate_frames(), SHOWN_IMAGES))
     batch = np.stack([frame.image for frame in frames])
     # networks over images render pins for any input, so the recorded image decides
-    plausibility = [compute_plausibility(image, model.expected) for image in batch]
+    plausibility = [compute_plausibility(image, model.appearance) for image in batch]
     plausible = np.array([not explain_rejection(True, each) for each in plausibility])
     motions = {"as recorded": measure_motions(model.lattice, batch)}
     motions |= {name: unshear(batch) for name, unshear in result.networks.items()}

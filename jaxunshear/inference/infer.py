@@ -70,7 +70,7 @@ def unshear_recordings(
     check_not_among(path, out, "--out")
     model = load_model(model_name, like or path)
     # of the images as they are only errors against labels are reported, which others cannot have
-    model.with_sheared_poses = model.recorded is not None
+    model.with_sheared_poses = model.recordings is not None
     run = _FolderRun(path, model, force)
     recordings = run.recordings
     files = _list_png_files(recordings.names)
@@ -95,7 +95,9 @@ def unshear_recordings(
         notes.append(f"{model.folder} has no trained PoseNet: poses.csv holds no predicted poses")
     lines = [model.describe_training(), model.pose_frame, f"Networks: {model.folder.name}", *notes]
     write_text(out / "NOTE.txt", "\n".join(lines) + "\n")
-    print(f"{run.used} images unsheared, {run.left_out} left out; see {out / 'poses.csv'}")
+    print(
+        f"{run.used_count} images unsheared, {run.left_out_count} left out; see {out / 'poses.csv'}"
+    )
     time_row = _make_row("unshear.time_per_image", float(np.median(run.seconds)), "s")
     return run.report("unshear", notes, [], [time_row], print)
 
@@ -130,7 +132,7 @@ def predict_recordings(
         table.append(cells | run.format_labels(result))
     print(format_csv(table).rstrip("\n"))
     log = partial(print, file=sys.stderr)
-    log(f"poses of {run.used} images, {run.left_out} left out")
+    log(f"poses of {run.used_count} images, {run.left_out_count} left out")
     return run.report("pose", run.recordings.notes, rows, [], log)
 
 
@@ -153,7 +155,7 @@ class _FolderRun:
         if force:
             model.force = True
             return
-        verdict = judge_images(_sample_images(self.recordings, model), model.expected)
+        verdict = judge_images(_sample_images(self.recordings, model), model.appearance)
         if verdict.inverted:
             self.recordings.notes.append(f"{verdict.reason}: they are turned")
             # inverted dark pins are less like the sensor's than light pins
@@ -163,12 +165,12 @@ class _FolderRun:
             raise UserError(f"{path}: {verdict.reason}; --force answers all the same")
 
     @property
-    def used(self) -> int:
+    def used_count(self) -> int:
         return len(self._rows) - self._reasons.total()
 
     @property
-    def left_out(self) -> int:
-        return len(self.recordings) - self.used
+    def left_out_count(self) -> int:
+        return len(self.recordings) - self.used_count
 
     def predict(self, label: str) -> Iterator[_Result]:
         count = len(self.recordings)
@@ -237,7 +239,7 @@ class _FolderRun:
             log(f"note: {note}")
         if len(notes) > SHOWN_NOTES:
             log(f"note: and {len(notes) - SHOWN_NOTES} more")
-        counts = {f"{command}.images": self.used, f"{command}.left_out": self.left_out}
+        counts = {f"{command}.images": self.used_count, f"{command}.left_out": self.left_out_count}
         rows = [
             *rows,
             *(_make_row(name, count, "1") for name, count in counts.items()),
@@ -261,11 +263,12 @@ class _FolderRun:
         if len(true) != len(self._targets) or not self._poses:
             return means
         for kind in self._poses[0]:
-            predicted = {
-                name: np.array([poses[kind][name] for poses in self._poses])
-                for name in self._targets
-            }
-            for name, errors in compute_pose_errors(predicted, true).items():
+            predicted: dict[str, list[float]] = {name: [] for name in self._targets}
+            for poses in self._poses:
+                for name, column in predicted.items():
+                    column.append(poses[kind][name])
+            arrays = {name: np.array(column) for name, column in predicted.items()}
+            for name, errors in compute_pose_errors(arrays, true).items():
                 finite = errors[np.isfinite(errors)]
                 if len(finite):
                     means[f"{kind}.{name}"] = float(finite.mean(dtype=np.float64))

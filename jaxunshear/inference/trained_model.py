@@ -70,6 +70,7 @@ from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME
 
 POSENETS = (POSENET, POSENET_SHEARED)
+
 _compute_confidence = jax.jit(jax.vmap(compute_confidence))
 
 
@@ -94,7 +95,7 @@ class TrainedModel:
         return self.experiment.sensor
 
     @property
-    def recorded(self) -> Recorded | None:
+    def recordings(self) -> Recorded | None:
         """The recordings that it was trained on; None for simulated contacts."""
         return get_recorded(self.experiment)
 
@@ -120,7 +121,7 @@ class TrainedModel:
     @cached_property
     def _main_networks(self) -> dict[str, TrainedNetwork]:
         # a PoseNet of simulated slides is for comparisons alone
-        names = (DISENTANGLED, *(POSENETS if self.recorded else POSENETS[:1]))
+        names = (DISENTANGLED, *(POSENETS if self.recordings else POSENETS[:1]))
         networks = {name: self.load_network(name) for name in names if name in self.networks}
         if not networks:
             raise UserError(
@@ -145,9 +146,9 @@ class TrainedModel:
         return compute_rest_lattice(self.sensor, paired.camera, paired.preprocess)
 
     @cached_property
-    def expected(self) -> SensorAppearance:
+    def appearance(self) -> SensorAppearance:
         """How its sensor appears in prepared images."""
-        if self.recorded and self.frame:
+        if self.recordings and self.frame:
             return measure_sensor_appearance(self.frame.rest, self.frame.size)
         return measure_sensor_appearance(self.lattice.rest, self.experiment.paired.preprocess.size)
 
@@ -157,7 +158,7 @@ class TrainedModel:
         if not self.reads_pins:
             return ImageReader()
         frame = self._require_frame()
-        if self.recorded:
+        if self.recordings:
             return make_pin_reader(frame, frame.rest)
         variables = next(iter(self._main_networks.values())).variables
         return make_pin_reader(frame, np.asarray(variables["batch_stats"]["rest"]))
@@ -196,17 +197,17 @@ class TrainedModel:
     @property
     def pose_frame(self) -> str:
         """What poses are relative to, in words."""
-        return RECORDED_POSE_FRAME if self.recorded else SIMULATED_POSE_FRAME
+        return RECORDED_POSE_FRAME if self.recordings else SIMULATED_POSE_FRAME
 
     @property
     def suits_cameras(self) -> bool:
         """Whether it was trained on recordings, or on pins drawn as other cameras show them."""
-        return bool(self.recorded) or (self.reads_pins and self.experiment.pins.turned > 0)
+        return bool(self.recordings) or (self.reads_pins and self.experiment.pins.turned > 0)
 
     def describe_training(self) -> str:
         """Describe in one line what it was trained on, and what that means for recordings."""
-        if self.recorded:
-            return describe_recorded_training(self.sensor, self.recorded)
+        if self.recordings:
+            return describe_recorded_training(self.sensor, self.recordings)
         stimuli = self.require_simulation("this").names
         return describe_simulated_training(self.sensor, stimuli, self.suits_cameras)
 
@@ -258,7 +259,7 @@ class TrainedModel:
 
         def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
             inputs = self.reader.read(batch)
-            rejection, _ = judge_batch(batch, inputs.identified, self.expected, self.force)
+            rejection, _ = judge_batch(batch, inputs.identified, self.appearance, self.force)
             accepted = jnp.asarray(rejection == "")[:, None]
             return tuple(
                 code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
@@ -287,7 +288,9 @@ class TrainedModel:
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
         inputs = self.reader.read(images)
-        rejection, plausibility = judge_batch(images, inputs.identified, self.expected, self.force)
+        rejection, plausibility = judge_batch(
+            images, inputs.identified, self.appearance, self.force
+        )
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 
@@ -342,7 +345,7 @@ def load_model(
     keep_freed_memory()
     folder = find_model_folder(Path(name))
     model = TrainedModel(folder, load_settings(folder), force=force)
-    if model.recorded:
+    if model.recordings:
         model.frame = parse_frame(read_object(folder / FRAME))
     elif model.reads_pins and like is not None:
         preprocess = model.experiment.paired.preprocess

@@ -95,7 +95,7 @@ class Explorer:
         images = {SHEARED: frames[0], TAP: frames[1]}
         poses = {TRUE: _compute_true_pose(touch, self.model.targets)}
         if touch.sensor != self.model.sensor:
-            reason = judge_images(frames[:1], self.model.expected).reason
+            reason = judge_images(frames[:1], self.model.appearance).reason
             reason = reason or "its pins only resemble those that it learnt from"
             note = f"the model does not know this sensor: {reason}"
         else:
@@ -115,7 +115,7 @@ class Explorer:
             image = prepare_frame(preprocess, raw, model.view or View())
         except UserError as error:
             raise UserError(f"{name}: {error}") from None
-        check = judge_images(image[None], model.expected)
+        check = judge_images(image[None], model.appearance)
         if not check.ok and not check.inverted:
             raise UserError(f"{name}: {check.reason}")
         images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if check.inverted else image}

@@ -65,7 +65,7 @@ def make_label_reader(
 
     Returns None without labels, and for a model that was not trained on labels of these names.
     """
-    if not Path(source).is_dir() or not model.recorded:
+    if not Path(source).is_dir() or not model.recordings:
         return None
     poses = read_recordings(source, Preprocess()).poses
     if poses is None:

@@ -50,7 +50,7 @@ class _Answer(NamedTuple):
     unsheared: np.ndarray | None  # (S, S) in [0, 1]
     pose: dict[str, float]
     confidence: float
-    seconds: float  # that the networks took
+    networks_ms: float
 
 
 def stream(
@@ -64,8 +64,8 @@ def stream(
 ) -> StreamResult:
     """Write a line for each frame to `out`, and return a summary.
 
-    A frame that cannot be used, or is not understood, has no pose and no image, but a reason and a
-    confidence of 0. A live source also ends by Ctrl-C, or when its camera is lost.
+    A frame that is not understood has no pose and no image, but a reason and a confidence of 0. A
+    live source also ends by Ctrl-C, or when its camera is lost.
 
     Args:
         images: a folder for unsheared images.
@@ -90,13 +90,13 @@ def stream(
                 continue
             line |= {name: round(value, 4) for name, value in answer.pose.items()}
             line["confidence"] = round(answer.confidence, 4)
-            labels = read_labels(frame.number) if read_labels else {}
-            for name, error_value in _compute_errors(answer.pose, labels).items():
-                line[f"error_{name}"] = round(error_value, 4)
-                stats.errors.setdefault(name, []).append(error_value)
+            errors = _compute_errors(answer.pose, read_labels(frame.number) if read_labels else {})
+            line |= {f"error_{name}": round(value, 4) for name, value in errors.items()}
+            for name, value in errors.items():
+                stats.errors.setdefault(name, []).append(value)
             if answer.unsheared is not None:
                 line |= _store_image(images, inline, frame, answer.unsheared)
-            stats.networks_ms.append(1e3 * answer.seconds)
+            stats.networks_ms.append(answer.networks_ms)
             stats.total_ms.append(1e3 * (time.perf_counter() - arrival))
             stats.confidences.append(answer.confidence)
             _write_line(out, line | {"ms": round(stats.total_ms[-1], 3)})
@@ -118,13 +118,13 @@ def _answer_frame(
         raise UserError("nothing white is left of this frame: no pins to see")
     start = time.perf_counter()
     predictions = model.predict(image[None])
-    seconds = time.perf_counter() - start
+    networks_ms = 1e3 * (time.perf_counter() - start)
     if reason := str(predictions.rejection[0]):
         raise UserError(reason)
     poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
     pose = {name: float(values[0]) for name, values in poses.items()}
     unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
-    return _Answer(unsheared, pose, float(predictions.confidence[0]), seconds)
+    return _Answer(unsheared, pose, float(predictions.confidence[0]), networks_ms)
 
 
 def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
@@ -145,13 +145,10 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
 
 
 def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict[str, float]:
-    truth = {name: np.array([labels[name]]) for name in pose if _is_labelled(labels, name)}
+    names = [name for name in pose if np.isfinite(labels.get(name, np.nan))]
+    truth = {name: np.array([labels[name]]) for name in names}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
     return {name: float(error[0]) for name, error in errors.items()}
-
-
-def _is_labelled(labels: Mapping[str, float], name: str) -> bool:
-    return bool(np.isfinite(labels.get(name, np.nan)))
 
 
 def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
