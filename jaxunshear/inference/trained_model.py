@@ -191,8 +191,7 @@ class TrainedModel:
 
     @property
     def size(self) -> int:
-        """S, px."""
-        return self.preprocess.size
+        return self.preprocess.size  # S, px
 
     @property
     def pose_frame(self) -> str:
@@ -259,8 +258,8 @@ class TrainedModel:
 
         def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
             inputs = self.reader.read(batch)
-            rejection, _ = judge_batch(batch, inputs.identified, self.appearance, self.force)
-            accepted = jnp.asarray(rejection == "")[:, None]
+            reasons, _ = judge_batch(batch, inputs.identified, self.appearance, self.force)
+            accepted = jnp.asarray(reasons == "")[:, None]
             return tuple(
                 code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
                 for code in run(scale_inputs(inputs.values))
@@ -288,14 +287,12 @@ class TrainedModel:
     def predict(self, images: np.ndarray) -> Predictions:
         """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
         inputs = self.reader.read(images)
-        rejection, plausibility = judge_batch(
-            images, inputs.identified, self.appearance, self.force
-        )
+        reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
         unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
         outputs = self.reader.finish(inputs, unsheared, poses)
 
         def keep_accepted_rows(value: np.ndarray) -> np.ndarray:
-            accepted = (rejection == "").reshape(-1, *[1] * (value.ndim - 1))
+            accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
             return np.where(accepted, value, np.nan)
 
         confidence = plausibility
@@ -303,9 +300,9 @@ class TrainedModel:
             confidence = plausibility * np.asarray(
                 _compute_confidence(outputs.unsheared[..., None])
             )
-        confidence = np.where(rejection == "", confidence, 0.0)
+        confidence = np.where(reasons == "", confidence, 0.0)
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
-        return Predictions(unsheared, poses, pins, rejection, confidence)
+        return Predictions(unsheared, poses, pins, reasons, confidence)
 
     def compile(self, batch: int) -> None:
         """Load the networks and compile them for this many images."""

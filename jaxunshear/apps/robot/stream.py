@@ -32,6 +32,13 @@ FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 LabelReader = Callable[[int], Mapping[str, float]]  # from a frame's number to its labels
 
 
+class _Answer(NamedTuple):
+    unsheared: np.ndarray | None  # (S, S) in [0, 1]
+    pose: dict[str, float]
+    confidence: float
+    networks_ms: float
+
+
 @dataclass
 class _StreamStats:
     """What a stream has come to so far."""
@@ -45,12 +52,12 @@ class _StreamStats:
     missed: int = 0
     last: int = -1  # number of a frame
 
-
-class _Answer(NamedTuple):
-    unsheared: np.ndarray | None  # (S, S) in [0, 1]
-    pose: dict[str, float]
-    confidence: float
-    networks_ms: float
+    def add(self, answer: _Answer, errors: Mapping[str, float], total_ms: float) -> None:
+        self.networks_ms.append(answer.networks_ms)
+        self.total_ms.append(total_ms)
+        self.confidences.append(answer.confidence)
+        for name, value in errors.items():
+            self.errors.setdefault(name, []).append(value)
 
 
 def stream(
@@ -92,13 +99,9 @@ def stream(
             line["confidence"] = round(answer.confidence, 4)
             errors = _compute_errors(answer.pose, read_labels(frame.number) if read_labels else {})
             line |= {f"error_{name}": round(value, 4) for name, value in errors.items()}
-            for name, value in errors.items():
-                stats.errors.setdefault(name, []).append(value)
             if answer.unsheared is not None:
                 line |= _store_image(images, inline, frame, answer.unsheared)
-            stats.networks_ms.append(answer.networks_ms)
-            stats.total_ms.append(1e3 * (time.perf_counter() - arrival))
-            stats.confidences.append(answer.confidence)
+            stats.add(answer, errors, 1e3 * (time.perf_counter() - arrival))
             _write_line(out, line | {"ms": round(stats.total_ms[-1], 3)})
     except KeyboardInterrupt:  # a camera's usual end
         if not live or not stats.total_ms:
