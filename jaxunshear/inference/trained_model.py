@@ -249,8 +249,7 @@ class TrainedModel:
 
     def codes(self, images: np.ndarray) -> Codes:
         """Compute pose code and shear code. Raises UserError if the model has no codes."""
-        run = self._encode
-        if run is None:
+        if (run := self._encode) is None:
             raise UserError(
                 f"{self.folder} holds no network with codes: "
                 f"train {DISENTANGLED}, or load another model"
