@@ -33,7 +33,7 @@ PROGRAMS = {  # the modules that a command starts from
     "ablate": ("evaluation.code_swap_test", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
-    **{name: ("cli.models",) for name in ("geometry", "servo", "reconstruct", "pins")},
+    **dict.fromkeys(("geometry", "servo", "reconstruct", "pins"), ("cli.models",)),
     "stream": ("cli.apps",),
     "unshear": ("inference.infer",),
     "pose": ("inference.infer",),
