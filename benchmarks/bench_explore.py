@@ -9,7 +9,6 @@ Compilation and the browser are not measured.
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.config.data import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.inference.trained_model import load_model
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.stimuli import get_stimulus
 from jaxunshear.text_table import format_text_table
@@ -36,8 +35,7 @@ def bench_explore(
 ) -> list[Json]:
     """Return a row for each stimulus: pictures, refused ones, and ms (median, 95 %, largest)."""
     keep_freed_memory()
-    folder = find_model_folder(Path("standard"))
-    explorer = make_explorer(folder, load_settings(folder))
+    explorer = make_explorer(load_model("standard"))
     if warm:
         explorer.warm()
     with Progress("bench explore", pictures * len(stimuli), unit="pictures") as progress:
@@ -78,4 +76,4 @@ def _sample_touch(explorer: Explorer, name: str, generator: np.random.Generator)
     direction = generator.uniform(0, 2 * np.pi)
     move = (length * np.cos(direction), length * np.sin(direction))
     stimulus = get_stimulus(name)
-    return Touch(stimulus, explorer.experiment.sensor, (x, y, yaw, depth), move, stimulus.friction)
+    return Touch(stimulus, explorer.model.sensor, (x, y, yaw, depth), move, stimulus.friction)

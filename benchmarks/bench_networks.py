@@ -21,17 +21,14 @@ import numpy as np
 from benchmarks.multiplications import TARGETS, count_multiplications, count_posenet_multiplications
 from benchmarks.training_steps import init_variables, make_noise_images, make_timed_step
 from jaxunshear.allocator import keep_freed_memory
-from jaxunshear.apps.export.parts import ExportedModel, ExportedNetwork
-from jaxunshear.apps.robot.stream import make_perceive_function
+from jaxunshear.apps.export.parts import ExportedModel
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET
-from jaxunshear.config.targets import list_target_names
 from jaxunshear.config.training import Training
 from jaxunshear.environment import FAST, PLAIN
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.inference.perceiver import UNSHEARED
-from jaxunshear.inference.perception import make_forward
+from jaxunshear.inference.forward import UNSHEARED, TrainedNetwork, make_forward
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
 from jaxunshear.models.inference import jit_for_inference
@@ -196,9 +193,8 @@ def _make_stream_sides(size: int, batch: int) -> Sides:
 
     def ours() -> Work:
         forward = make_forward({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        perceive = make_perceive_function(forward, list_target_names(TARGETS))
-        run = jit_for_inference(perceive, _init_stream_variables(net, pose_net))
-        return lambda: jax.device_get(run(image)) is None
+        run = jit_for_inference(forward, _init_stream_variables(net, pose_net))
+        return lambda: jax.device_get(run(image[None])) is None
 
     yield "jaxunshear", ours
     yield "onnxruntime", lambda: _make_exported_work(net, pose_net, image)
@@ -223,9 +219,8 @@ def _make_exported_work(net: UnshearNet, pose_net: PoseNet, image: np.ndarray) -
         )
     variables = jax.device_get(_init_stream_variables(net, pose_net))
     parts = ExportedModel(
-        ExportedNetwork(net, variables[DISENTANGLED]),
-        ExportedNetwork(pose_net, variables[POSENET]),
-        TARGETS,
+        TrainedNetwork(net, variables[DISENTANGLED], ()),
+        TrainedNetwork(pose_net, variables[POSENET], TARGETS),
         UNSHEARED,
         None,
         net.size,

@@ -33,7 +33,8 @@ PROGRAMS = {  # the modules that a command starts from
     "ablate": ("evaluation.code_swap_test", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
-    **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
+    **dict.fromkeys(("geometry", "servo", "reconstruct", "pins"), ("cli.models",)),
+    "stream": ("cli.apps",),
     "unshear": ("inference.infer",),
     "pose": ("inference.infer",),
 }
@@ -58,6 +59,10 @@ EARLIER_MODULES = {  # where these modules were at earlier commits
     "jaxunshear.evaluation.other_recordings": ("jaxunshear.evaluation.unseen",),
     "jaxunshear.evaluation.code_swap_test": ("jaxunshear.evaluation.ablation",),
     "jaxunshear.sweep.worker": ("jaxunshear.sweep.work",),
+    "jaxunshear.cli.apps": ("jaxunshear.cli.stream",),
+    "jaxunshear.cli.models": tuple(
+        f"jaxunshear.cli.{name}" for name in ("geometry", "servo", "reconstruct", "pins")
+    ),
     "jaxunshear.inference.infer": ("jaxunshear.infer",),
     "benchmarks.bench_omissions": ("benchmarks.bench_needs",),
     "benchmarks.bench_input_pipeline": ("benchmarks.bench_input",),

@@ -14,11 +14,13 @@ from jaxunshear.version import __version__ as __version__
 if typing.TYPE_CHECKING:
     from pathlib import Path
 
-    from jaxunshear.api import Model
+    from jaxunshear.inference.trained_model import TrainedModel
 
 
-def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
+def load_model(
+    name: str | Path, like: str | Path | None = None, force: bool = False
+) -> TrainedModel:
     """Load a trained model: see `jaxunshear.api.load_model`."""
-    from jaxunshear.api import load_model
+    from jaxunshear.inference.trained_model import load_model
 
     return load_model(name, like, force)

@@ -25,7 +25,7 @@ def load_settings(model: Path) -> Experiment:
     if not file.is_file():
         names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
         raise UserError(
-            f"--model {model} holds no experiment.json: name the folder of a finished run, "
+            f"{model} holds no experiment.json: name the folder of a finished run, "
             f"such as runs/demo, or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_object(file), str(file))

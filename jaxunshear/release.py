@@ -32,7 +32,7 @@ def release(run_dir: Path, out: Path) -> Path:
     The run needs the disentangled network and PoseNet; other networks that it has trained are
     added. Raises `UserError` if `out` exists, or the run is not finished or evaluated.
     """
-    from jaxunshear.inference.perception import load_networks
+    from jaxunshear.inference.trained_model import load_model
     from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
     from jaxunshear.training.examples import FRAME
 
@@ -53,15 +53,18 @@ def release(run_dir: Path, out: Path) -> Path:
     names = [name for name in RELEASED_PARTS if name in required or has_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
-    _, variables, targets = load_networks(run_dir, names)
+    trained = load_model(run_dir)
+    networks = {name: trained.load_network(name) for name in names}
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
-    for name in names:
-        write_weights(part / name, variables[name], RELEASED_PARTS[name])
+    for name, network in networks.items():
+        write_weights(part / name, network.variables, RELEASED_PARTS[name])
         model = read_object(run_dir / name / MODEL)
         origin = {key: model[key] for key in ORIGIN_FIELDS if key in model}
-        network = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
-        write_json(part / name / MODEL, network | origin)
+        targets = {"targets": to_json(network.targets)}
+        write_json(
+            part / name / MODEL, {"kind": model["kind"], "net": model["net"]} | targets | origin
+        )
     settings |= {"name": out.name}  # that of a sweep's row names its settings
     if not results.simulated:
         write_json(part / FRAME, read_object(run_dir / FRAME))

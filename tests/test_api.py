@@ -1,6 +1,5 @@
 """Trained models from Python: inputs are checked, results are those of the commands."""
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -15,7 +14,9 @@ from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.errors import UserError
-from jaxunshear.inference.perceiver import UNSHEARED
+from jaxunshear.inference import trained_model
+from jaxunshear.inference.forward import UNSHEARED
+from jaxunshear.inference.readers import Codes
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.simulator.stimuli import STIMULI
@@ -45,23 +46,24 @@ def test_images_codes_and_poses_of_released_weights(model, images):
     assert codes.shear is None  # released weights leave it out
     pose = model.pose(images)
     np.testing.assert_array_equal(
-        pose[UNSHEARED]["edge_mm"], model.perceiver.predict(images).poses[UNSHEARED]["edge_mm"]
+        pose[UNSHEARED]["edge_mm"], model.predict(images).poses[UNSHEARED]["edge_mm"]
     )
 
 
-def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model, images):
+def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(
+    model, images, monkeypatch
+):
+    with pytest.raises(UserError, match="its shear code was not taught the slide"):
+        model.slide(images)
     slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=10.0))
     z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
-    supervised = dataclasses.replace(
-        model, encoder=lambda inputs: (np.zeros((3, 5), np.float32), z_s), slide_targets=slides
-    )
-    slide = supervised.slide(images)
+    monkeypatch.setattr(trained_model, "read_slides", lambda folder: slides)
+    monkeypatch.setattr(model, "codes", lambda images: Codes(np.zeros((3, 5)), z_s))
+    slide = model.slide(images)
     assert list(slide) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
     np.testing.assert_allclose(
         np.stack(list(slide.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6
     )
-    with pytest.raises(UserError, match="its shear code was not taught the slide"):
-        model.slide(images)
 
 
 def test_how_many_images_come_at_once_does_not_matter(model, images):
@@ -89,7 +91,7 @@ def test_models_that_are_none_are_refused_by_name(tmp_path):
     with pytest.raises(UserError, match=r"holds no experiment\.json"):
         load_model(tmp_path)
     with pytest.raises(UserError, match="reads pins of any sensor"):
-        load_model("skin")
+        load_model("skin").unshear(np.zeros((1, 128, 128), bool))
 
 
 @pytest.mark.long
@@ -110,7 +112,7 @@ def test_the_example_of_uses_runs(capsys):
     assert result.scores[0].ends == {"took too long": 1} and result.task.stimulus == "disk"
     result.trajectories.end[0] = servo.WALKING
     with pytest.raises(UserError, match="walks around disk are not finished"):
-        reconstruct(model.folder, model.experiment, [(result.task, result.trajectories)])
+        reconstruct(model, [(result.task, result.trajectories)])
 
 
 @pytest.mark.parametrize(
@@ -124,4 +126,4 @@ def test_the_example_of_uses_runs(capsys):
 )
 def test_walks_that_cannot_start_are_refused_at_once(model, task, methods, reason):
     with pytest.raises(UserError, match=reason):
-        walk(model.folder, model.experiment, [task], methods)
+        walk(model, [task], methods)

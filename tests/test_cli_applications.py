@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.config.data import PairedData, PoseData
+from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
+from jaxunshear.config.targets import make_range_targets
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.geometry import HEIGHT_METHODS
 from jaxunshear.results.applications import TrajectoryScores
 from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.serialization import to_builtins
-from tests.inference.test_infer import init, write_network
+from tests.helpers.models import init, write_run
+
+TARGETS = make_range_targets((), Ranges())
 
 
 def experiment(size):
@@ -32,17 +35,13 @@ def experiment(size):
 
 def run_of(folder, size, seed=0):
     """Make a run with networks that have learnt nothing."""
-    from jaxunshear.config.serialization import to_json
-    from jaxunshear.files import write_json
-    from jaxunshear.models import posenet, unshearnet
-
-    small, run = experiment(size), folder / "small"
-    write_json(run / "experiment.json", to_json(small))
-    write_network(
-        run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, seed)
-    )
-    write_network(run / "posenet", "posenet", small.posenet, init(posenet, small.posenet, 1))
-    return run
+    small = experiment(size)
+    nets = {"disentangled": small.unshear, "posenet": small.posenet}
+    variables = {
+        "disentangled": init(small.unshear, seed),
+        "posenet": init(small.posenet, 1, TARGETS),
+    }
+    return write_run(folder / "small", small, nets, variables, TARGETS)
 
 
 @pytest.fixture(scope="module")

@@ -85,9 +85,9 @@ def test_nothing_imports_apps():
     users = {(module, app_of(name)) for module in FILES for name in imported(module)}
     outside = {(module, app) for module, app in users if app and app_of(module) != app}
     commands = {
-        ("jaxunshear.cli.explore", "explore"),
-        ("jaxunshear.cli.stream", "robot"),
-        ("jaxunshear.cli.export", "export"),
+        ("jaxunshear.cli.apps", "explore"),
+        ("jaxunshear.cli.apps", "robot"),
+        ("jaxunshear.cli.apps", "export"),
     }
     assert {(module, app) for module, app in outside if "benchmarks" not in module} == commands
 

@@ -3,30 +3,15 @@
 Every command imports what it needs when it needs it, so help is quick.
 """
 
-import argparse
 import shlex
 import sys
 from collections.abc import Sequence
 from textwrap import wrap
-from types import ModuleType
 
 from jaxunshear import __version__
-from jaxunshear.cli import (
-    ablate,
-    applications,
-    calibration,
-    catalogue,
-    compare,
-    doctor,
-    explore,
-    export,
-    release,
-    report,
-    stages,
-    sweep,
-    unshear,
-)
+from jaxunshear.cli import apps, catalogue, experiments, models, recordings, runs
 from jaxunshear.cli.fields import format_field_help, split_help_request
+from jaxunshear.cli.options import Command
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
@@ -34,21 +19,11 @@ from jaxunshear.environment import check_environment, check_links
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
-MODULES: tuple[ModuleType, ...] = (
-    stages,
-    report,
-    compare,
-    ablate,
-    release,
-    export,
-    unshear,
-    applications,
-    explore,
-    doctor,
-    sweep,
-    calibration,
-    catalogue,
-)
+COMMANDS: dict[str, Command] = {
+    command.name: command
+    for module in (experiments, models, apps, recordings, runs, catalogue)
+    for command in module.COMMANDS
+}
 GROUPS = {  # of `jaxunshear --help`
     "use": (
         *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export"),
@@ -57,7 +32,6 @@ GROUPS = {  # of `jaxunshear --help`
     ),
     "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
 }
-RESUMABLE = ("run", "data", "train", "fit", "sweep", "servo")  # continue where they stopped
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, \
 --train.drops 40:0.2,80:0.1;
@@ -68,10 +42,15 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; see `report_errors`."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    return report_errors(lambda: _run(argv), continued=bool(argv) and argv[0] in RESUMABLE)
+    command = _find_command(argv)
+    return report_errors(lambda: _run(argv), continued=command is not None and command.is_resumable)
 
 
-class _ExperimentParser(Parser):
+def _find_command(argv: Sequence[str]) -> Command | None:
+    return COMMANDS.get(argv[0]) if argv else None
+
+
+class _CommandParser(Parser):
     """Lists the fields of an experiment in the help of commands that take one."""
 
     def format_help(self) -> str:
@@ -81,7 +60,8 @@ class _ExperimentParser(Parser):
 
         groups: dict[str, list[str]] = {}
         for name, _ in list_field_types():
-            groups.setdefault(name.rpartition(".")[0], []).append(name.rpartition(".")[2])
+            group, _, field = name.rpartition(".")
+            groups.setdefault(group, []).append(field)
         lines = []
         for group, names in groups.items():
             start = f"  --{group + '.' if group else ''}"
@@ -89,17 +69,10 @@ class _ExperimentParser(Parser):
         return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
 
 
-def _get_commands(parser: argparse.ArgumentParser) -> argparse._SubParsersAction:
-    return next(
-        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
-    )
-
-
-class _GroupedParser(_ExperimentParser):
+class _GroupedParser(_CommandParser):
     """Lists commands in groups, a line for each."""
 
     def format_help(self) -> str:
-        texts = {choice.dest: choice.help or "" for choice in _get_commands(self)._choices_actions}
         lines = [
             f"usage: {self.prog} COMMAND ...",
             "",
@@ -109,37 +82,36 @@ class _GroupedParser(_ExperimentParser):
         for group, names in GROUPS.items():
             lines += ["", group]
             for name in names:
-                lines += wrap(
-                    texts[name], 100, initial_indent=f"  {name:<16}", subsequent_indent=" " * 18
-                )
+                text = COMMANDS[name].help
+                lines += wrap(text, 100, initial_indent=f"  {name:<16}", subsequent_indent=" " * 18)
         return "\n".join(lines) + "\n"
 
 
-def _make_parser() -> _ExperimentParser:
+def make_parser() -> Parser:
+    """Make the parser of all commands."""
     parser = _GroupedParser(prog="jaxunshear", description="Takes the shear out of touch.")
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
-    commands = parser.add_subparsers(
-        dest="command", metavar="COMMAND", required=True, parser_class=_ExperimentParser
+    parsers = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=_CommandParser
     )
-    for module in MODULES:
-        module.add_parsers(commands)
+    for command in COMMANDS.values():
+        command.add_to(parsers)
     return parser
 
 
-def _split_fields(parser: _ExperimentParser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
+def _split_fields(command: Command, argv: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split a command line into words of the command and fields of its experiment.
 
     Raises UserError for a field that is unknown.
     """
     from jaxunshear.config.fields import parse_overrides, split_overrides
 
-    options: set[str] = set()
-    flags: set[str] = set()  # options that no value follows
-    for name in stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS:
-        for action in _get_commands(parser).choices[name]._actions:
-            options.update(action.option_strings)
-            if action.nargs == 0:
-                flags.update(action.option_strings)
+    flags = {"-h", "--help"}  # options that no value follows
+    options = set(flags)
+    for other in COMMANDS.values():
+        if other.run is command.run:  # an option of these is none of the experiment's fields
+            options.update(name for name, _ in other.list_options())
+            flags.update(name for name, settings in other.list_options() if "action" in settings)
     words, fields = split_overrides(argv, options, flags)
     parse_overrides(fields)
     return words, fields
@@ -147,43 +119,33 @@ def _split_fields(parser: _ExperimentParser, argv: Sequence[str]) -> tuple[list[
 
 def read_base(argv: Sequence[str]) -> Experiment:
     """Return the experiment of a command, before it is checked or finds recordings."""
-    parser = _make_parser()
-    words, fields = _split_fields(parser, argv)
-    module = stages if argv[0] in stages.COMMANDS else sweep
-    return module.read_base(parser.parse_args(words), fields)
+    words, fields = _split_fields(COMMANDS[argv[0]], argv)
+    return experiments.read_base(make_parser().parse_args(words), fields)
 
 
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
-    words = argv
-    parser = _make_parser()
-    if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
+    words, command = argv, _find_command(argv)
+    if command and command.takes_fields:
         request = split_help_request(argv)
-        words, fields = _split_fields(parser, request[1] if request else argv)
+        words, fields = _split_fields(command, request[1] if request else argv)
         if request:
             group, other_words = request
             experiment = read_base(other_words) if len(words) > 1 else None
             print(format_field_help(group, experiment))
             return 0
-    arguments = parse(parser, words)
+    arguments = parse(make_parser(), words)
     if arguments is None:
         return 0
+    command = COMMANDS[arguments.command]
     check_links(vars(arguments).values())
-    _check_places(arguments)
-    if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
-        check_environment()
-        read_source()  # as the code is now; it may be changed while this works
-    arguments.fields = fields
-    module = next(module for module in MODULES if arguments.command in module.COMMANDS)
-    return module.run(arguments, shlex.join(["jaxunshear", *argv]))
-
-
-def _check_places(arguments: argparse.Namespace) -> None:
-    """Refuse places for results that cannot be written, or that belong to a run or the like."""
     check_json(arguments)
     out = getattr(arguments, "out", None)
-    if arguments.command not in catalogue.COMMANDS:
+    if command.computes:
         check_new_folder(out)
-    with_own_folders = (*stages.COMMANDS, *sweep.COMMANDS, *applications.COMMANDS)
-    if arguments.command not in with_own_folders:
+        check_environment()
+        read_source()  # as the code is now; it may be changed while this works
+    if command.checks_out:
         check_outside(out, "--out")
+    arguments.fields = fields
+    return command.run(arguments, shlex.join(["jaxunshear", *argv]))

@@ -3,23 +3,8 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, new_parser
+from jaxunshear.cli.options import Command, path
 from jaxunshear.errors import UserError
-
-COMMANDS = ("sensors", "stimuli")
-
-
-def add_parsers(commands: Commands) -> None:
-    for name in COMMANDS:
-        parser = new_parser(commands, name, f"list or draw the {name}")
-        parser.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
-        parser.add_argument("name", metavar="NAME", nargs="?", help="what to draw")
-        parser.add_argument(
-            "--out",
-            metavar="FILE",
-            type=Path,
-            help="PNG, SVG or PDF to draw to (default: NAME.png)",
-        )
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
@@ -39,3 +24,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     catalogue.draw(arguments.command, arguments.name, out)
     print(out)
     return 0
+
+
+OPTIONS = (
+    ("action", {"choices": ("list", "draw"), "nargs": "?", "default": "list"}),
+    ("name", {"metavar": "NAME", "nargs": "?", "help": "what to draw"}),
+    path("--out", "FILE", "PNG, SVG or PDF to draw to (default: NAME.png)"),
+)
+COMMANDS = tuple(
+    Command(name, f"list or draw the {name}", run, OPTIONS, computes=False)
+    for name in ("sensors", "stimuli")
+)

@@ -7,13 +7,7 @@ from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import NOT_SETTABLE, format_value
-from jaxunshear.config.types import (
-    describe_hint,
-    get_origin,
-    list_choices,
-    list_groups,
-    list_hints,
-)
+from jaxunshear.config.types import describe_hint, get_origin, list_choices, list_groups, list_hints
 from jaxunshear.errors import UserError
 
 FLAG = "--help-fields"
@@ -82,7 +76,6 @@ class _Entry(NamedTuple):
 
 
 def _list_entries(kind: type, settings: object, prefix: str) -> Iterator[_Entry]:
-    """Yield the fields of a kind of settings, with the values of `settings` if it is of it."""
     for field in dataclasses.fields(kind):
         hint = list_hints(kind)[field.name]
         if field.name in NOT_SETTABLE or (list_groups(hint) and prefix + field.name != "sensor"):

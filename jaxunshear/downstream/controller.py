@@ -71,7 +71,6 @@ def control(
 def _compute_correction(
     error: Array, total: Array, proportional: float, integral: float, limit: float
 ) -> tuple[Array, Array]:
-    """Compute a limited correction, and the new sum of errors."""
     new_total = total + error
     unlimited = proportional * error + integral * new_total
     correction = jnp.clip(unlimited, -limit, limit)

@@ -8,19 +8,21 @@ cubic surface through its heights at the image's pins.
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import simulated_contacts
+from jaxunshear.data.recordings import read_recordings
 from jaxunshear.data.simulated_contacts import (
     SimulatedContacts,
     render_untouched_images,
     simulate_contacts,
 )
 from jaxunshear.downstream.geometry import (
+    INVERSE,
     HeightEstimator,
     interpolate_heights,
     make_height_estimators,
@@ -28,17 +30,15 @@ from jaxunshear.downstream.geometry import (
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import compute_intervals
 from jaxunshear.files import Json
-from jaxunshear.inference.perception import (
-    Unshear,
-    compute_model_lattice,
-    list_unshearing_networks,
-    load_unshearers,
-)
+from jaxunshear.inference.edge_methods import Unshear, load_unshearers
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
+from jaxunshear.perception.sensor_check import compute_plausibility, explain_rejection
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 
 SEED = 0
+SHOWN_IMAGES = 8  # of recordings
 UNTOUCHED = "untouched"  # images without contact: what a method estimates of nothing
 
 
@@ -56,7 +56,6 @@ class Geometry(NamedTuple):
 class GeometryResult:
     """Contacts that no network was trained on, their heights, and how well these are true."""
 
-    lattice: Lattice  # rest positions
     contacts: SimulatedContacts
     geometry: Geometry
     methods: Mapping[str, HeightEstimator]  # from pins to heights
@@ -64,21 +63,21 @@ class GeometryResult:
     table: GeometryScores
 
 
-def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> GeometryResult:
-    """Score contact geometry by the networks of a run, over about `count` new contacts.
+def score_geometry(model: TrainedModel, count: int = 300) -> GeometryResult:
+    """Score contact geometry by the networks of a model, over about `count` new contacts.
 
-    Scales are fitted to other taps. Raises UserError if `folder` has no network that unshears.
+    Scales are fitted to other taps. Raises UserError if no network of it unshears.
     """
     if count < 3:
         raise UserError(f"--contacts {count}: use at least 3")
-    paired = experiment.paired.get_simulated("geometry")
-    networks = load_unshearers(folder, experiment, list_unshearing_networks(folder))
+    paired = model.require_simulation("geometry")
+    networks = load_unshearers(model)
     if not networks:
         raise UserError(
-            f"{folder} holds no trained network that unshears: "
+            f"{model.folder} holds no trained network that unshears: "
             "train one first, or name another --model"
         )
-    lattice = compute_model_lattice(experiment)
+    lattice, experiment = model.lattice, model.experiment
     taps = simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, seed=1)
     estimators = make_height_estimators(lattice, taps)
     contacts = simulate_contacts(experiment, count)
@@ -87,7 +86,7 @@ def score_geometry(folder: Path, experiment: Experiment, count: int = 300) -> Ge
     scales = {name: estimator.mm_per_unit for name, estimator in estimators.items()}
     rows = _score(paired.names, contacts, geometry)
     table = GeometryScores(rows, scales, contacts.dropped)
-    return GeometryResult(lattice, contacts, geometry, estimators, networks, table)
+    return GeometryResult(contacts, geometry, estimators, networks, table)
 
 
 def estimate_geometry(
@@ -134,7 +133,6 @@ def estimate_geometry(
 def _score(
     names: tuple[str, ...], contacts: SimulatedContacts, geometry: Geometry
 ) -> list[GeometryScore]:
-    """Score each stimulus, and all together, for each kind of image and method."""
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
@@ -180,3 +178,24 @@ def compute_correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     a, b = a - a.mean(axis=-1, keepdims=True), b - b.mean(axis=-1, keepdims=True)
     scale = np.sqrt(np.sum(a**2, axis=-1) * np.sum(b**2, axis=-1))
     return np.divide(np.sum(a * b, axis=-1), scale, out=np.zeros(len(a)), where=scale > 0)
+
+
+def estimate_recorded_heights(
+    path: Path, model: TrainedModel, result: GeometryResult
+) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Estimate heights (N, P) mm of the first images at `path`, by kind; return names first.
+
+    Rows are NaN for images that are not the sensor's. The truth is not known.
+    """
+    recordings = read_recordings(path, model.experiment.paired.preprocess)
+    frames = list(islice(recordings.iterate_frames(), SHOWN_IMAGES))
+    batch = np.stack([frame.image for frame in frames])
+    # networks over images render pins for any input, so the recorded image decides
+    plausibility = [compute_plausibility(image, model.appearance) for image in batch]
+    plausible = np.array([not explain_rejection(True, each) for each in plausibility])
+    motions = {"as recorded": measure_motions(model.lattice, batch)}
+    motions |= {name: unshear(batch) for name, unshear in result.networks.items()}
+    heights = {}
+    for kind, motion in motions.items():
+        heights[kind] = np.where(plausible[:, None], result.methods[INVERSE](motion), np.nan)
+    return [frame.name for frame in frames], heights

@@ -3,12 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment
 from jaxunshear.data import simulated_contacts
 from jaxunshear.data.chunks import unpack_bits
 from jaxunshear.data.simulated_contacts import SimulatedContacts, simulate_contacts
@@ -32,8 +30,13 @@ from jaxunshear.downstream.servo import (
 )
 from jaxunshear.downstream.shape_estimators import ShapeEstimator, make_shape_estimators
 from jaxunshear.errors import UserError
-from jaxunshear.inference import perception
-from jaxunshear.inference.perception import Unshear
+from jaxunshear.inference.edge_methods import (
+    Unshear,
+    compute_network_digests,
+    find_unshearing_network,
+    load_unshearers,
+)
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.progress import Progress
@@ -65,8 +68,6 @@ class ReconstructionResult:
 
 
 class _Target(NamedTuple):
-    """What the trajectories of one task are compared with."""
-
     task: ServoTask
     trajectories: Trajectories
     contour: Contour
@@ -75,15 +76,15 @@ class _Target(NamedTuple):
 
 
 def reconstruct(
-    folder: Path, experiment: Experiment, trajectories: Sequence[tuple[ServoTask, Trajectories]]
+    model: TrainedModel, trajectories: Sequence[tuple[ServoTask, Trajectories]]
 ) -> Iterator[ReconstructionResult]:
-    """Reconstruct objects from finished trajectories by networks of the run in `folder`.
+    """Reconstruct objects from finished trajectories by the networks of a model.
 
     Images are unsheared by the network that the trajectory perceived by. If it used the true pose,
     they are unsheared by the disentangled network. Results come one by one. Raises UserError for
     trajectories of other networks or unfinished ones, before anything is simulated.
     """
-    paired = experiment.paired.get_simulated("reconstruct")
+    paired = model.require_simulation("reconstruct")
     for task, task_trajectories in trajectories:
         methods = task_trajectories.list_methods()
         if (task_trajectories.end == WALKING).any():
@@ -91,43 +92,36 @@ def reconstruct(
                 f"walks around {task.stimulus} are not finished: "
                 "run the same `jaxunshear servo` command again"
             )
-        digests = perception.compute_network_digests(folder, methods)
-        if str(task_trajectories.provenance) != compute_servo_digest(
-            experiment.sensor, paired, digests
-        ):
+        digests = compute_network_digests(model, methods)
+        if str(task_trajectories.provenance) != compute_servo_digest(model.sensor, paired, digests):
             raise UserError(
                 f"walks around {task.stimulus} are of another model or sensor, "
                 "or of an earlier simulator: name theirs with --model, or walk again"
             )
-    networks = perception.load_unshearers(
-        folder, experiment, perception.list_unshearing_networks(folder)
-    )
+    networks = load_unshearers(model)
 
     @cache
     def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
-        taps = simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
-        return _make_estimators(experiment, taps)
+        taps = simulate_contacts(model.experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
+        return _make_estimators(model, taps)
 
     def reconstruct_task(task: ServoTask, trajectories: Trajectories) -> ReconstructionResult:
         contour = trace_contour(make_stimulus(task.stimulus))
-        lattice = perception.compute_model_lattice(experiment)
-        target = _Target(task, trajectories, contour, lattice, paired.preprocess.size)
+        target = _Target(task, trajectories, contour, model.lattice, paired.preprocess.size)
         return _reconstruct_task(target, networks, make_estimators(task.depth_mm))
 
     return (reconstruct_task(*each) for each in trajectories)
 
 
-def _make_estimators(experiment: Experiment, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
-    """Make the shape estimators by name, from taps of known poses and indentations."""
-    paired = experiment.paired.get_simulated("reconstruct")
-    lattice = perception.compute_model_lattice(experiment)
-    xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(experiment.sensor))
+def _make_estimators(model: TrainedModel, taps: SimulatedContacts) -> dict[str, ShapeEstimator]:
+    paired = model.require_simulation("reconstruct")
+    xy = transform_to_target(taps.pose[:, :3], compute_skin_positions(model.sensor))
     distance = np.zeros(xy.shape[:2])
     for index, stimulus in enumerate(paired.stimuli):
         rows = taps.stimulus == index
         distance[rows] = compute_distances(make_stimulus(stimulus), xy[rows])
-    motion = measure_tap_motions(lattice, taps)
-    return make_shape_estimators(experiment.sensor, lattice, motion, taps.indentation_mm, distance)
+    motion = measure_tap_motions(model.lattice, taps)
+    return make_shape_estimators(model.sensor, model.lattice, motion, taps.indentation_mm, distance)
 
 
 def _reconstruct_task(
@@ -138,7 +132,7 @@ def _reconstruct_task(
     scores = []
     with Progress(f"reconstruct {task.stimulus}", len(trajectories.method), "walks") as progress:
         for method in trajectories.list_methods():
-            unshear = networks.get(perception.find_unshearing_network(method))
+            unshear = networks.get(find_unshearing_network(method))
             rows = np.flatnonzero(trajectories.method == method)
             by_row = []
             for row in rows:

@@ -30,7 +30,7 @@ from jaxunshear.downstream.contour import Contour, trace_contour, update_arc_pos
 from jaxunshear.downstream.controller import Command, ControllerGains, ControllerState, control
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, read_npz, write_npz
-from jaxunshear.inference.perception import EdgeEstimator
+from jaxunshear.inference.edge_methods import EdgeEstimator
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.contact_results import Contacts, Skins
 from jaxunshear.simulator.paths import Paths
@@ -263,7 +263,6 @@ def _simulate_step(
 
 
 def _simulate_contacts(loop: _Loop, trajectories: Trajectories, rows: np.ndarray) -> Contacts:
-    """Move the sensors of `rows` from the points of the last step to those of this step."""
     step, stimulus = int(trajectories.steps), loop.task.stimulus
     friction = loop.settings.friction
     if friction is None:
@@ -289,7 +288,6 @@ def _simulate_contacts(loop: _Loop, trajectories: Trajectories, rows: np.ndarray
 def _perceive(
     loop: _Loop, trajectories: Trajectories, images: np.ndarray, rows: np.ndarray
 ) -> None:
-    """Estimate the edge from the images of this step, for the trajectories `rows`."""
     step = int(trajectories.steps)
     walking = np.zeros(len(trajectories.method), bool)
     walking[rows] = True
@@ -306,7 +304,6 @@ def _perceive(
 
 
 def _apply_motion(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Apply moves (B, 2) and turns (B,) in the sensor frame to points (B, 3)."""
     return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 

@@ -1,7 +1,7 @@
 """Follow contours by the networks of a run, and score the trajectories.
 
 >>> model = load_model("standard")
->>> (result,) = servo(model.folder, model.experiment, [ServoTask("disk", starts=1)], ("sheared",))
+>>> (result,) = servo(model, [ServoTask("disk", starts=1)], ("sheared",))
 >>> result.scores[0].mean_mm, result.trajectories.point    # mm from the edge; the sensor's poses
 """
 
@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.downstream.contour import Contour, measure_contour_distances
 from jaxunshear.downstream.servo import CLOSED, ENDS, LATE, ServoTask, Trajectories, follow_contour
 from jaxunshear.errors import UserError
-from jaxunshear.inference import perception
+from jaxunshear.inference import edge_methods
+from jaxunshear.inference.edge_methods import TRUE_POSE
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.results.applications import TrajectoryScore
 from jaxunshear.simulator.stimuli import get_closed_stimulus
 
@@ -33,42 +34,39 @@ class ServoResult:
 
 
 def servo(
-    folder: Path,
-    experiment: Experiment,
+    model: TrainedModel,
     tasks: Sequence[ServoTask],
     methods: tuple[str, ...] | None = None,
     out: Path | None = None,
 ) -> Iterator[ServoResult]:
-    """Follow contours by the networks of a finished run in `folder`; results come one by one.
+    """Follow contours in the simulator by the networks of a model; results come one by one.
 
     Raises UserError, before anything is simulated, if the tasks or methods are impossible.
 
     Args:
         tasks: The objects, and how they are followed.
-        methods: Names of `perception.METHODS`, and `perception.TRUE_POSE`; None for all that the
-            networks allow.
+        methods: Names of `edge_methods.METHODS`, or TRUE_POSE; None for all that there are
+            networks for.
         out: A folder in which trajectories are saved as <object>.npz, and from which they continue.
     """
-    paired = experiment.paired.get_simulated("servo")
+    paired = model.require_simulation("servo")
     for task in tasks:
-        _check_task(task, experiment.sensor)
+        _check_task(task, model.sensor)
     if methods is None:
-        available = perception.list_methods(folder)
+        available = edge_methods.list_methods(model)
         if not available:
             raise UserError(
-                f"{folder} holds no trained networks to perceive by: "
-                f"train them first, or ask for --ways {perception.TRUE_POSE}"
+                f"{model.folder} holds no trained networks to perceive by: "
+                f"train them first, or ask for --ways {TRUE_POSE}"
             )
-        methods = (perception.TRUE_POSE, *available)
-    networks = tuple(method for method in methods if method != perception.TRUE_POSE)
-    estimators = perception.make_edge_estimators(folder, experiment, networks)
-    perceive = {method: estimators.get(method) for method in methods}
-    digests = perception.compute_network_digests(folder, methods)
+        methods = (TRUE_POSE, *available)
+    estimators = edge_methods.make_edge_estimators(model, methods)
+    digests = edge_methods.compute_network_digests(model, methods)
 
     def run_task(task: ServoTask) -> ServoResult:
         file = out / f"{task.stimulus}.npz" if out else None
         trajectories, contour = follow_contour(
-            task, experiment.sensor, paired, perceive, file, digests
+            task, model.sensor, paired, estimators, file, digests
         )
         scores = score_trajectories(trajectories, contour, str(task.stimulus))
         return ServoResult(task, trajectories, contour, scores)

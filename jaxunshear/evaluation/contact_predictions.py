@@ -11,7 +11,8 @@ from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.inference.perceiver import AS_RECORDED, Perceiver
+from jaxunshear.inference.forward import AS_RECORDED
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.progress import Progress
 
@@ -44,7 +45,7 @@ class ContactPredictions(NamedTuple):
 
 
 def predict_contacts(
-    network: Perceiver, contacts: RecordedContacts, title: str
+    network: TrainedModel, contacts: RecordedContacts, title: str
 ) -> ContactPredictions:
     """Predict poses and pins of all contacts, a batch at a time."""
     view = network.view or find_training_view(contacts, network.preprocess)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
@@ -44,7 +44,8 @@ from jaxunshear.evaluation.pose_estimators import (
     estimate_poses,
     fit_to_features,
 )
-from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.results.run import Counts, Results
@@ -77,7 +78,7 @@ def score_transfer(
     model: Path,
     recordings: Path,
     command: str,
-    network: Perceiver | None = None,
+    network: TrainedModel | None = None,
 ) -> Results:
     """Score the networks at `model`, or `network`, on recordings of an edge.
 
@@ -113,7 +114,7 @@ def score_transfer(
 
 
 def _predict_all(
-    experiment: Experiment, model: Path, network: Perceiver | None, settings: Recorded
+    experiment: Experiment, model: Path, network: TrainedModel | None, settings: Recorded
 ) -> _Predictions:
     """Predict all labelled contacts. Raises UserError if there are too few, or no predictions."""
     contacts = read_test_contacts(settings)
@@ -149,12 +150,12 @@ def _predict_all(
 
 def _load_network(
     experiment: Experiment, model: Path, contacts: RecordedContacts, settings: Recorded
-) -> Perceiver:
+) -> TrainedModel:
     """Load networks; those over pins need the rest positions, which are found in the contacts."""
-    frame = None
-    if uses_pins(experiment):
-        frame = find_sensor_frame(contacts, settings, experiment.sensor)
-    return load_perceiver(model, experiment, True, frame)
+    network = TrainedModel(model, experiment)
+    if network.reads_pins:
+        network.frame = find_sensor_frame(contacts, settings, experiment.sensor)
+    return network
 
 
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:

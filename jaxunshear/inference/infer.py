@@ -1,64 +1,56 @@
 """Run a trained model on recordings: unshear the images and predict their poses.
 
-JAX is imported only after the paths were checked.
-
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
 
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, uses_pins
-from jaxunshear.data.sources import open_source
+from jaxunshear.code_version import read_source
+from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
+from jaxunshear.data.recordings import RecordedFrame, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_text
-from jaxunshear.inference.inference_stats import (
-    LabelErrors,
-    Log,
-    RejectedImages,
-    count_rows,
-    make_row,
-)
-from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.inference.forward import BATCH, UNSHEARED
+from jaxunshear.inference.trained_model import TrainedModel, load_model
+from jaxunshear.metrics.machine import describe_machine, list_versions
+from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.output_checks import check_not_among
 from jaxunshear.perception.png import encode_png, to_uint8
+from jaxunshear.perception.preprocess import prepare_frame
+from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.results.measurement import Measured, Measurement
 from jaxunshear.serialization import format_csv
 
-if TYPE_CHECKING:
-    from jaxunshear.data.recordings import Recordings
-    from jaxunshear.inference.frames import Frame
-    from jaxunshear.inference.perceiver import Perceiver, Predictions
-
-BATCH = 32
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+SAMPLED_FRAMES = 20  # frames by which a folder is judged
+SHOWN_NOTES = 10
+
+Log = Callable[[str], None]
+Poses = Mapping[str, Mapping[str, float]]  # of one image, by kind of input and quantity
 
 
-class _Source(NamedTuple):
-    """Recordings, and the perceiver of their frames."""
+class _Result(NamedTuple):
+    """The results for one image; NaN if it is rejected."""
 
-    recordings: "Recordings"
-    perceiver: "Perceiver"
-    frames: "Iterator[Frame]"
-
-
-class _Batch(NamedTuple):
-    rows: list[int]
-    names: list[str]
-    predictions: "Predictions"
-    seconds: float  # of the networks, for the full BATCH
+    row: int  # of the recordings
+    name: str
+    reason: str  # why it is rejected; empty if it is not
+    unsheared: np.ndarray | None  # (S, S) in [0, 1]
+    poses: Poses
 
 
 def unshear_recordings(
-    path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None
+    path: Path, model_name: Path, out: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
     """Unshear every image at `path`; write PNGs, `poses.csv` and `NOTE.txt` to `out`.
 
@@ -68,119 +60,245 @@ def unshear_recordings(
 
     Args:
         path: An image, or a folder of recordings.
-        model: The folder of a finished run, or the name of released weights.
+        model_name: The folder of a finished run, or the name of released weights.
         out: The folder for the results.
         force: Use images that are not of the model's sensor.
         like: A folder of contacts of the same sensor and camera, if `path` holds too few to
             estimate the rest positions.
     """
-    model = find_model_folder(model)
-    experiment = _load_settings(path, model)
+    _check_exists(path)
     check_not_among(path, out, "--out")
-    with_sheared_poses = uses_pins(experiment) or open_source(experiment).predicts_directly
-    perceiver = _load_perceiver(model, experiment, with_sheared_poses, like or path)
-    source = _open_source(path, perceiver, force)
-    recordings = source.recordings
+    model = load_model(model_name, like or path)
+    # of the images as they are only errors against labels are reported, which others cannot have
+    model.with_sheared_poses = model.source.predicts_directly
+    run = _FolderRun(path, model, force)
+    recordings = run.recordings
     files = _list_png_files(recordings.names)
-    rejected = RejectedImages(recordings)
-    errors = LabelErrors(perceiver.targets, recordings)
     table: list[Json] = []
-    seconds: list[float] = []
-    for batch in _predict_batches(source, "unshear"):
-        unsheared = batch.predictions.unsheared
-        if unsheared is None:
+    for result in run.predict("unshear"):
+        file = files[result.row]
+        if result.unsheared is None:
             raise UserError(
-                f"{model} has no network that unshears: it learnt poses alone; "
+                f"{model.folder} has no network that unshears: it learnt poses alone; "
                 "use `jaxunshear pose`"
             )
-        seconds.append(batch.seconds / BATCH)
-        errors.add(batch.rows, batch.predictions)
-        for i, (row, name) in enumerate(zip(batch.rows, batch.names, strict=True)):
-            reason = rejected.add(name, batch.predictions.rejection[i])
-            if reason:  # an image of an earlier run would appear to be the result
-                (out / files[row]).unlink(missing_ok=True)
-            else:
-                write_bytes(out / files[row], encode_png(to_uint8(unsheared[i])))
-            cells: Json = {"name": name, "image": "" if reason else files[row]}
-            cells |= _format_poses(batch.predictions.poses.get("unsheared", {}), i)
-            table.append(cells | _format_labels(recordings, row) | {"left_out": reason})
+        if result.reason:  # an image of an earlier run would appear to be the result
+            (out / file).unlink(missing_ok=True)
+        else:
+            write_bytes(out / file, encode_png(to_uint8(result.unsheared)))
+        cells: Json = {"name": result.name, "image": "" if result.reason else file}
+        cells |= _format_poses(result.poses.get(UNSHEARED, {}))
+        table.append(cells | run.format_labels(result))
     write_text(out / "poses.csv", format_csv(table))
     notes = list(recordings.notes)
-    if not perceiver.targets:
-        notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    _write_note(out / "NOTE.txt", model, experiment, notes)
-    used = len(table) - rejected.count
-    print(f"{used} images unsheared, {len(recordings) - used} left out; see {out / 'poses.csv'}")
-    _report(rejected, errors, [*notes, open_source(experiment).describe()], print)
-    return _add_provenance(
-        [
-            *count_rows("unshear", used, recordings),
-            make_row("unshear.time_per_image", float(np.median(seconds)), "s"),
-            *errors.rows(),
-        ]
+    if not model.targets:
+        notes.append(f"{model.folder} has no trained PoseNet: poses.csv holds no predicted poses")
+    lines = [
+        model.source.describe(),
+        model.source.pose_frame,
+        f"Networks: {model.folder.name}",
+        *notes,
+    ]
+    write_text(out / "NOTE.txt", "\n".join(lines) + "\n")
+    print(
+        f"{run.used_count} images unsheared, {run.left_out_count} left out; see {out / 'poses.csv'}"
     )
+    time_row = _make_row("unshear.time_per_image", float(np.median(run.seconds)), "s")
+    return run.report("unshear", notes, [], [time_row], print)
 
 
 def predict_recordings(
-    path: Path, model: Path, force: bool = False, like: Path | None = None
+    path: Path, model_name: Path, force: bool = False, like: Path | None = None
 ) -> Measured:
     """Print the predicted poses of every image at `path`, as recorded and unsheared.
 
     They are printed as CSV. Notes and errors against the labels go to stderr, so that the CSV can
     be piped. Arguments and exceptions are those of `unshear_recordings`.
     """
-    model = find_model_folder(model)
-    experiment = _load_settings(path, model)
-    perceiver = _load_perceiver(model, experiment, True, like or path)
-    if not perceiver.targets:
+    _check_exists(path)
+    model = load_model(model_name, like or path)
+    if not model.targets:
         raise UserError(
-            f"{model / 'posenet'} holds no trained model (no checkpoints): "
+            f"{model.folder / 'posenet'} holds no trained model (no checkpoints): "
             "train first, or name another folder"
         )
-    source = _open_source(path, perceiver, force)
-    recordings = source.recordings
-    rejected = RejectedImages(recordings)
-    errors = LabelErrors(perceiver.targets, recordings)
+    run = _FolderRun(path, model, force)
     table: list[Json] = []
-    measured: list[Measurement] = []
-    for batch in _predict_batches(source, "pose"):
-        errors.add(batch.rows, batch.predictions)
-        for i, (row, name) in enumerate(zip(batch.rows, batch.names, strict=True)):
-            reason = rejected.add(name, batch.predictions.rejection[i])
-            cells: Json = {"name": name}
-            for kind, poses in batch.predictions.poses.items():
-                cells |= _format_poses(poses, i, f"{kind}_")
-                if not reason:
-                    measured += _list_pose_rows(f"{name}.{kind}", poses, i)
-            table.append(cells | _format_labels(recordings, row) | {"left_out": reason})
+    rows: list[Measurement] = []
+    for result in run.predict("pose"):
+        cells: Json = {"name": result.name}
+        for kind, pose in result.poses.items():
+            cells |= _format_poses(pose, f"{kind}_")
+            if not result.reason:
+                rows += [
+                    _make_row(f"{result.name}.{kind}.{name}", value, name.split("_")[-1])
+                    for name, value in pose.items()
+                ]
+        table.append(cells | run.format_labels(result))
     print(format_csv(table).rstrip("\n"))
     log = partial(print, file=sys.stderr)
-    used = len(table) - rejected.count
-    log(f"poses of {used} images, {len(recordings) - used} left out")
-    _report(rejected, errors, [*recordings.notes, open_source(experiment).describe()], log)
-    return _add_provenance([*measured, *count_rows("pose", used, recordings), *errors.rows()])
+    log(f"poses of {run.used_count} images, {run.left_out_count} left out")
+    return run.report("pose", run.recordings.notes, rows, [], log)
 
 
-def _load_settings(path: Path, model: Path) -> Experiment:
+class _FolderRun:
+    """Runs a model on the readable images of a folder, and counts what becomes of them.
+
+    Negatives are inverted. Raises UserError at once if hardly any image is of the model's sensor.
+    With `force` all images are used as they are, except those without pins for pin networks.
+    """
+
+    def __init__(self, path: Path, model: TrainedModel, force: bool) -> None:
+        self._targets = model.targets  # loads the networks before there is work to lose
+        self.recordings = read_recordings(path, model.preprocess)
+        self.model = model
+        self.seconds: list[float] = []  # per image, of each batch
+        self._is_negative = False
+        self._reasons: Counter[str] = Counter()
+        self._rows: list[int] = []
+        self._poses: list[Poses] = []
+        if force:
+            model.force = True
+            return
+        verdict = judge_images(_sample_images(self.recordings, model), model.appearance)
+        if verdict.inverted:
+            self.recordings.notes.append(f"{verdict.reason}: they are turned")
+            # inverted dark pins are less like the sensor's than light pins
+            model.force = True
+            self._is_negative = True
+        elif not verdict.ok:
+            raise UserError(f"{path}: {verdict.reason}; --force answers all the same")
+
+    @property
+    def used_count(self) -> int:
+        return len(self._rows) - self._reasons.total()
+
+    @property
+    def left_out_count(self) -> int:
+        return len(self.recordings) - self.used_count
+
+    def predict(self, label: str) -> Iterator[_Result]:
+        count = len(self.recordings)
+        self.model.compile(BATCH)
+        frames = self.recordings.iterate_frames(self.model.view)
+        with Progress(label, count) as progress:
+            done = 0
+            while batch := list(islice(frames, BATCH)):
+                yield from self._predict_batch(batch)
+                progress.advance(batch[-1].row + 1 - done)
+                done = batch[-1].row + 1
+            progress.advance(count - done)  # images at the end that cannot be read
+
+    def _predict_batch(self, batch: list[RecordedFrame]) -> Iterator[_Result]:
+        images = np.zeros((BATCH, self.model.size, self.model.size), np.uint8)  # one shape
+        images[: len(batch)] = [
+            invert_image(frame.image) if self._is_negative else frame.image for frame in batch
+        ]
+        start = time.perf_counter()
+        predictions = self.model.predict(images)
+        self.seconds.append((time.perf_counter() - start) / BATCH)
+        for i, frame in enumerate(batch):
+            reason = str(predictions.rejection[i])
+            if reason:
+                self._reasons[reason] += 1
+                self.recordings.notes.append(f"left out {frame.name}: {reason}")
+            poses = {}
+            for kind, quantities in predictions.poses.items():
+                poses[kind] = {name: float(values[i]) for name, values in quantities.items()}
+            self._rows.append(frame.row)
+            self._poses.append(poses)
+            unsheared = predictions.unsheared
+            image = None if unsheared is None else unsheared[i]
+            yield _Result(frame.row, frame.name, reason, image, poses)
+
+    def format_labels(self, result: _Result) -> dict[str, str]:
+        """Format the labels of an image, empty if it has none, and why it is left out."""
+        cells = {}
+        for kind, values in (("pose", self.recordings.poses), ("move", self.recordings.moves)):
+            if values is not None:
+                for label, value in zip(LABELS, values[result.row], strict=True):
+                    cells[f"recorded_{kind}_{label}"] = f"{value:.6g}" if np.isfinite(value) else ""
+        return cells | {"left_out": result.reason}
+
+    def report(
+        self,
+        command: str,
+        notes: list[str],
+        rows: list[Measurement],
+        times: list[Measurement],
+        log: Log,
+    ) -> Measured:
+        """Log counts, errors and notes; return rows about images, counts, times and errors."""
+        for reason, count in self._reasons.items():
+            log(f"left out {count}: {reason}")
+        errors = self._compute_label_errors()
+        for kind in dict.fromkeys(name.split(".")[0] for name in errors):
+            parts = [
+                f"{name.split('.')[1]} {value:.3f}"
+                for name, value in errors.items()
+                if name.startswith(f"{kind}.")
+            ]
+            log(f"mean error against the labels, {kind}: {', '.join(parts)}")
+        notes = [*notes, self.model.source.describe()]
+        for note in (*notes[: SHOWN_NOTES - 1], *notes[SHOWN_NOTES - 1 :][-1:]):
+            log(f"note: {note}")
+        if len(notes) > SHOWN_NOTES:
+            log(f"note: and {len(notes) - SHOWN_NOTES} more")
+        counts = {f"{command}.images": self.used_count, f"{command}.left_out": self.left_out_count}
+        rows = [
+            *rows,
+            *(_make_row(name, count, "1") for name, count in counts.items()),
+            *times,
+            *(
+                _make_row(f"pose_mae.{name}", value, name.rpartition("_")[2])
+                for name, value in errors.items()
+            ),
+        ]
+        return Measured(rows, describe_machine(), list_versions(), read_source())
+
+    def _compute_label_errors(self) -> dict[str, float]:
+        """Compute mean errors by kind and quantity, if all quantities of poses have labels."""
+        labels = {"pose": self.recordings.poses, "move": self.recordings.moves}
+        true = {
+            name: values[self._rows, column]
+            for name, (field, column) in (RECORDED_FIELDS | LABELLED_SLIDES).items()
+            if name in self._targets and (values := labels[field]) is not None
+        }
+        means: dict[str, float] = {}
+        if len(true) != len(self._targets) or not self._poses:
+            return means
+        for kind in self._poses[0]:
+            predicted: dict[str, list[float]] = {name: [] for name in self._targets}
+            for poses in self._poses:
+                for name, column in predicted.items():
+                    column.append(poses[kind][name])
+            arrays = {name: np.array(column) for name, column in predicted.items()}
+            for name, errors in compute_pose_errors(arrays, true).items():
+                finite = errors[np.isfinite(errors)]
+                if len(finite):
+                    means[f"{kind}.{name}"] = float(finite.mean(dtype=np.float64))
+        return means
+
+
+def _check_exists(path: Path) -> None:
     if not path.exists():
         raise UserError(f"{path} does not exist: name an image or a folder of recordings")
-    return load_settings(model)
 
 
-def _load_perceiver(
-    model: Path, experiment: Experiment, with_sheared_poses: bool, like: Path
-) -> "Perceiver":
-    from jaxunshear.inference.perceiver import find_pin_frame, load_perceiver
-
-    return load_perceiver(model, experiment, with_sheared_poses, find_pin_frame(like, experiment))
-
-
-def _open_source(path: Path, perceiver: "Perceiver", force: bool) -> _Source:
-    from jaxunshear.data.recordings import read_recordings
-    from jaxunshear.inference.frames import open_frames
-
-    recordings = read_recordings(path, perceiver.preprocess)
-    return _Source(recordings, *open_frames(recordings, perceiver, force))
+def _sample_images(recordings: Recordings, model: TrainedModel) -> np.ndarray:
+    """Read (N, S, S) from up to SAMPLED_FRAMES files, evenly spaced."""
+    files, problem, images = recordings.files, "", []
+    for file in files[:: -(-len(files) // SAMPLED_FRAMES)]:
+        view = model.view or recordings.find_common_view(file.parent)
+        try:
+            images.append(prepare_frame(model.preprocess, read_image(file), view))
+        except UserError as error:
+            problem = f"{file.name}: {error}"
+    if not images:
+        raise UserError(
+            f"none of the sampled images in {recordings.path} can be read; the last: {problem}"
+        )
+    return np.stack(images)
 
 
 def _list_png_files(names: tuple[str, ...]) -> list[str]:
@@ -192,66 +310,12 @@ def _list_png_files(names: tuple[str, ...]) -> list[str]:
     return files
 
 
-def _predict_batches(source: _Source, label: str) -> Iterator[_Batch]:
-    recordings, perceiver, frames = source
-    size = recordings.preprocess.size
-    perceiver.predict(np.zeros((BATCH, size, size), np.uint8))  # compiles
-    with Progress(label, len(recordings)) as progress:
-        done = 0
-        while batch := list(islice(frames, BATCH)):
-            images = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
-            images[: len(batch)] = [frame.image for frame in batch]
-            start = time.perf_counter()
-            predictions = perceiver.predict(images)
-            seconds = time.perf_counter() - start
-            rows, names = [frame.row for frame in batch], [frame.name for frame in batch]
-            yield _Batch(rows, names, predictions, seconds)
-            progress.advance(rows[-1] + 1 - done)
-            done = rows[-1] + 1
-        progress.advance(len(recordings) - done)  # images at the end that cannot be read
+def _make_row(name: str, value: float, unit: str) -> Measurement:
+    return Measurement(name, value, unit, None, None, None, name.split(".")[-1])
 
 
-def _format_poses(poses: Mapping[str, np.ndarray], i: int, prefix: str = "") -> dict[str, str]:
-    cells = {}
-    for quantity, values in poses.items():
-        cells[f"{prefix}{quantity}"] = f"{values[i]:.4f}" if np.isfinite(values[i]) else ""
-    return cells
-
-
-def _list_pose_rows(name: str, poses: Mapping[str, np.ndarray], i: int) -> list[Measurement]:
-    return [
-        make_row(f"{name}.{quantity}", float(values[i]), quantity.split("_")[-1])
-        for quantity, values in poses.items()
-    ]
-
-
-def _format_labels(recordings: "Recordings", row: int) -> dict[str, str]:
-    """Format the labels of an image; cells are empty if it has none."""
-    cells = {}
-    for kind, values in (("pose", recordings.poses), ("move", recordings.moves)):
-        if values is not None:
-            for label, value in zip(LABELS, values[row], strict=True):
-                cells[f"recorded_{kind}_{label}"] = f"{value:.6g}" if np.isfinite(value) else ""
-    return cells
-
-
-def _write_note(file: Path, model: Path, experiment: Experiment, notes: list[str]) -> None:
-    source = open_source(experiment)
-    lines = [source.describe(), source.pose_frame, f"Networks: {model.name}", *notes]
-    write_text(file, "\n".join(lines) + "\n")
-
-
-def _report(rejected: RejectedImages, errors: LabelErrors, notes: list[str], log: Log) -> None:
-    rejected.report(log)
-    errors.report(log)
-    for note in (*notes[:9], *notes[9:][-1:]):
-        log(f"note: {note}")
-    if len(notes) > 10:
-        log(f"note: and {len(notes) - 10} more")
-
-
-def _add_provenance(rows: list[Measurement]) -> Measured:
-    from jaxunshear.code_version import read_source
-    from jaxunshear.metrics.machine import describe_machine, list_versions
-
-    return Measured(rows, describe_machine(), list_versions(), read_source())
+def _format_poses(poses: Mapping[str, float], prefix: str = "") -> dict[str, str]:
+    return {
+        f"{prefix}{quantity}": f"{value:.4f}" if np.isfinite(value) else ""
+        for quantity, value in poses.items()
+    }

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.cli import _make_parser, main
+from jaxunshear.cli import main, make_parser
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.doctor import check_recordings, describe
 from jaxunshear.errors import UserError
@@ -60,7 +60,7 @@ def recorded(
 
 
 def is_parsed(command):
-    _make_parser().parse_args(shlex.split(command)[1:])
+    make_parser().parse_args(shlex.split(command)[1:])
     return True
 
 

@@ -58,13 +58,3 @@ def test_a_straight_edge_is_found_and_kept(start):
         yaw += float(turn[0])
         errors.append((abs(x), abs(yaw)))
     assert np.all(np.array(errors[-20:]) < [0.02, 0.2])
-
-
-def test_every_walk_is_on_its_own():
-    both, turns, _ = control(
-        ControllerGains(), make_zero_state(2), jnp.array([1.0, -2.0]), jnp.array([3.0, 0.0])
-    )
-    alone, turn, _ = control(
-        ControllerGains(), make_zero_state(1), jnp.array([-2.0]), jnp.array([0.0])
-    )
-    assert jnp.array_equal(both[1], alone[0]) and turns[1] == turn[0]

@@ -1,5 +1,7 @@
 """Heights from pins: Voronoi cells, and the inverse of the skin."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,6 +9,7 @@ from PIL import Image
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.downstream.geometry import (
+    INVERSE,
     MIN_INDENTATION_MM,
     compute_cell_areas,
     compute_relative_growth,
@@ -15,8 +18,11 @@ from jaxunshear.downstream.geometry import (
     interpolate_heights,
     interpolate_surface,
 )
-from jaxunshear.downstream.geometry_scores import compute_correlation
-from jaxunshear.downstream.recorded_geometry import estimate_recorded_heights
+from jaxunshear.downstream.geometry_scores import (
+    compute_correlation,
+    estimate_recorded_heights,
+)
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
@@ -40,22 +46,20 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
         (tmp_path / name).mkdir()
         Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
     networks = {"disentangled": lambda images: np.zeros((len(images), *untouched.rest.shape))}
-    names, heights = estimate_recorded_heights(
-        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], networks
-    )
+    model = TrainedModel(tmp_path, Experiment("small", "none"))
+    model.lattice = untouched
+    methods = {INVERSE: lambda motion: motion[..., 0]}
+    result = SimpleNamespace(networks=networks, methods=methods)
+    names, heights = estimate_recorded_heights(tmp_path, model, result)
     assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
     for height in heights.values():
         assert np.abs(height[0]).max() < 0.5 and np.isnan(height[1]).all()
 
 
-def test_an_undeformed_sensor_is_flat(lattice):
+def test_an_undeformed_sensor_is_flat_wherever_it_is(lattice):
     assert (compute_relative_growth(lattice, np.zeros_like(lattice.rest)) == 0).all()
-
-
-def test_the_same_shift_of_all_pins_changes_nothing(lattice):
-    np.testing.assert_allclose(
-        compute_relative_growth(lattice, np.full_like(lattice.rest, 3.3)), 0, atol=1e-9
-    )
+    shift = np.full_like(lattice.rest, 3.3)
+    np.testing.assert_allclose(compute_relative_growth(lattice, shift), 0, atol=1e-9)
 
 
 def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
@@ -154,8 +158,3 @@ def test_what_is_not_felt_is_exactly_zero_and_what_is_unknown_stays_so(lattice):
     indentation = estimate_indentation(first, motion)
     assert (indentation[[0, 3]] == 0).all() and np.isnan(indentation[2]).all()
     assert np.allclose(indentation[1], 1.1 * MIN_INDENTATION_MM)
-
-
-def test_pins_of_another_sensor_are_refused():
-    with pytest.raises(ValueError, match="reshape"):
-        estimate_indentation(np.zeros((2 * 331, 331)), np.zeros((1, 127, 2)))

@@ -10,27 +10,24 @@ import pytest
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.config.serialization import to_json
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.config.targets import to_json as targets_json
 from jaxunshear.data.chunks import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
-from jaxunshear.files import write_json
-from jaxunshear.inference.perception import (
+from jaxunshear.inference.edge_methods import (
     list_methods,
-    list_unshearing_networks,
     load_unshearers,
     make_edge_estimators,
 )
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.stimuli import STIMULI
-from jaxunshear.training import checkpoint
+from tests.helpers.models import change_weights, init, write_run
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))
 PAIRED = EXPERIMENT.paired
@@ -43,26 +40,16 @@ SHIFT_PX = 2.0
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """Write random networks, whose outputs depend on the pins alone."""
-    folder = tmp_path_factory.mktemp("pins")
-    write_json(folder / "experiment.json", to_json(EXPERIMENT))
+    variables = {}
     for seed, (name, net) in enumerate(NETS.items()):
-        count = posenet.count_outputs(TARGETS) if name == "posenet" else 0
-        fresh = pin_networks.init(net, LATTICE.rest, 2.0, jax.random.key(seed), outputs=count)
         draw = np.random.default_rng(seed).normal
-        shaken = jax.tree.map(
-            lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"]
+        fresh = init(net, seed, TARGETS if name == "posenet" else (), LATTICE.rest, 2.0)
+        variables[name] = change_weights(
+            fresh, lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype)
         )
-        kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
-        reported = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
-        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
-        checkpoint.save(
-            folder / name,
-            1,
-            {"average": fresh | {"params": shaken}},
-            {"history": [], "best_step": 1},
-        )
-        write_json(folder / name / checkpoint.SUMMARY, {"steps": 1})
-    return folder
+    folder = tmp_path_factory.mktemp("pins")
+    write_run(folder, EXPERIMENT, NETS, variables, TARGETS)
+    return TrainedModel(folder, EXPERIMENT)
 
 
 @pytest.fixture(scope="module")
@@ -100,25 +87,23 @@ def test_pins_are_followed_and_what_is_not_is_nan(images_and_pins):
 
 
 def run_network(model, name, pins):
-    net, variables = NETS[name], checkpoint.load_best(model / name)
+    net, variables, _ = model.load_network(name)
     run = pin_networks.predict if name == "posenet" else pin_networks.unshear
     return np.asarray(jax.jit(partial(run, net))(variables, jnp.asarray(pins, jnp.float32)))
 
 
 def test_a_robot_gets_what_the_networks_read_of_its_pins(model, images_and_pins):
     images, _ = images_and_pins
-    assert list_methods(model) == ("sheared", "disentangled") and list_unshearing_networks(
-        model
-    ) == ("disentangled",)
+    assert list_methods(model) == ("sheared", "disentangled")
     pins = LATTICE.rest + track_images(LATTICE, images[:1]).motion
     after = run_network(model, "disentangled", pins)
     for way, given in (("sheared", pins), ("disentangled", after)):
-        edge_mm, edge_deg = make_edge_estimators(model, EXPERIMENT, (way,))[way](images)
+        edge_mm, edge_deg = make_edge_estimators(model, (way,))[way](images)
         expected = posenet.unscale_outputs(run_network(model, "posenet", given), TARGETS)
         assert edge_mm[0] == pytest.approx(float(expected["edge_mm"][0]), abs=1e-4)
         assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
         assert np.isnan([edge_mm[1], edge_deg[1]]).all()
-    motion = load_unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
+    motion = load_unshearers(model)["disentangled"](images)
     np.testing.assert_allclose(
         motion[0], after[0] - LATTICE.rest, atol=1e-4
     )  # not drawn and found again
@@ -141,7 +126,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
 
 @pytest.mark.long
 def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
-    words = ("--model", model, "--out", tmp_path / "walks", "--stimulus", "disk")
+    words = ("--model", model.folder, "--out", tmp_path / "walks", "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
     assert answer.code == 0, answer.err
     rows = json.loads((tmp_path / "walks" / "servo.json").read_text())["rows"]

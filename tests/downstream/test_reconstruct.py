@@ -129,11 +129,6 @@ def test_between_cells_heights_are_linear():
     np.testing.assert_allclose(interpolate_map(HeightMap(x, holes)), plane, atol=1e-9)
 
 
-def test_of_nothing_felt_there_is_no_map():
-    x = np.arange(6.0)
-    assert np.isnan(interpolate_map(HeightMap(x, np.full((6, 6), np.nan)))).all()
-
-
 def test_skin_goes_where_its_pins_went():
     point = np.array([[10.0, 5.0, 90.0], [0.0, 0.0, 0.0]])
     place = np.array([[[3.0, 0.0]], [[4.0, 1.0]]])

@@ -5,10 +5,8 @@ import itertools
 import json
 import subprocess
 import sys
-from functools import partial
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -19,13 +17,11 @@ from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PoseNet, UnshearNet
-from jaxunshear.config.serialization import to_json
 from jaxunshear.data.recordings import read_recordings
-from jaxunshear.files import write_json
 from jaxunshear.inference import infer
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.training import checkpoint
-from jaxunshear.training.trainer import get_compile_options
+from tests.helpers.models import change_weights, init, write_run
 
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
@@ -42,44 +38,25 @@ EXPERIMENT = Experiment(
 )
 
 
-def init(module, net, seed):
-    shape = (posenet.count_outputs(TARGETS),) if module is posenet else ()
-    fresh = jax.jit(partial(module.init, net, *shape), compiler_options=get_compile_options())
-    return fresh(jax.random.key(seed))
-
-
-def write_network(folder, kind, net, variables):
-    settings = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
-    checkpoint.write_settings(folder, json.loads(json.dumps(settings)))
-    checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
-    write_json(folder / checkpoint.SUMMARY, {})
-
-
 @pytest.fixture(scope="module")
 def variables():
     """Draw variables far from the initial ones, whose outputs hardly depend on the image."""
     rng = np.random.default_rng(0)
 
-    def add_noise(variables):
-        params = jax.tree.map(
-            lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"]
-        )
-        return {**variables, "params": params}
+    def add_noise(x):
+        return x + rng.normal(0, 0.1, x.shape).astype(np.float32)
 
     return {
-        "disentangled": add_noise(init(unshearnet, NET, 0)),
-        "posenet": add_noise(init(posenet, POSENET, 1)),
+        "disentangled": change_weights(init(NET, 0), add_noise),
+        "posenet": change_weights(init(POSENET, 1, TARGETS), add_noise),
     }
 
 
 @pytest.fixture
 def model(tmp_path, variables):
     """Write the folder of a finished run."""
-    run = tmp_path / "runs" / "small"
-    write_json(run / "experiment.json", to_json(EXPERIMENT))
-    write_network(run / "disentangled", "unshear", NET, variables["disentangled"])
-    write_network(run / "posenet", "posenet", POSENET, variables["posenet"])
-    return run
+    nets = {"disentangled": NET, "posenet": POSENET}
+    return write_run(tmp_path / "runs" / "small", EXPERIMENT, nets, variables, TARGETS)
 
 
 @pytest.fixture

@@ -211,7 +211,7 @@ def test_python_says_nan_of_them_in_all_that_it_gives(pins_run, some_hidden):
     folder, hidden = some_hidden
     model, recordings = load_model(pins_run), read_recordings(folder, Preprocess(size=made.SIZE))
     names, frames = zip(
-        *((name, image) for _, name, image in recordings.iterate_frames(model.perceiver.view)),
+        *((name, image) for _, name, image in recordings.iterate_frames(model.view)),
         strict=True,
     )
     images, known = np.stack(frames), np.array([name not in hidden for name in names])
@@ -292,7 +292,7 @@ def test_poses_have_the_labels_names_and_their_errors_are_printed(
 
 def test_python_gives_what_the_commands_give(command, pins_run, slides):
     model, recordings = load_model(pins_run), read_recordings(slides, Preprocess(size=made.SIZE))
-    frames = [image for _, _, image in recordings.iterate_frames(model.perceiver.view)]
+    frames = [image for _, _, image in recordings.iterate_frames(model.view)]
     rows = list(csv.DictReader(command("pose", slides, "--model", pins_run).out.splitlines()))
     images = np.stack(frames)
     pose, codes = model.pose(images)["unsheared"], model.codes(images)

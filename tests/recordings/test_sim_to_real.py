@@ -5,9 +5,7 @@ Their answers are brought into the labels' frame by taps alone, then scored.
 
 import csv
 import json
-from functools import partial
 
-import jax
 import made
 import numpy as np
 import pytest
@@ -19,27 +17,18 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.sensor import TACTIP_127
-from jaxunshear.config.serialization import to_json
 from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import contact_predictions
 from jaxunshear.evaluation.label_alignment import align_to_labels, choose_scored_labels
 from jaxunshear.evaluation.other_recordings import format_table
 from jaxunshear.evaluation.sim_to_real import UNSHEARED_RAW_OFFSET, score_transfer
-from jaxunshear.files import write_json
-from jaxunshear.inference.perceiver import (
-    AS_RECORDED,
-    UNSHEARED,
-    NetworkInputs,
-    NetworkOutputs,
-    Perceiver,
-    make_frame_transforms,
-)
-from jaxunshear.models import pin_networks, posenet
-from jaxunshear.perception.sensor_check import measure_sensor_appearance
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
+from jaxunshear.inference.readers import Predictions, make_frame_transforms
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
-from jaxunshear.training import checkpoint
+from tests.helpers.models import change_weights, init, write_run
 
 RNG = np.random.default_rng(0)
 
@@ -120,8 +109,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
 
     asked = batches(contact_predictions.BATCH)
 
-    def values(seen):
-        assert len(seen.values) == contact_predictions.BATCH
+    def predict(images):
+        assert len(images) == contact_predictions.BATCH
         pose, off = next(asked)
 
         def read(error, moved=0.0):
@@ -138,16 +127,13 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             return np.repeat(shown[:, :, None], 2, axis=2)
 
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
-        return NetworkOutputs(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
+        both = {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)}
+        return Predictions(None, poses, both, np.full(len(pose), ""), np.ones(len(pose)))
 
-    def read(images):
-        return NetworkInputs(images, np.ones(len(images), bool))
-
-    expected = measure_sensor_appearance(made.rest_px(), made.SIZE)
-    network = Perceiver(preprocess, None, (), read, values, expected)
-    results = score_transfer(
-        Experiment("small", "none"), tmp_path / "weights", folder, "a command", network
-    )
+    experiment = Experiment("small", "none", paired=PairedData(preprocess=preprocess))
+    network = TrainedModel(tmp_path / "weights", experiment)
+    network.predict = predict
+    results = score_transfer(experiment, network.folder, folder, "a command", network)
     assert next(asked, None) is None
     mae = results.pose_mae
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
@@ -184,42 +170,30 @@ TARGETS = targets.make_range_targets(("edge_mm", "edge_deg:circle", "depth_mm"),
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     """Make random networks over 127 simulated pins: their answer depends on the pins alone."""
-    folder = tmp_path_factory.mktemp("weights")
     seen = Preprocess(size=made.SIZE)
-    sets = {"paired": PairedData(preprocess=seen), "pose": PoseData(preprocess=seen)}
-    names = tuple(target.name for target in TARGETS)
     experiment = Experiment(
         "skin",
         "none",
         sensor=TACTIP_127,
-        targets=names,
+        targets=tuple(target.name for target in TARGETS),
         unshear=UnshearNet(size=made.SIZE, input="pins"),
-        **sets,
+        paired=PairedData(preprocess=seen),
+        pose=PoseData(preprocess=seen),
     )
-    write_json(folder / "experiment.json", to_json(experiment))
     nets = {
         "disentangled": PinUnshear(hidden=16, layers=1),
         "posenet": PinPoseNet(hidden=16, layers=1),
     }
+
+    def shake(x):
+        return x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype)
+
+    variables = {}
     for seed, (name, net) in enumerate(nets.items()):
-        count = posenet.count_outputs(TARGETS) if name == "posenet" else 0
-        init = jax.jit(partial(pin_networks.init, net, made.rest_px(), 1.0, outputs=count))
-        fresh = init(jax.random.key(seed))
-        shaken = jax.tree.map(
-            lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype),
-            fresh["params"],
-        )
-        kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
-        reported = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
-        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
-        checkpoint.save(
-            folder / name,
-            1,
-            {"average": fresh | {"params": shaken}},
-            {"history": [], "best_step": 1},
-        )
-        write_json(folder / name / checkpoint.SUMMARY, {})
-    return folder
+        fresh = init(net, seed, TARGETS if name == "posenet" else (), made.rest_px())
+        variables[name] = change_weights(fresh, shake)
+    folder = tmp_path_factory.mktemp("weights")
+    return write_run(folder, experiment, nets, variables, TARGETS)
 
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):

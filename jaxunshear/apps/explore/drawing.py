@@ -4,17 +4,21 @@ Drawings are strings of SVG.
 """
 
 import base64
+from functools import lru_cache, partial
 
+import jax
 import numpy as np
+from skimage.measure import find_contours
 
-from jaxunshear.apps.explore.outline import trace_outlines
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
 from jaxunshear.config.reach import compute_reach_mm
 from jaxunshear.perception.png import encode_png
+from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 
 MAP_PX = 640
 HALF_MM = 32.0  # of the map, about the shape's target point
 PX_PER_MM = MAP_PX / (2 * HALF_MM)
+GRID_MM = 0.4  # between the points that outlines are sought from
 PINS_PX = 512
 STRETCH = 2.0  # of pins' motions as drawn
 COLOURS = {STUCK: "#1f6feb", SLIPPING: "#d9822b", FREE: "#aab2bf"}
@@ -35,24 +39,31 @@ def to_px(xy: np.ndarray) -> np.ndarray:
     return (np.asarray(xy, float) * [1, -1] + HALF_MM) * PX_PER_MM
 
 
-def _format_path(points: np.ndarray, closed: bool = True) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
+def _format_path(points: np.ndarray) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + "Z"
 
 
-def render_map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
-    """Draw the shape, the dome at the slide's start and end, and the slide.
+@lru_cache(maxsize=32)
+def trace_outlines(stimulus: Stimulus, half_mm: float) -> tuple[np.ndarray, ...]:
+    """Trace the shape's edge within `half_mm` of its target point.
 
-    With a line (mm), which a hand is drawing, draw only that.
+    Returns closed curves (K, 2) mm, cut at the border.
     """
+    steps = round(2 * half_mm / GRID_MM)
+    line = np.linspace(-half_mm, half_mm, steps + 1)
+    grid = np.stack(np.meshgrid(line, line, indexing="ij"), -1)
+    compute_distance = jax.jit(partial(compute_signed_distance, stimulus))
+    distances = np.asarray(compute_distance(grid.astype(np.float32)))
+    distances = np.pad(distances, 1, constant_values=1.0)  # closes what goes on beyond the border
+    curves = find_contours(distances, 0.0)
+    return tuple((curve - 1) * (2 * half_mm / steps) - half_mm for curve in curves)
+
+
+def render_map_svg(touch: Touch) -> str:
+    """Draw the shape, the dome at the slide's start and end, and the slide."""
     every_10_mm = np.arange(HALF_MM % 10, 2 * HALF_MM, 10) * PX_PER_MM
     lines = [f"M{px:.1f} 0V{MAP_PX}M0 {px:.1f}H{MAP_PX}" for px in every_10_mm]
     parts = [f'<path d="{"".join(lines)}" stroke="#dfe4ec" stroke-width="1" fill="none"/>']
-    if line is not None:
-        path = _format_path(to_px(np.array(line)), closed=False) if len(line) > 1 else ""
-        parts.append(
-            f'<path d="{path}" stroke="#1c2330" stroke-width="3" fill="#c9d3e4" fill-opacity=".6"/>'
-        )
-        return "".join(parts)
     shape = "".join(_format_path(to_px(curve)) for curve in trace_outlines(touch.stimulus, HALF_MM))
     parts.append(
         f'<path d="{shape}" fill="#c9d3e4" stroke="#67758d" stroke-width="2" fill-rule="evenodd"/>'

@@ -1,6 +1,6 @@
 """Runs the simulator and a model's networks for one touch after another.
 
->>> explorer = make_explorer(folder, experiment)
+>>> explorer = make_explorer(load_model("standard"))
 >>> explorer.warm()                                    # compiles, with a bar
 >>> picture = explorer.simulate_picture(touch)         # raises UserError if there is none
 >>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
@@ -9,33 +9,26 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, simulate_touch
 from jaxunshear.config.data import PairedData
-from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import SIMULATED_FIELDS
 from jaxunshear.data.chunks import render_images
 from jaxunshear.data.preprocessing import SensorFrame
 from jaxunshear.data.recordings import read_image
 from jaxunshear.errors import UserError
-from jaxunshear.inference.perceiver import (
-    AS_RECORDED,
-    UNSHEARED,
-    Perceiver,
-    Predictions,
-    find_pin_frame,
-    load_perceiver,
-)
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
+from jaxunshear.inference.readers import Predictions
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.png import to_uint8
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.rest_positions import compute_rest_lattice
-from jaxunshear.perception.sensor_check import NO_MINIMUM, invert_image, judge_images
+from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import make_edge_labeler
@@ -69,10 +62,11 @@ class Picture(NamedTuple):
 class Explorer:
     """A simulated sensor and the networks of a model."""
 
-    experiment: Experiment
     paired: PairedData  # how frames of the simulated sensor are taken and prepared
-    perceive: Perceiver  # of simulated frames
-    load_recording_perceiver: Callable[[], Perceiver]  # of recorded frames; raises UserError
+    # what the simulator draws is of the model's sensor, however far it is pressed; recordings are
+    # judged before they are given to the networks
+    model: TrainedModel  # for simulated frames, whatever they show
+    recording_model: TrainedModel  # for recorded frames, whatever they show
     own_stimuli: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
 
     @property
@@ -82,7 +76,7 @@ class Explorer:
 
     def warm(self) -> None:
         """Compile what a touch of the model's own sensor needs."""
-        touches = list_warmup_touches(self.experiment.sensor, self.paired.friction or 0.0)
+        touches = list_warmup_touches(self.model.sensor, self.paired.friction or 0.0)
         with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
             for touch in touches:
                 self.simulate_picture(touch)
@@ -99,15 +93,13 @@ class Explorer:
             self.paired, touch.sensor, result.tips, number, age, at_once=BATCH
         )
         images = {SHEARED: frames[0], TAP: frames[1]}
-        poses = {TRUE: _compute_true_pose(touch, self.perceive.targets)}
-        if touch.sensor != self.experiment.sensor:
-            reason = judge_images(frames[:1], self.perceive.expected).reason
+        poses = {TRUE: _compute_true_pose(touch, self.model.targets)}
+        if touch.sensor != self.model.sensor:
+            reason = judge_images(frames[:1], self.model.appearance).reason
             reason = reason or "its pins only resemble those that it learnt from"
             note = f"the model does not know this sensor: {reason}"
         else:
-            # what the simulator draws is of this sensor, however far it is pressed
-            perceive = self.perceive._replace(min_plausibility=NO_MINIMUM)
-            note = _add_predictions(images, poses, perceive.predict(frames[:1]))
+            note = _add_predictions(images, poses, self.model.predict(frames[:1]))
         rest = _compute_rest_px(touch.sensor, self.paired)
         return Picture(images, poses, np.stack([rest, pins[0]]), result.state, result.force_n, note)
 
@@ -116,44 +108,33 @@ class Explorer:
 
         Raises UserError, as `unshear` does, if it is no image or not of the model's sensor.
         """
-        perceive = self.load_recording_perceiver()
+        model = self.recording_model
+        preprocess = model.preprocess
         try:
             raw = read_image(data)
-            image = prepare_frame(perceive.preprocess, raw, perceive.view or View())
+            image = prepare_frame(preprocess, raw, model.view or View())
         except UserError as error:
             raise UserError(f"{name}: {error}") from None
-        check = judge_images(image[None], perceive.expected)
+        check = judge_images(image[None], model.appearance)
         if not check.ok and not check.inverted:
             raise UserError(f"{name}: {check.reason}")
         images: dict[str, np.ndarray] = {SHEARED: invert_image(image) if check.inverted else image}
         poses: dict[str, dict[str, float]] = {}
-        perceive = perceive._replace(min_plausibility=NO_MINIMUM)
-        note = _add_predictions(images, poses, perceive.predict(images[SHEARED][None]))
+        predictions = model.predict(images[SHEARED][None])
+        note = _add_predictions(images, poses, predictions)
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
 
-def make_explorer(
-    folder: Path,
-    experiment: Experiment,
-    like: Path | None = None,
-    own_stimuli: tuple[Stimulus, ...] = (),
-) -> Explorer:
-    """Make an explorer of the networks in a folder. Raises UserError.
+def make_explorer(model: TrainedModel, own_stimuli: tuple[Stimulus, ...] = ()) -> Explorer:
+    """Make an explorer of a model. Raises UserError.
 
-    `like` shows where pins rest in recordings, for networks over pins.
+    For networks over pins, its frame shows where pins rest in recordings.
     """
-    paired = experiment.paired.get_simulated("explore")
-    frame = _make_simulated_frame(experiment.sensor, paired) if uses_pins(experiment) else None
-    perceive = load_perceiver(folder, experiment, True, frame)
-
-    @lru_cache(maxsize=1)
-    def load_recording_perceiver() -> Perceiver:
-        if not uses_pins(experiment):
-            return perceive
-        recorded_frame = find_pin_frame(like, experiment) if like else None
-        return load_perceiver(folder, experiment, True, recorded_frame)
-
-    return Explorer(experiment, paired, perceive, load_recording_perceiver, own_stimuli)
+    paired = model.require_simulation("explore")
+    model = simulated = replace(model, force=True)
+    if model.reads_pins:
+        simulated = replace(model, frame=_make_simulated_frame(model.sensor, paired))
+    return Explorer(paired, simulated, model, own_stimuli)
 
 
 def _add_predictions(
@@ -194,7 +175,6 @@ def _compute_rest_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
 
 
 def _make_simulated_frame(sensor: Sensor, paired: PairedData) -> SensorFrame:
-    """Return what the simulator's frames have in common."""
     lattice = compute_rest_lattice(sensor, paired.camera, paired.preprocess)
     tips = compute_pin_tips(sensor)[None]
     images, _ = render_images(paired, sensor, tips, np.zeros(1), np.zeros(1), at_once=1)

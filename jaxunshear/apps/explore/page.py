@@ -1,6 +1,7 @@
 """Lays out the page of `explore` with NiceGUI. Its events are in `tab`."""
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import ui
@@ -11,10 +12,10 @@ from jaxunshear.apps.explore.tab import (
     COLUMNS,
     IMAGES,
     Tab,
-    begin_outline,
     lift,
     on_change,
     on_file,
+    on_friction,
     on_map,
     on_pose,
     on_stimulus,
@@ -32,7 +33,7 @@ def build(explorer: Explorer) -> None:
     """Build one tab."""
     stimulus = (*explorer.own_stimuli, explorer.stimuli["disk"])[0]
     tab = Tab(
-        explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
+        explorer, Touch(stimulus, explorer.model.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4)
     )
     ui.add_css(STYLE.read_text())
     ui.colors(primary="#1f6feb")
@@ -62,9 +63,6 @@ def _build_map(tab: Tab) -> None:
         tab.parts["place"] = ui.label("").classes("hint")
         with ui.element("div").classes("buttons"):
             ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
-            ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props(
-                "outline dense no-caps"
-            )
 
 
 def _build_controls(tab: Tab) -> None:
@@ -82,35 +80,24 @@ def _build_controls(tab: Tab) -> None:
             label="sensor",
             on_change=lambda event: on_change(tab, sensor=SENSORS[event.value]),
         ).props("dense outlined options-dense")
-        depth = ui.number(
-            "depth, mm",
-            value=touch.pose[3],
-            step=0.1,
-            on_change=lambda event: on_pose(tab, 3, event.value),
-        )
-        depth.props("dense outlined")
-        _make_slider("depth", 0.1, DEEPEST_MM, 0.1).bind_value(depth, "value")
-        yaw = ui.number(
-            "yaw, deg",
-            value=touch.pose[2],
-            step=1,
-            on_change=lambda event: on_pose(tab, 2, event.value),
-        )
-        yaw.props("dense outlined")
-        _make_slider("yaw", -180, 180, 1).bind_value(yaw, "value")
-        friction = ui.number(
-            "friction",
-            value=touch.friction,
-            step=0.05,
-            on_change=lambda event: (
-                event.value is not None and on_change(tab, friction=float(event.value))
-            ),
-        ).props("dense outlined")
-        _make_slider("friction", 0, 1.5, 0.05).bind_value(friction, "value")
+        depth, yaw, friction = touch.pose[3], touch.pose[2], touch.friction
+        _add_number("depth, mm", depth, (0.1, DEEPEST_MM), 0.1, lambda mm: on_pose(tab, 3, mm))
+        _add_number("yaw, deg", yaw, (-180, 180), 1, lambda deg: on_pose(tab, 2, deg))
+        _add_number("friction", friction, (0, 1.5), 0.05, lambda mu: on_friction(tab, mu))
 
 
-def _make_slider(name: str, low: float, high: float, step: float) -> ui.slider:
-    return ui.slider(min=low, max=high, step=step).props(f'aria-label="{name}" dense')
+def _add_number(
+    label: str,
+    value: float,
+    limits: tuple[float, float],
+    step: float,
+    change: Callable[[float | None], object],
+) -> None:
+    """Add a number and a slider for it; the number is None while its field is empty."""
+    number = ui.number(label, value=value, step=step, on_change=lambda event: change(event.value))
+    number.props("dense outlined")
+    slider = ui.slider(min=limits[0], max=limits[1], step=step)
+    slider.props(f'aria-label="{label.partition(",")[0]}" dense').bind_value(number, "value")
 
 
 def _build_pictures(tab: Tab) -> None:

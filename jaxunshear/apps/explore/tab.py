@@ -11,7 +11,6 @@ from nicegui import events, run, ui
 
 from jaxunshear.apps.explore.drawing import encode_data_url, render_map_svg, render_pins_svg, to_mm
 from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, Explorer, Picture
-from jaxunshear.apps.explore.outline import DRAWN_NAME, make_drawn_stimulus
 from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.errors import UserError
 
@@ -28,7 +27,6 @@ class Tab:
     explorer: Explorer
     touch: Touch
     start: tuple[float, float] = (0.0, 0.0)  # mm: where the sensor was pressed down
-    line: list[tuple[float, float]] | None = None  # mm: an outline that is being drawn
     pressed: bool = False
     next_touch: Touch | None = None  # whose picture comes next
     busy: bool = False
@@ -46,12 +44,10 @@ class Tab:
         return part
 
     def draw_map(self) -> None:
-        self.part("map", ui.interactive_image).set_content(render_map_svg(self.touch, self.line))
+        self.part("map", ui.interactive_image).set_content(render_map_svg(self.touch))
         x, y, dx, dy = *self.start, *self.touch.move
         self.part("place", ui.label).set_text(
-            "draw around an area with the button held"
-            if self.line is not None
-            else f"pressed at x {x:.1f}, y {y:.1f} mm; slid by {dx:.1f}, {dy:.1f} mm"
+            f"pressed at x {x:.1f}, y {y:.1f} mm; slid by {dx:.1f}, {dy:.1f} mm"
         )
 
 
@@ -109,22 +105,16 @@ def _make_rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
 
 
 async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:
-    """Set the sensor down when pressed, slide it when moved; or draw an outline."""
+    """Set the sensor down when pressed, slide it when moved."""
     here = to_mm(event.image_x, event.image_y)
     if event.type == "pointerdown":
         tab.pressed, tab.start = True, here
     elif not tab.pressed:
         return
     tab.pressed = event.type in ("pointerdown", "pointermove") and bool(event.buttons)
-    if tab.line is None:
-        ends = np.subtract(here, tab.start)
-        ends = ends * min(1.0, MOST_SLIDE_MM / max(float(np.hypot(*ends)), 1e-9))
-        place(tab, (float(ends[0]), float(ends[1])))
-    else:
-        tab.line.append(here)
-        tab.draw_map()
-        if not tab.pressed:
-            finish_outline(tab)
+    move = np.subtract(here, tab.start)
+    move = move * min(1.0, MOST_SLIDE_MM / max(float(np.hypot(*move)), 1e-9))
+    place(tab, (float(move[0]), float(move[1])))
     await compute(tab)
 
 
@@ -133,21 +123,6 @@ def place(tab: Tab, move: tuple[float, float]) -> None:
     pose = (tab.start[0] + move[0], tab.start[1] + move[1], *tab.touch.pose[2:])
     if (pose, move) != (tab.touch.pose, tab.touch.move):
         tab.request(pose=pose, move=move)
-
-
-def finish_outline(tab: Tab) -> None:
-    line, tab.line = tab.line or [], None
-    try:
-        stimulus = make_drawn_stimulus(np.array(line))
-    except UserError as error:
-        tab.draw_map()
-        show(tab, None, str(error))
-        return
-    tab.start = line[0]
-    tab.request(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
-    tab.part("stimulus", ui.select).set_options(
-        [*tab.explorer.stimuli, DRAWN_NAME], value=DRAWN_NAME
-    )
 
 
 async def on_stimulus(tab: Tab, name: str) -> None:
@@ -163,6 +138,11 @@ async def on_pose(tab: Tab, index: int, value: float | None) -> None:
         pose[index] = float(value)
         tab.request(pose=tuple(pose))
         await compute(tab)
+
+
+async def on_friction(tab: Tab, value: float | None) -> None:
+    if value is not None:
+        await on_change(tab, friction=float(value))
 
 
 async def on_change(tab: Tab, **changes: object) -> None:
@@ -184,13 +164,8 @@ async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
         tab.part("force", ui.label).set_text(f"recorded: {name}")
 
 
-def begin_outline(tab: Tab) -> None:
-    tab.line = []
-    tab.draw_map()
-
-
 async def lift(tab: Tab) -> None:
     """Tap where the slide ended."""
     x, y, *_ = tab.touch.pose
-    tab.line, tab.start = None, (x, y)
+    tab.start = (x, y)
     await on_change(tab, move=(0.0, 0.0))

@@ -11,20 +11,28 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from jaxunshear import __version__
-from jaxunshear.config.experiment import Experiment, uses_pins
-from jaxunshear.data.sources import open_source
+from jaxunshear.apps.export.parts import (
+    MAX_DIFFERENCE,
+    ExportedModel,
+    load_exported_model,
+    make_check_inputs,
+    make_exported_function,
+    measure_difference,
+)
+from jaxunshear.config.targets import list_target_names
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
-from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.inference.trained_model import TrainedModel, load_model
+from jaxunshear.models import layer_choice
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
 if TYPE_CHECKING:
     from jaxunshear.apps.export.frames import ExportCamera
-    from jaxunshear.apps.export.parts import ExportedModel
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -39,7 +47,7 @@ INPUTS = {
 
 
 def export_model(
-    model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
+    name: Path, out: Path, batch: int | None = None, preprocess: Path | None = None
 ) -> float:
     """Write a model to `out` and return the largest difference to JAX, over an output's range.
 
@@ -50,19 +58,16 @@ def export_model(
         preprocess: frames of a camera; the file then takes such frames as they come.
     """
     _check_arguments(out, batch, preprocess)
-    folder = find_model_folder(model)
-    experiment = load_settings(folder)
-    if preprocess is not None and uses_pins(experiment):
+    model = load_model(name)
+    if preprocess is not None and model.reads_pins:
         raise UserError(
-            f"--preprocess: {model} reads pins, which are found outside of the file; leave it out"
+            f"--preprocess: {name} reads pins, which are found outside of the file; leave it out"
         )
     _check_extra(out.suffix)
-    from jaxunshear.apps.export.parts import MAX_DIFFERENCE, load_exported_model
-
-    parts = load_exported_model(folder, experiment)
+    parts = load_exported_model(model)
     if out.suffix == ONNX:
-        camera = _read_camera(folder, experiment, preprocess) if preprocess else None
-        data, difference = _export_onnx(parts, experiment, batch, camera)
+        camera = _read_camera(model, preprocess) if preprocess else None
+        data, difference = _export_onnx(parts, model, batch, camera)
     else:
         data, difference = _export_stablehlo(parts, batch)
     if not difference <= MAX_DIFFERENCE:
@@ -102,27 +107,19 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
-def _read_camera(folder: Path, experiment: Experiment, frames: Path) -> "ExportCamera":
+def _read_camera(model: TrainedModel, frames: Path) -> "ExportCamera":
     from jaxunshear.apps.export.frames import read_camera
-    from jaxunshear.inference.perceiver import load_training_frame
 
-    training_frame = load_training_frame(folder, experiment)
-    view = training_frame.view if training_frame else None
-    return read_camera(frames, experiment.paired.preprocess, view)
+    return read_camera(frames, model.preprocess, model.view)
 
 
 def _export_onnx(
-    parts: "ExportedModel",
-    experiment: Experiment,
-    batch: int | None,
-    camera: "ExportCamera | None",
+    parts: ExportedModel, model: TrainedModel, batch: int | None, camera: "ExportCamera | None"
 ) -> tuple[bytes, float]:
-    """Return a file of ONNX, and its difference to JAX."""
     from jaxunshear.apps.export.frames import preprocess_frames
     from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
-    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
-    data = build_onnx(parts, batch, camera, _make_metadata(parts, experiment, camera))
+    data = build_onnx(parts, batch, camera, _make_metadata(parts, model, camera))
     run = make_onnx_runner(data, parts)
     if camera is None:
         return data, measure_difference(parts, run, make_check_inputs(parts), batch)
@@ -130,16 +127,12 @@ def _export_onnx(
     return data, measure_difference(parts, run, camera.frames, batch, prepare)
 
 
-def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
+def build_stablehlo(parts: ExportedModel, batch: int | None) -> bytes:
     """Serialise `parts.make_exported_function` for `jax.export.deserialize`.
 
     `batch` is None for any.
     """
-    import jax
     from jax import export
-
-    from jaxunshear.apps.export.parts import make_exported_function
-    from jaxunshear.models import layer_choice
 
     count = export.symbolic_shape("batch")[0] if batch is None else batch
     inputs = jax.ShapeDtypeStruct((count, *parts.shape), parts.dtype)
@@ -149,12 +142,8 @@ def build_stablehlo(parts: "ExportedModel", batch: int | None) -> bytes:
         return bytes(export.export(function, platforms=PLATFORMS)(inputs).serialize())
 
 
-def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes, float]:
-    """Return a file of StableHLO, and its difference to JAX."""
-    import jax
+def _export_stablehlo(parts: ExportedModel, batch: int | None) -> tuple[bytes, float]:
     from jax import export
-
-    from jaxunshear.apps.export.parts import make_check_inputs, measure_difference
 
     data = build_stablehlo(parts, batch)
     call = jax.jit(export.deserialize(bytearray(data)).call)
@@ -166,11 +155,8 @@ def _export_stablehlo(parts: "ExportedModel", batch: int | None) -> tuple[bytes,
 
 
 def _make_metadata(
-    parts: "ExportedModel", experiment: Experiment, camera: "ExportCamera | None"
+    parts: ExportedModel, model: TrainedModel, camera: "ExportCamera | None"
 ) -> dict[str, str]:
-    """Describe inputs, outputs and training of a file of ONNX to programs and people."""
-    from jaxunshear.config.targets import list_target_names
-
     names = list_target_names(parts.targets)
     metadata = {
         "jaxunshear": __version__,
@@ -178,9 +164,9 @@ def _make_metadata(
         "names": ",".join(names),
         "units": ",".join(name.rpartition("_")[2] for name in names),
         "pose_of": parts.method,
-        "frame_of_poses": open_source(experiment).pose_frame,
-        "learnt": open_source(experiment).describe(),
-        "preprocess": json.dumps(asdict(experiment.paired.preprocess)),
+        "frame_of_poses": model.source.pose_frame,
+        "learnt": model.source.describe(),
+        "preprocess": json.dumps(asdict(model.experiment.paired.preprocess)),
     }
     if parts.rest is not None:
         rest = json.dumps(np.round(parts.rest.astype(float), 3).tolist())

@@ -9,7 +9,7 @@ from jaxunshear.apps.export.onnx_graph import BYTE, FLOAT, OnnxGraph
 from jaxunshear.apps.export.parts import ExportedModel, Run
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.files import Json
-from jaxunshear.inference.perceiver import UNSHEARED
+from jaxunshear.inference.forward import UNSHEARED
 
 
 def build_onnx(
@@ -37,16 +37,18 @@ def build_onnx(
         inputs = graph.add("Unsqueeze", inputs, np.array([1]))
     unsheared = inputs
     if parts.unshear_network is not None:
-        unsheared = networks.add_unshear(graph, *parts.unshear_network, inputs)
+        net, variables, _ = parts.unshear_network
+        unsheared = networks.add_unshear(graph, net, variables, inputs)
         flat = graph.add("Squeeze", unsheared, np.array([1])) if images else unsheared
         graph.add_output("unsheared", flat, (count, *parts.shape))
         if images:
             graph.add_output("confidence", _add_confidence(graph, flat), (count,))
     if parts.pose_network is not None:
         pose_inputs = unsheared if parts.method == UNSHEARED else inputs
-        outputs = networks.add_pose_network(graph, *parts.pose_network, pose_inputs)
-        pose = networks.add_pose(graph, parts.targets, outputs)
-        graph.add_output("pose", pose, (count, len(parts.targets)))
+        net, variables, targets = parts.pose_network
+        outputs = networks.add_pose_network(graph, net, variables, pose_inputs)
+        pose = networks.add_pose(graph, targets, outputs)
+        graph.add_output("pose", pose, (count, len(targets)))
     model = graph.build(name, (count, *shape), BYTE if images else FLOAT, metadata)
     return bytes(model.SerializeToString())
 

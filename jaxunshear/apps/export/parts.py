@@ -4,24 +4,27 @@ Exported files are compared with this function.
 """
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
-from jaxunshear.inference.perception import compute_confidence, load_networks, scale_to_unit
+from jaxunshear.inference.forward import (
+    AS_RECORDED,
+    LEARNT,
+    UNSHEARED,
+    TrainedNetwork,
+    compute_confidence,
+    scale_inputs,
+)
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet
 from jaxunshear.models.dispatch import predict, unshear
-from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.checkpoint import has_model
 
 Run = Callable[[np.ndarray], Json]
 Prepare = Callable[[np.ndarray], np.ndarray]
@@ -29,23 +32,19 @@ MAX_DIFFERENCE = 1e-4  # between an exported network and JAX, over each output's
 CHECK_INPUTS = 6
 
 
-class ExportedNetwork(NamedTuple):
-    """A network and its weights."""
-
-    net: Net
-    variables: Variables
-
-
 class ExportedModel(NamedTuple):
     """The networks of a model that a robot runs."""
 
-    unshear_network: ExportedNetwork | None
-    pose_network: ExportedNetwork | None
-    targets: Targets  # of `pose_network`
+    unshear_network: TrainedNetwork | None
+    pose_network: TrainedNetwork | None
     # UNSHEARED or AS_RECORDED, by the input of `pose_network`; LEARNT if it learnt from slides
     method: str
     rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
     size: int  # S, px
+
+    @property
+    def targets(self) -> Targets:
+        return self.pose_network.targets if self.pose_network else ()
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -57,37 +56,34 @@ class ExportedModel(NamedTuple):
         return np.uint8 if self.rest is None else np.float32
 
 
-def load_exported_model(model: Path, experiment: Experiment) -> ExportedModel:
-    """Load the folder of a finished run or of released weights. Raises UserError."""
-    posenet_names = [name for name in (POSENET, POSENET_SHEARED) if has_model(model / name)]
-    posenet_name = posenet_names[0] if posenet_names else ""
-    unshears = has_model(model / DISENTANGLED)
-    names = [DISENTANGLED] if unshears else []
-    nets, variables, targets = load_networks(model, [*names, *posenet_names[:1]])
-    networks = {
-        name: ExportedNetwork(net, jax.device_get(variables[name])) for name, net in nets.items()
-    }
+def load_exported_model(model: TrainedModel) -> ExportedModel:
+    """Load the networks that a robot runs. Raises UserError."""
+    posenets = [name for name in (POSENET, POSENET_SHEARED) if name in model.networks][:1]
+    unshearing = [DISENTANGLED] if DISENTANGLED in model.networks else []
+    networks = {}
+    for name in (*unshearing, *posenets):
+        network = model.load_network(name)
+        networks[name] = network._replace(variables=jax.device_get(network.variables))
     if not networks:
         raise UserError(
-            f"{model} holds no trained network that unshears or reads poses: "
+            f"{model.folder} holds no trained network that unshears or reads poses: "
             "train one, or name another"
         )
     method = ""
-    if posenet_name == POSENET_SHEARED:
+    if posenets == [POSENET_SHEARED]:
         method = LEARNT
-    elif posenet_name:
-        method = UNSHEARED if unshears else AS_RECORDED
+    elif posenets:
+        method = UNSHEARED if unshearing else AS_RECORDED
     rest = None
-    if uses_pins(experiment):
-        first = next(iter(networks.values()))
-        rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32)
+    if model.reads_pins:
+        variables = next(iter(networks.values())).variables
+        rest = np.asarray(variables["batch_stats"]["rest"], np.float32)
     return ExportedModel(
         networks.get(DISENTANGLED),
-        networks.get(posenet_name),
-        targets.get(posenet_name, ()),
+        networks[posenets[0]] if posenets else None,
         method,
         rest,
-        experiment.paired.preprocess.size,
+        model.experiment.paired.preprocess.size,
     )
 
 
@@ -101,17 +97,19 @@ def make_exported_function(parts: ExportedModel) -> Callable[[Array], Json]:
 
     def run(inputs: Array) -> Json:
         outputs: Json = {}
-        pose_inputs = inputs = scale_to_unit(inputs) if parts.rest is None else inputs
+        pose_inputs = inputs = scale_inputs(inputs)
         if parts.unshear_network is not None:
-            unsheared = unshear(*parts.unshear_network, inputs)
+            net, variables, _ = parts.unshear_network
+            unsheared = unshear(net, variables, inputs)
             outputs["unsheared"] = unsheared[..., 0] if parts.rest is None else unsheared
             if parts.rest is None:
                 outputs["confidence"] = jax.vmap(compute_confidence)(unsheared)
             if parts.method == UNSHEARED:
                 pose_inputs = unsheared
         if parts.pose_network is not None:
-            predictions = predict(*parts.pose_network, pose_inputs)
-            outputs["pose"] = posenet.unscale_outputs(predictions, parts.targets)
+            net, variables, targets = parts.pose_network
+            predictions = predict(net, variables, pose_inputs)
+            outputs["pose"] = posenet.unscale_outputs(predictions, targets)
         return outputs
 
     return run

@@ -16,12 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.recordings import read_image, read_recordings
-from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.preprocess import View
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
@@ -60,13 +59,13 @@ def open_frames(
 
 
 def make_label_reader(
-    source: str, experiment: Experiment
+    source: str, model: TrainedModel
 ) -> Callable[[int], Mapping[str, float]] | None:
     """Make a function from a frame's number to its labels, for a folder of labelled frames.
 
     Returns None without labels, and for a model that was not trained on labels of these names.
     """
-    if not Path(source).is_dir() or not open_source(experiment).has_frame:
+    if not Path(source).is_dir() or not model.source.has_frame:
         return None
     poses = read_recordings(source, Preprocess()).poses
     if poses is None:

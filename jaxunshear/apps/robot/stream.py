@@ -1,142 +1,42 @@
 """Perception for a robot: a frame in; unsheared image, pose and confidence out, as a JSON line.
 
-The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights:
-no shear code, no DS. A frame that cannot be used, or is not understood, is reported and counted,
-and the next one comes.
+A frame that cannot be used, or is not
+understood, is reported and counted, and the next one comes.
 """
 
 import base64
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxunshear.apps.robot.frame_sources import SourceFrame
-from jaxunshear.config.experiment import Experiment, uses_pins
 from jaxunshear.config.image import Preprocess
-from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.config.targets import list_target_names
-from jaxunshear.data.preprocessing import SensorFrame as PinFrame
 from jaxunshear.data.recordings import PROBES
-from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes
-from jaxunshear.inference.perceiver import UNSHEARED, load_perceiver, load_sensor_appearance
-from jaxunshear.inference.perception import Forward, compute_confidence, load_forward
+from jaxunshear.inference.forward import UNSHEARED
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
-from jaxunshear.models.inference import jit_for_inference
-from jaxunshear.models.weights import Variables
 from jaxunshear.perception.png import encode_png, to_uint8
 from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
-from jaxunshear.perception.sensor_check import (
-    MIN_PLAUSIBILITY,
-    NO_MINIMUM,
-    SensorAppearance,
-    compute_plausibility,
-    explain_rejection,
-)
 from jaxunshear.results.applications import StreamResult
 
 FAST_COMPRESSION = 1  # zlib's level: a frame has milliseconds
 
-
-class StreamOutput(NamedTuple):
-    """The output of the networks for one frame, whether they understood it or not."""
-
-    unsheared: np.ndarray | None  # unsheared (S, S) in [0, 1]
-    pose: dict[str, float]
-    confidence: float  # see `confidence`
-    identified: bool = True  # pins were identified, or none are needed
-
-
-Step = Callable[[np.ndarray], StreamOutput]  # of a binary image (S, S) uint8
 LabelReader = Callable[[int], Mapping[str, float]]  # from a frame's number to its labels
 
 
-class StreamModel(NamedTuple):
-    """A model that is ready for a stream."""
-
-    step: Step
-    preprocess: Preprocess  # how frames are prepared for it
-    view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    # how its sensor appears: confidence falls for what appears otherwise
-    expected: SensorAppearance | None = None
-    min_plausibility: float = MIN_PLAUSIBILITY  # of a frame that is understood
-
-
-def load_stream_model(
-    model: Path,
-    experiment: Experiment,
-    frame: PinFrame | None,
-    force: bool = False,
-) -> StreamModel:
-    """Make a model ready for a stream and compile it.
-
-    `frame` is that of `load_perceiver`; with `force` frames of other sensors are answered, too.
-    Raises UserError.
-    """
-    minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
-    if not open_source(experiment).has_frame and not uses_pins(experiment):
-        step = make_image_step(model, experiment)
-        appearance = load_sensor_appearance(model, experiment)
-        return StreamModel(step, experiment.paired.preprocess, None, appearance, minimum)
-    perceive = load_perceiver(model, experiment, with_sheared_poses=False, frame=frame)
-    size = perceive.preprocess.size
-
-    def run_step(image: np.ndarray) -> StreamOutput:
-        inputs = perceive.read(image[None])
-        outputs = perceive.run(inputs)
-        unsheared = None if outputs.unsheared is None else outputs.unsheared[0]
-        poses = outputs.poses.get(UNSHEARED) or next(iter(outputs.poses.values()), {})
-        return StreamOutput(
-            unsheared,
-            {name: float(value[0]) for name, value in poses.items()},
-            1.0 if unsheared is None else float(compute_confidence(unsheared[..., None])),
-            bool(inputs.identified[0]),
-        )
-
-    run_step(np.zeros((size, size), np.uint8))  # compiles
-    return StreamModel(run_step, perceive.preprocess, perceive.view, perceive.expected, minimum)
-
-
-def make_image_step(model: Path, experiment: Experiment) -> Step:
-    """Make the step of networks over images and compile it."""
-    forward, variables, targets = load_forward(model, DISENTANGLED)
-    names = list_target_names(targets)
-    run = jit_for_inference(make_perceive_function(forward, names), variables)
-    size = experiment.paired.preprocess.size
-
-    def run_step(image: np.ndarray) -> StreamOutput:
-        unsheared, values = jax.device_get(run(image))
-        *pose, sharpness = map(float, values)
-        return StreamOutput(unsheared, dict(zip(names, pose, strict=True)), sharpness)
-
-    run_step(np.zeros((size, size), np.uint8))  # compiles
-    return run_step
-
-
-def make_perceive_function(
-    forward: Forward, names: tuple[str, ...]
-) -> Callable[[Variables, Array], tuple[Array, Array]]:
-    """Make a function of variables and an image (S, S) uint8.
-
-    It returns the input of PoseNet (S, S), and the pose and the confidence as one array, which
-    takes one transfer to the host.
-    """
-
-    def perceive(variables: Variables, image: Array) -> tuple[Array, Array]:
-        unsheared, poses = forward(variables, image[None])
-        pose = [poses[name][0] for name in names]
-        return unsheared[0, ..., 0], jnp.stack([*pose, compute_confidence(unsheared[0])])
-
-    return perceive
+class _Answer(NamedTuple):
+    unsheared: np.ndarray | None  # (S, S) in [0, 1]
+    pose: dict[str, float]
+    confidence: float
+    networks_ms: float
 
 
 @dataclass
@@ -147,41 +47,39 @@ class _StreamStats:
     networks_ms: list[float] = field(default_factory=list)
     confidences: list[float] = field(default_factory=list)
     errors: dict[str, list[float]] = field(default_factory=dict)  # by quantity
-    problems: dict[str, int] = field(default_factory=dict)
+    problems: Counter[str] = field(default_factory=Counter)
     skipped: int = 0
     missed: int = 0
     last: int = -1  # number of a frame
 
-
-class _Answer(NamedTuple):
-    """The answer to one frame that was understood."""
-
-    unsheared: np.ndarray | None
-    pose: dict[str, float]
-    confidence: float
-    seconds: float  # that the networks took
+    def add(self, answer: _Answer, errors: Mapping[str, float], total_ms: float) -> None:
+        self.networks_ms.append(answer.networks_ms)
+        self.total_ms.append(total_ms)
+        self.confidences.append(answer.confidence)
+        for name, value in errors.items():
+            self.errors.setdefault(name, []).append(value)
 
 
 def stream(
     frames: Iterator[SourceFrame],
     live: bool,
-    robot: StreamModel,
+    model: TrainedModel,
     out: TextIO,
     images: Path | None,
     inline: bool,
-    truth: LabelReader | None = None,
+    read_labels: LabelReader | None = None,
 ) -> StreamResult:
     """Write a line for each frame to `out`, and return a summary.
 
-    A frame that cannot be used, or is not understood, has no pose and no image, but a reason and a
-    confidence of 0. A live source also ends by Ctrl-C, or when its camera is lost.
+    A frame that is not understood has no pose and no image, but a reason and a confidence of 0. A
+    live source also ends by Ctrl-C, or when its camera is lost.
 
     Args:
         images: a folder for unsheared images.
         inline: whether images are written into the lines as base64 PNG instead.
-        truth: labels, with which lines and summary have errors, too.
+        read_labels: with these, lines and summary have errors, too.
     """
-    find_view = make_steady_view(robot.preprocess)
+    find_view = make_steady_view(model.preprocess)
     stats = _StreamStats()
     start = time.perf_counter()
     try:
@@ -191,23 +89,19 @@ def stream(
             stats.last = frame.number
             line: Json = {"frame": frame.number, "name": frame.name}
             try:
-                answer = _answer_frame(robot, frame, find_view)
+                answer = _answer_frame(model, frame, find_view)
             except UserError as error:
                 stats.skipped += 1
-                stats.problems[str(error)] = stats.problems.get(str(error), 0) + 1
+                stats.problems[str(error)] += 1
                 _write_line(out, line | {"confidence": 0.0, "error": str(error)})
                 continue
             line |= {name: round(value, 4) for name, value in answer.pose.items()}
             line["confidence"] = round(answer.confidence, 4)
-            labels = truth(frame.number) if truth else {}
-            for name, error_value in _compute_errors(answer.pose, labels).items():
-                line[f"error_{name}"] = round(error_value, 4)
-                stats.errors.setdefault(name, []).append(error_value)
+            errors = _compute_errors(answer.pose, read_labels(frame.number) if read_labels else {})
+            line |= {f"error_{name}": round(value, 4) for name, value in errors.items()}
             if answer.unsheared is not None:
                 line |= _store_image(images, inline, frame, answer.unsheared)
-            stats.networks_ms.append(1e3 * answer.seconds)
-            stats.total_ms.append(1e3 * (time.perf_counter() - arrival))
-            stats.confidences.append(answer.confidence)
+            stats.add(answer, errors, 1e3 * (time.perf_counter() - arrival))
             _write_line(out, line | {"ms": round(stats.total_ms[-1], 3)})
     except KeyboardInterrupt:  # a camera's usual end
         if not live or not stats.total_ms:
@@ -216,22 +110,24 @@ def stream(
 
 
 def _answer_frame(
-    robot: StreamModel, frame: SourceFrame, find_view: Callable[[np.ndarray], View]
+    model: TrainedModel, frame: SourceFrame, find_view: Callable[[np.ndarray], View]
 ) -> _Answer:
     """Run the networks on a frame. Raises UserError if it cannot be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
-    view = robot.view or frame.view or find_view(frame.pixels)
-    image = prepare_frame(robot.preprocess, frame.pixels, view)
+    view = model.view or frame.view or find_view(frame.pixels)
+    image = prepare_frame(model.preprocess, frame.pixels, view)
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
     start = time.perf_counter()
-    output = robot.step(image)
-    seconds = time.perf_counter() - start
-    plausibility = 1.0 if robot.expected is None else compute_plausibility(image, robot.expected)
-    if reason := explain_rejection(output.identified, plausibility, robot.min_plausibility):
+    predictions = model.predict(image[None])
+    networks_ms = 1e3 * (time.perf_counter() - start)
+    if reason := str(predictions.rejection[0]):
         raise UserError(reason)
-    return _Answer(output.unsheared, output.pose, output.confidence * plausibility, seconds)
+    poses = predictions.poses.get(UNSHEARED) or next(iter(predictions.poses.values()), {})
+    pose = {name: float(values[0]) for name, values in poses.items()}
+    unsheared = None if predictions.unsheared is None else predictions.unsheared[0]
+    return _Answer(unsheared, pose, float(predictions.confidence[0]), networks_ms)
 
 
 def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
@@ -241,7 +137,7 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
         used=used,
         skipped=stats.skipped,
         dropped=stats.missed,
-        problems=stats.problems,
+        problems=dict(stats.problems),
         live=live,
         frames_per_s=used / max(seconds, 1e-9),
         confidence=float(np.mean(stats.confidences)) if used else None,
@@ -252,14 +148,10 @@ def _summarise(stats: _StreamStats, live: bool, seconds: float) -> StreamResult:
 
 
 def _compute_errors(pose: dict[str, float], labels: Mapping[str, float]) -> dict[str, float]:
-    """Compute absolute errors of the quantities that have a label."""
-    truth = {name: np.array([labels[name]]) for name in pose if _is_labelled(labels, name)}
+    names = [name for name in pose if np.isfinite(labels.get(name, np.nan))]
+    truth = {name: np.array([labels[name]]) for name in names}
     errors = compute_pose_errors({name: np.array([pose[name]]) for name in truth}, truth)
     return {name: float(error[0]) for name, error in errors.items()}
-
-
-def _is_labelled(labels: Mapping[str, float], name: str) -> bool:
-    return bool(np.isfinite(labels.get(name, np.nan)))
 
 
 def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
@@ -281,7 +173,7 @@ def make_steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
 
 
 def _end_when_lost(
-    frames: Iterator[SourceFrame], live: bool, problems: dict[str, int]
+    frames: Iterator[SourceFrame], live: bool, problems: Counter[str]
 ) -> Iterator[SourceFrame]:
     """Yield frames; if a live source is lost, end them and store the problem."""
     try:

@@ -14,6 +14,7 @@ from jaxunshear.apps.explore.drawing import (
     render_pins_svg,
     to_mm,
     to_px,
+    trace_outlines,
 )
 from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
 from jaxunshear.apps.explore.touch import (
@@ -31,22 +32,21 @@ from jaxunshear.config.reach import compute_max_depth_mm
 from jaxunshear.config.sensor import SENSORS
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.errors import UserError
-from jaxunshear.model_folders import RELEASED, load_settings
+from jaxunshear.inference.trained_model import load_model
 from jaxunshear.simulator.stimuli import STIMULI, make_stimulus
 
-FOLDER = RELEASED / "standard"
+ANGLE = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
 
 
 @pytest.fixture(scope="module")
 def explorer():
-    return make_explorer(FOLDER, load_settings(FOLDER))
+    return make_explorer(load_model("standard"))
 
 
 @pytest.fixture(scope="module")
 def touch(explorer):
-    return Touch(
-        STIMULI["disk"], explorer.experiment.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4
-    )
+    return Touch(STIMULI["disk"], explorer.model.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -145,11 +145,17 @@ def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
         assert "\n" not in str(refused.value)
 
 
+def test_outlines_run_along_the_edge_and_close_at_the_border():
+    (disk,) = trace_outlines(make_stimulus(Outline("ring", tuple(map(tuple, RING)))), HALF_MM)
+    np.testing.assert_allclose(np.linalg.norm(disk - disk.mean(axis=0), axis=-1), 12, atol=0.3)
+    (half,) = trace_outlines(STIMULI["edge"], HALF_MM)
+    assert half[:, 0].min() < -31.5 and half[:, 0].max() == pytest.approx(0, abs=1e-4)
+
+
 def test_places_go_there_and_back(touch, picture):
     assert to_mm(MAP_PX / 2, 0) == (0, HALF_MM)
     np.testing.assert_allclose(to_px(np.array(to_mm(100, 500))), [100, 500])
     assert render_map_svg(touch).count("<circle") == 6
-    assert render_map_svg(touch, [(0.0, 0.0), (1.0, 1.0)]).count("<circle") == 0
     assert render_pins_svg(picture.pins, picture.state, 128).count("<circle") == 1 + len(
         picture.state
     )
@@ -166,6 +172,5 @@ def test_what_is_made_ready_reaches_as_deep_as_the_page():
 
 @pytest.mark.long
 def test_pins_need_a_folder_for_recorded_images():
-    skin = RELEASED / "skin"
     with pytest.raises(UserError, match="--like"):
-        make_explorer(skin, load_settings(skin)).infer_recording("a.png", b"")
+        make_explorer(load_model("skin")).infer_recording("a.png", b"")

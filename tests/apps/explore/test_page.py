@@ -176,19 +176,6 @@ def test_a_depth_that_cannot_be_gives_a_line_and_no_picture(tab):
     assert not tab.page.locator(".problem").is_visible()
 
 
-def test_a_drawn_outline(tab):
-    tab.page.get_by_text("Draw an outline").click()
-    tab.drag((0.3, 0.3), (0.7, 0.3), (0.3, 0.7), (0.7, 0.7))
-    assert "crosses itself" in tab.problem() or "encloses" in tab.problem()
-    tab.page.get_by_text("Draw an outline").click()
-    tab.changed(lambda: tab.drag((0.5, 0.5), (0.3, 0.7), (0.2, 0.4), (0.5, 0.48)))
-    assert (
-        tab.page.locator(".q-select", has_text="stimulus").locator("span").first.inner_text()
-        == "drawn"
-    )
-    assert abs(float(tab.pose()["edge, mm"][0])) < 1.0
-
-
 def png_of(image):
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "png")

@@ -21,7 +21,6 @@ from jaxunshear.apps.export.onnx_file import build_onnx, make_onnx_runner
 from jaxunshear.apps.export.parts import (
     MAX_DIFFERENCE,
     ExportedModel,
-    ExportedNetwork,
     make_check_inputs,
     measure_difference,
 )
@@ -34,12 +33,13 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearN
 from jaxunshear.config.serialization import to_json
 from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
-from jaxunshear.inference.perception import load_forward
+from jaxunshear.inference.forward import TrainedNetwork, make_forward
 from jaxunshear.model_folders import RELEASED
 from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_grid import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
+from tests.helpers.models import write_network
 
 ROOT = Path(__file__).resolve().parents[3]
 SIZE = 32
@@ -77,26 +77,26 @@ def drawn_of_pins(net, outputs=0):
 
 
 def images(net=NET):
-    unshears = ExportedNetwork(net, drawn(lambda key: unshearnet.init(net, key)))
-    reads = ExportedNetwork(
-        POSENET, drawn(lambda key: posenet.init(POSENET, posenet.count_outputs(TARGETS), key))
-    )
-    return ExportedModel(unshears, reads, TARGETS, "unsheared", None, SIZE)
+    unshears = TrainedNetwork(net, drawn(lambda key: unshearnet.init(net, key)), ())
+    outputs = posenet.count_outputs(TARGETS)
+    variables = drawn(lambda key: posenet.init(POSENET, outputs, key))
+    reads = TrainedNetwork(POSENET, variables, TARGETS)
+    return ExportedModel(unshears, reads, "unsheared", None, SIZE)
 
 
 def pins(turned=0.0, convolved=(), read_by=()):
     net = PinUnshear(**PINS, convolved=convolved)
     reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
-    reads = ExportedNetwork(reader, drawn_of_pins(reader, posenet.count_outputs(TARGETS)))
-    return ExportedModel(
-        ExportedNetwork(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE
-    )
+    variables = drawn_of_pins(reader, posenet.count_outputs(TARGETS))
+    reads = TrainedNetwork(reader, variables, TARGETS)
+    unshears = TrainedNetwork(net, drawn_of_pins(net), ())
+    return ExportedModel(unshears, reads, "unsheared", REST, SIZE)
 
 
 CASES = {
     "images": images,
     "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
-    "no reader": lambda: images()._replace(pose_network=None, targets=(), method=""),
+    "no reader": lambda: images()._replace(pose_network=None, method=""),
     "reader alone": lambda: images()._replace(unshear_network=None, method="as_recorded"),
     "reader of slides": lambda: images()._replace(method="learnt"),
     "pins": pins,
@@ -123,15 +123,8 @@ def test_another_network_differs():
     parts = pins()
     other = jax.tree.map(np.copy, parts.pose_network.variables)
     other["params"]["Dense_0"]["bias"] += 0.05
-    run = make_onnx_runner(
-        build_onnx(
-            parts._replace(pose_network=ExportedNetwork(parts.pose_network.net, other)),
-            None,
-            None,
-            {},
-        ),
-        parts,
-    )
+    other_parts = parts._replace(pose_network=parts.pose_network._replace(variables=other))
+    run = make_onnx_runner(build_onnx(other_parts, None, None, {}), parts)
     assert measure_difference(parts, run, make_check_inputs(parts), None) > MAX_DIFFERENCE
 
 
@@ -208,16 +201,8 @@ def test_frames_prepared_otherwise_differ(tmp_path):
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory):
     folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
-    for name, kind, part in (
-        ("disentangled", "unshear", parts.unshear_network),
-        ("posenet", "posenet", parts.pose_network),
-    ):
-        settings = {
-            "kind": kind,
-            "net": dataclasses.asdict(part.net),
-            "targets": targets.to_json(TARGETS),
-        }
-        checkpoint.write_settings(folder / name, settings)
+    for name, part in (("disentangled", parts.unshear_network), ("posenet", parts.pose_network)):
+        write_network(folder / name, part.net, part.variables, part.targets)
         checkpoint.write_weights(folder / name, part.variables)
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     return folder
@@ -292,11 +277,18 @@ def test_skin_takes_pins(tmp_path):
         json.loads(known["rest_px"]) + np.random.default_rng(0).normal(0, 1, (3, 331, 2))
     ).astype(np.float32)
     pins[0, :9] = np.nan
-    forward, variables, learnt = load_forward(RELEASED / "skin", "disentangled")
-    after, pose = jax.jit(forward)(variables, pins)
+    skin = load_model("skin")
+    networks = {name: skin.load_network(name) for name in ("disentangled", "posenet")}
+    nets, weights, learnt = (
+        {name: getattr(network, part) for name, network in networks.items()}
+        for part in ("net", "variables", "targets")
+    )
+    after, pose = jax.jit(make_forward(nets, learnt))(weights, pins)
     found = session.run(["unsheared", "pose"], {"pins": pins})
     np.testing.assert_allclose(found[0], after, atol=1e-3)
-    np.testing.assert_allclose(found[1].T, [pose[target.name] for target in learnt], atol=1e-3)
+    np.testing.assert_allclose(
+        found[1].T, [pose[target.name] for target in learnt["posenet"]], atol=1e-3
+    )
 
 
 def test_what_differs_is_refused_and_leaves_nothing(run_dir, tmp_path, capsys):

@@ -11,20 +11,16 @@ from PIL import Image
 
 from jaxunshear.apps.robot import frame_sources
 from jaxunshear.apps.robot.frame_sources import SourceFrame, open_frames
-from jaxunshear.apps.robot.stream import StreamModel, StreamOutput, make_steady_view, stream
+from jaxunshear.apps.robot.stream import make_steady_view, stream
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
 from jaxunshear.data.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.inference.perceiver import load_sensor_appearance
+from jaxunshear.inference.forward import UNSHEARED
+from jaxunshear.inference.readers import ImageReader, Predictions
+from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.perception.pin_drawing import draw_dots
-from jaxunshear.perception.rest_positions import compute_rest_lattice
-from jaxunshear.perception.sensor_check import (
-    FOREIGN_REASON,
-    MIN_PLAUSIBILITY,
-    NO_MINIMUM,
-    UNIDENTIFIED_REASON,
-)
+from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
 
 EXPERIMENT = load_experiment("experiments/tiny.py")
 
@@ -33,25 +29,21 @@ def dots(seed=0, size=128):
     return (np.random.default_rng(seed).random((size, size)) < 0.2).astype(np.uint8) * 255
 
 
-def step(image):
-    return StreamOutput(image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9)
+class StandIn(TrainedModel):
+    """A model that unshears nothing; its networks take `seconds`."""
+
+    seconds = 0.0
+
+    def predict(self, images):
+        time.sleep(self.seconds)
+        poses = {UNSHEARED: {"edge_mm": np.array([0.25]), "edge_deg": np.array([-3.0])}}
+        return Predictions(images / 255.0, poses, {}, np.array([""]), np.array([0.9]))
 
 
 def run(frames, live=False, seconds=0.0, images=None, inline=True):
-    out = io.StringIO()
-
-    def slow(image):
-        time.sleep(seconds)
-        return step(image)
-
-    summary = stream(
-        iter(frames),
-        live,
-        StreamModel(slow, EXPERIMENT.paired.preprocess, None),
-        out,
-        images,
-        inline,
-    )
+    out, model = io.StringIO(), StandIn(None, EXPERIMENT)
+    model.seconds = seconds
+    summary = stream(iter(frames), live, model, out, images, inline)
     return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
 
@@ -82,58 +74,41 @@ def test_bad_frames_are_reported_and_skipped():
 
 def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
     """One is noise, another has no identified pins; with `force` only the latter is refused."""
-    preprocess = EXPERIMENT.paired.preprocess
-    expected = load_sensor_appearance(None, EXPERIMENT)
-    known = compute_rest_lattice(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
-    pins = np.uint8(
-        255 * np.asarray(draw_dots(np.float32(known.rest)[None], 1.5, preprocess.size))[0, ..., 0]
-        + 0.5
-    )
+    model = TrainedModel(None, EXPERIMENT)
+    preprocess = model.preprocess
+    drawn = np.asarray(draw_dots(np.float32(model.lattice.rest)[None], 1.5, preprocess.size))
+    pins = np.uint8(255 * drawn[0, ..., 0] + 0.5)
     frames = [
         SourceFrame(0, "pins", pins, ""),
         SourceFrame(1, "noise", dots(), ""),
         SourceFrame(2, "hidden", pins, ""),
     ]
+    model.targets = ("edge_mm",)
+    model._forward = lambda values: (values, {UNSHEARED: {"edge_mm": np.array([0.25])}})
 
-    def answer(least):
-        sure, out = iter((True, True, False)), io.StringIO()
-        robot = StreamModel(
-            lambda image: step(image)._replace(identified=next(sure)),
-            preprocess,
-            None,
-            expected,
-            least,
+    def answer(force):
+        model.force, out = force, io.StringIO()
+        identified = iter(([True], [True], [False]))
+        model.reader = ImageReader()
+        read = model.reader.read
+        model.reader.read = lambda images: read(images)._replace(
+            identified=np.array(next(identified))
         )
         summary = stream(
-            iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number}
+            iter(frames), False, model, out, None, True, lambda number: {"edge_mm": 0.25 - number}
         )
         return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
-    summary, lines = answer(MIN_PLAUSIBILITY)
-    assert (summary.used, summary.skipped, summary.problems) == (
-        1,
-        2,
-        {FOREIGN_REASON: 1, UNIDENTIFIED_REASON: 1},
-    )
+    summary, lines = answer(False)
+    assert (summary.used, summary.skipped) == (1, 2)
+    assert summary.problems == {FOREIGN_REASON: 1, UNIDENTIFIED_REASON: 1}
     assert lines[0]["confidence"] > 0.5 and summary.pose_mae == {"edge_mm": 0}
     for line, reason in zip(lines[1:], (FOREIGN_REASON, UNIDENTIFIED_REASON), strict=True):
         assert line.keys() == {"frame", "name", "confidence", "error"}
         assert (line["confidence"], line["error"]) == (0, reason)
-    summary, lines = answer(NO_MINIMUM)
-    assert (summary.used, summary.problems) == (2, {UNIDENTIFIED_REASON: 1}) and lines[1][
-        "confidence"
-    ] < 0.01
-
-
-@pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
-def test_other_kinds_of_frames_are_used(kind):
-    grey = np.kron(dots(2, 64), np.ones((4, 4), np.uint8))
-    pixels = {
-        "sixteen bits": grey.astype(np.uint16) * 257,
-        "colour": np.repeat(grey[..., None], 3, -1),
-        "rectangle": np.pad(grey, ((0, 0), (40, 40))),
-    }[kind]
-    assert run([SourceFrame(0, kind, pixels, "")])[0].used == 1
+    summary, lines = answer(True)
+    assert (summary.used, summary.problems) == (2, {UNIDENTIFIED_REASON: 1})
+    assert lines[1]["confidence"] < 0.01
 
 
 class Capture:

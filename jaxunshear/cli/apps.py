@@ -1,0 +1,207 @@
+"""Commands with extras of their own: stream, export, explore."""
+
+import argparse
+import contextlib
+import importlib.util
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from jaxunshear.cli.models import apply
+from jaxunshear.cli.options import (
+    CAMERA_MODEL,
+    Command,
+    choose_exit_code,
+    flag,
+    integer,
+    json_file,
+    model_dir,
+    option,
+    parse_stimuli,
+    path,
+)
+from jaxunshear.errors import UserError
+from jaxunshear.files import explain_os_error
+from jaxunshear.output_checks import check_new_file, check_new_folder, check_not_among
+from jaxunshear.protected_folders import check_outside
+from jaxunshear.results.applications import StreamResult
+
+if TYPE_CHECKING:
+    from jaxunshear.inference.trained_model import TrainedModel
+
+SHOWN_PROBLEMS = 5
+
+
+def stream(arguments: argparse.Namespace, command: str) -> int:
+    _check_stream(arguments)
+    if arguments.like is None and Path(arguments.source).is_dir():
+        arguments.like = Path(arguments.source)
+    summary = apply(_stream, arguments, command)
+    return choose_exit_code(summary.used, summary.skipped)
+
+
+def _stream(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> StreamResult:
+    from jaxunshear.apps.robot.frame_sources import make_label_reader, open_frames
+    from jaxunshear.apps.robot.stream import stream
+
+    model.with_sheared_poses = False
+    model.compile(1)
+    frames, live = open_frames(arguments.source, model.preprocess, arguments.fps)
+    read_labels = make_label_reader(arguments.source, model)
+    with _open_lines(arguments.lines) as lines:
+        summary = stream(
+            frames, live, model, lines, arguments.images, not arguments.no_images, read_labels
+        )
+    _print_summary(summary)
+    print(f"note: {model.source.describe()}", file=sys.stderr)
+    for problem, count in list(summary.problems.items())[:SHOWN_PROBLEMS]:
+        print(f"skipped {count}: {problem}", file=sys.stderr)
+    return summary
+
+
+def _check_stream(arguments: argparse.Namespace) -> None:
+    if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
+        raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
+    if arguments.images is not None and Path(arguments.source).exists():
+        check_not_among(Path(arguments.source), arguments.images, "--images")
+    check_new_file(arguments.lines, "--lines")
+    check_new_folder(arguments.images, "--images")
+    check_outside(arguments.lines, "--lines")
+    check_outside(arguments.images, "--images")
+
+
+def _print_summary(summary: StreamResult) -> None:
+    latency = summary.latency_ms
+    times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
+    print(
+        f"{summary.used} frames used, {summary.skipped} skipped, {summary.dropped} dropped{times}",
+        file=sys.stderr,
+    )
+    if summary.pose_mae:
+        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary.pose_mae.items())
+        print(f"mean error against the labels: {errors}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _open_lines(path: Path | None) -> Iterator[TextIO]:
+    """Open the file of the lines, or standard output.
+
+    Raises UserError if the file can no longer be written, also when it is closed.
+    """
+    if path is None:
+        yield sys.stdout
+        return
+    try:
+        with path.open("w") as file:
+            yield file
+    except OSError as error:
+        if error.filename not in (None, str(path)):
+            raise
+        raise explain_os_error(path, error) from error
+
+
+def export(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.apps.export.export import export_model
+
+    batch = None
+    if arguments.batch != "any":
+        try:
+            batch = int(arguments.batch)
+        except ValueError:
+            raise UserError(f"--batch {arguments.batch}: use a number, or any") from None
+    export_model(arguments.model, arguments.file, batch, arguments.preprocess)
+    return 0
+
+
+def explore(arguments: argparse.Namespace, command: str) -> int:
+    if importlib.util.find_spec("nicegui") is None:
+        raise UserError(
+            "the page needs the extra `explore`: pip install -c constraints.txt '.[explore]'"
+        )
+    _check_port(arguments.port)
+    from jaxunshear.apps.explore.explorer import make_explorer
+    from jaxunshear.inference.trained_model import load_model
+    from jaxunshear.simulator.stimuli import make_stimulus
+
+    stimuli = parse_stimuli(arguments.stimulus) if arguments.stimulus else ()
+    model = load_model(arguments.model, arguments.like)
+    explorer = make_explorer(model, tuple(map(make_stimulus, stimuli)))
+    explorer.warm()
+    from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone
+
+    print(f"http://{HOST}:{arguments.port} (Ctrl+C ends it)", flush=True)
+    serve(explorer, arguments.port)
+    return 0
+
+
+def _check_port(port: int) -> None:
+    if not 1 <= port <= 65535:
+        raise UserError(f"--port {port}: use 1 to 65535")
+    try:
+        with socket.create_server(("127.0.0.1", port)):
+            pass
+    except OSError as error:
+        raise UserError(f"--port {port} cannot be had ({error.strerror}): name another") from None
+
+
+COMMANDS = (
+    Command(
+        "stream",
+        "perception for a robot: frames in; unsheared image, pose and confidence out, "
+        "a JSON line each",
+        stream,
+        (
+            option("source", "SOURCE", "a folder, an image, a video file, or camera:N"),
+            *CAMERA_MODEL,
+            option(
+                "--fps", "N", "play a folder or video at this rate, as a camera would", type=float
+            ),
+            path("--lines", "FILE", "for the JSON lines (default: standard output)"),
+            [
+                path("--images", "DIR", "for unsheared images (default: within the lines)"),
+                flag("--no-images", "leave them out"),
+            ],
+            json_file("the summary, with command, machine and versions"),
+        ),
+        checks_out=False,
+    ),
+    Command(
+        "export",
+        "a trained model as one file for a robot's computer: ONNX, or StableHLO",
+        export,
+        (
+            path(
+                "model",
+                "MODEL",
+                "a finished run (runs/demo), or released weights by name (standard)",
+            ),
+            path(
+                "--out", "FILE", "its name ends in .onnx or .stablehlo", dest="file", required=True
+            ),
+            option("--batch", "N", "how many images it takes at once (any)", default="any"),
+            path(
+                "--preprocess",
+                "FRAMES",
+                "the file takes frames of a camera as they come; "
+                "these show their size and where the dome stands",
+            ),
+        ),
+    ),
+    Command(
+        "explore",
+        "press and slide the dome over a shape with the mouse, on a page of this machine",
+        explore,
+        (
+            model_dir(),
+            CAMERA_MODEL[1],
+            option(
+                "--stimulus",
+                "FILE,FILE",
+                "outlines in files (.svg, .csv, .json) to be touched, too",
+            ),
+            integer("--port", "of this machine alone (8080)", 8080),
+        ),
+    ),
+)

@@ -1,0 +1,270 @@
+"""Commands that take an experiment: run, data, train, evaluate, fit; and sweep."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxunshear.cli.options import (
+    DATA,
+    EXPERIMENT,
+    Command,
+    Option,
+    engine,
+    flag,
+    json_file,
+    option,
+    path,
+    read_engine_options,
+)
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.network_config import list_trained_networks
+from jaxunshear.errors import UserError
+from jaxunshear.protected_folders import check_outside
+
+if TYPE_CHECKING:
+    from jaxunshear.config.sweep import Sweep
+
+NETWORKS = "networks"  # stands for those of the experiment
+STAGES = {
+    "data": ("data",),
+    "train": (NETWORKS,),
+    "evaluate": ("evaluate",),
+    "run": ("data", NETWORKS, "evaluate", "report"),
+    "fit": ("data", NETWORKS, "evaluate", "report"),
+}
+
+
+def run_stages(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.model_folders import find_model_folder
+
+    ray_options = read_engine_options(arguments)
+    if arguments.command == "fit":
+        experiment = _write_fit_experiment(arguments)
+    elif arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
+        arguments.file = folder
+        experiment = _load_finished_experiment(arguments)
+        if arguments.recordings:
+            _score_recordings(experiment, arguments, command)
+            return 0
+    else:
+        experiment = _read_experiment(arguments)
+    networks = _select_networks(arguments, experiment)
+    json = getattr(arguments, "json", None)
+    check_outside(json, "--json", home=arguments.out / experiment.name)
+    stages: list[str] = []
+    for stage in STAGES[arguments.command]:
+        stages += networks if stage == NETWORKS else [stage]
+    from jaxunshear.allocator import keep_freed_memory
+    from jaxunshear.cluster import make_ray_runner, run_locally
+    from jaxunshear.run import run_stages
+
+    keep_freed_memory()
+    results = run_stages(
+        experiment,
+        tuple(stages),
+        out=arguments.out,
+        data=arguments.data,
+        command=command,
+        run_calls=make_ray_runner(*ray_options) if ray_options else run_locally,
+    )
+    if results and json:
+        from jaxunshear.evaluation.measurements import build_measurements
+        from jaxunshear.results.record_files import write_record
+
+        write_record(json, build_measurements(results))
+    return 0
+
+
+def _select_networks(arguments: argparse.Namespace, experiment: Experiment) -> tuple[str, ...]:
+    networks = list_trained_networks(experiment)
+    network = getattr(arguments, "network", None)
+    if not network:
+        return networks
+    if network not in networks:
+        raise UserError(
+            f"--network {network} is none of this experiment's: use {', '.join(networks)}"
+        )
+    return (network,)
+
+
+def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
+    """Return the experiment of FILE with fields changed, before it is checked.
+
+    It has no recordings yet.
+    """
+    from jaxunshear.config.fields import override_fields
+    from jaxunshear.config.load import load_experiment
+    from jaxunshear.config.sweep import get_base
+    from jaxunshear.fit import BASE_EXPERIMENT
+    from jaxunshear.model_folders import find_model_folder, load_settings
+
+    if arguments.command == "sweep":
+        return get_base(_read_sweep(arguments, fields))
+    if arguments.command == "fit":
+        return override_fields(BASE_EXPERIMENT, fields)
+    if arguments.command == "evaluate" and (folder := find_model_folder(arguments.file)).is_dir():
+        return load_settings(folder)
+    experiment = _apply_sensor(load_experiment(arguments.file), arguments)
+    return override_fields(experiment, fields)
+
+
+def _apply_sensor(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
+    from jaxunshear.config.preset import apply_preset
+
+    file = arguments.sensor_from
+    return apply_preset(experiment, file) if file else experiment
+
+
+def _apply_recordings(experiment: Experiment, arguments: argparse.Namespace) -> Experiment:
+    from jaxunshear.fit import set_recordings
+
+    folder = str(arguments.recordings or "")
+    return set_recordings(experiment, folder, folder) if folder else experiment
+
+
+def _read_experiment(arguments: argparse.Namespace) -> Experiment:
+    from jaxunshear.config.rules import validate
+
+    experiment = _apply_recordings(read_base(arguments, arguments.fields), arguments)
+    validate(experiment)
+    return experiment
+
+
+def _write_fit_experiment(arguments: argparse.Namespace) -> Experiment:
+    """Write the experiment of `fit` beside its results."""
+    from jaxunshear.config.fields import override_fields
+    from jaxunshear.config.rules import validate
+    from jaxunshear.fit import BASE_EXPERIMENT, set_recordings, write_experiment
+
+    if not (arguments.taps or arguments.slides):
+        raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
+    experiment = override_fields(BASE_EXPERIMENT, ["--name", "fit", *arguments.fields])
+    folders = (arguments.taps, arguments.slides, arguments.pairs)
+    experiment = set_recordings(experiment, *(str(folder or "") for folder in folders))
+    validate(experiment)
+    file = arguments.out / f"{experiment.name}.py"
+    write_experiment(experiment, file)
+    print(f"experiment: {file}")
+    return experiment
+
+
+def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
+    from jaxunshear.model_folders import load_settings
+
+    if arguments.fields or arguments.sensor_from:
+        name = arguments.fields[0] if arguments.fields else "--sensor-from"
+        raise UserError(
+            f"{name}: the settings of a finished run stay as they are; "
+            "name its experiment file to change them"
+        )
+    experiment = load_settings(arguments.file)
+    folder = arguments.file.resolve()
+    arguments.out = folder.parent
+    return replace(experiment, name=folder.name)
+
+
+def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
+    from jaxunshear.evaluation.measurements import build_measurements
+    from jaxunshear.evaluation.other_recordings import format_table, score_recordings
+    from jaxunshear.evaluation.sim_to_real import score_transfer
+    from jaxunshear.results.record_files import write_record
+
+    if experiment.paired.is_simulated:
+        results = score_transfer(experiment, arguments.file, arguments.recordings, command)
+    else:
+        results = score_recordings(
+            experiment, arguments.file, arguments.recordings, arguments.data, command
+        )
+    print(format_table(results))
+    if arguments.json:
+        write_record(arguments.json, build_measurements(results))
+
+
+def _read_sweep(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
+    from jaxunshear.config.sweep import load_sweep, override_base
+
+    sweep = load_sweep(arguments.file)
+    return override_base(replace(sweep, base=_apply_sensor(sweep.base, arguments)), fields)
+
+
+def sweep(arguments: argparse.Namespace, command: str) -> int:
+    """Run a sweep and print its table. Return 0, or 1 if a row failed."""
+    ray_options = read_engine_options(arguments)
+    from jaxunshear.config.sweep import check_sweep, parse_seeds
+
+    sweep = _read_sweep(arguments, arguments.fields)
+    sweep = replace(sweep, base=_apply_recordings(sweep.base, arguments))
+    if arguments.seeds is not None:
+        sweep = replace(sweep, seeds=parse_seeds(arguments.seeds))
+    check_sweep(sweep, str(arguments.file))
+
+    from jaxunshear.results.record_files import write_record
+    from jaxunshear.sweep import engines
+    from jaxunshear.sweep.run import run_sweep
+    from jaxunshear.sweep.summary_table import format_table
+
+    check_outside(arguments.json, "--json", home=arguments.out / sweep.name)
+    engine: engines.Engine = engines.run_serially
+    if ray_options:
+        engine = engines.make_ray_engine(*ray_options)
+    summary = run_sweep(
+        sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed
+    )
+    print(format_table(summary))
+    print(arguments.out / sweep.name / "sweep.json")
+    if arguments.json is not None:
+        write_record(arguments.json, summary)
+    return 1 if any(cell.failures for cell in summary.cells) else 0
+
+
+OUT = path("--out", "DIR", "results: DIR/<name> (runs)", default=Path("runs"))
+FILE = path("file", "FILE", "a Python file, such as experiments/demo.py")
+BASE = (FILE, OUT, DATA, *EXPERIMENT)
+FIT = (
+    path("--taps", "DIR", "recorded taps"),
+    path("--slides", "DIR", "recorded slides"),
+    path("--pairs", "FILE", "CSV with columns slide and tap: which belong together"),
+    *(OUT, DATA, json_file()),
+)
+SWEEP = (
+    path("file", "FILE", "such as experiments/ablations/lambda_split.py, or an experiment"),
+    path("--out", "DIR", "DIR/<name> (runs/sweeps)", default=Path("runs/sweeps")),
+    *(DATA, *EXPERIMENT),
+    option("--seeds", "N,N,...", "instead of those in FILE"),
+    *engine("row"),
+    flag("--retry-failed", "also try rows again that failed"),
+    json_file("sweep.json here, too"),
+)
+SIMULATION = engine("chunk of contacts")
+NETWORK = option("--network", "NAME", "only this one of the experiment's (default: all)")
+HELP = {
+    "run": "all of the next three and the report; continues where a stopped run left off",
+    "data": "simulate the two data sets",
+    "train": "train the networks",
+    "evaluate": "measure the networks on held-out poses",
+    "fit": "fit networks to your own recordings: writes an experiment about them, and runs it",
+    "sweep": "run an experiment over grids of settings and seeds; "
+    "continues where a stopped sweep left off",
+}
+OPTIONS: dict[str, tuple[Option, ...]] = {
+    "run": (*BASE, json_file(), *SIMULATION),
+    "data": (*BASE, *SIMULATION),
+    "train": (*BASE, NETWORK),
+    "evaluate": (*BASE, json_file()),
+    "fit": FIT,
+    "sweep": SWEEP,
+}
+COMMANDS = tuple(
+    Command(
+        name,
+        text,
+        sweep if name == "sweep" else run_stages,
+        OPTIONS[name],
+        takes_fields="--taps DIR --slides DIR" if name == "fit" else "FILE",
+        is_resumable=name != "evaluate",
+        checks_out=False,
+    )
+    for name, text in HELP.items()
+)

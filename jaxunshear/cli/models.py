@@ -1,0 +1,324 @@
+"""Commands that put networks to use: unshear, pose, pins, geometry, servo, reconstruct."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from jaxunshear.cli.options import (
+    CAMERA_MODEL,
+    ROWS,
+    STIMULUS,
+    Command,
+    Option,
+    choose_exit_code,
+    integer,
+    json_file,
+    model_dir,
+    option,
+    parse_stimuli,
+    path,
+)
+from jaxunshear.config.stimuli import list_stimulus_names
+from jaxunshear.errors import UserError
+from jaxunshear.output_checks import check_new_folder, check_not_among
+from jaxunshear.protected_folders import check_outside
+from jaxunshear.results.folders import find_results_folder
+
+if TYPE_CHECKING:
+    from jaxunshear.inference.trained_model import TrainedModel
+    from jaxunshear.perception.lattice import Lattice
+    from jaxunshear.perception.lattice_fitting import MarkerLayout
+
+IMAGES = "an image, or a folder of recordings"
+GEOMETRY_COLUMNS = (
+    *("name", "contacts", "unmatched", "correlation", "rmse_mm", "largest_mm", "ms_per_image"),
+)
+SERVO_COLUMNS = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
+OBJECT_COLUMNS = (
+    *("name", "walks", "closed", "iou", "iou_felt"),
+    *("mean_mm", "hausdorff_mm", "height_rms_mm"),
+)
+
+
+def infer(arguments: argparse.Namespace, command: str) -> int:
+    from dataclasses import replace
+
+    from jaxunshear.files import write_json
+    from jaxunshear.inference.infer import predict_recordings, unshear_recordings
+
+    shared = {"force": arguments.force, "like": arguments.like}
+    if arguments.command == "unshear":
+        measured = unshear_recordings(arguments.path, arguments.model, arguments.out, **shared)
+    else:
+        measured = predict_recordings(arguments.path, arguments.model, **shared)
+    if arguments.json:
+        write_json(arguments.json, replace(measured, command=command))
+    counts = {row.name: row.value or 0 for row in measured.rows}
+    name = arguments.command
+    return choose_exit_code(counts[f"{name}.images"], counts[f"{name}.left_out"])
+
+
+Outcome = TypeVar("Outcome")  # a record of results
+
+
+def apply(
+    application: Callable[..., Outcome], arguments: argparse.Namespace, command: str
+) -> Outcome:
+    """Run an application of arguments, folder and model; write its results and return them.
+
+    Those of a finished run's networks go to its own folder, where its report finds them, unless
+    --out names another. Those of a command without --out are written nowhere else.
+    """
+    from jaxunshear.metrics.machine import describe_provenance
+    from jaxunshear.results.record_files import write_record
+    from jaxunshear.results.training_summaries import read_training_facts
+
+    model, given = None, vars(arguments)
+    if arguments.model:
+        from jaxunshear.inference.trained_model import load_model
+
+        model = load_model(arguments.model, given.get("like"), given.get("force", False))
+    finished = model is not None and (model.folder / "results.json").is_file()
+    home = find_results_folder(model.folder if model and finished else Path(), arguments.command)
+    out = given.get("out") or home
+    check_new_folder(out)
+    if out.resolve() != home.resolve():
+        check_outside(out, "--out")
+    outcome = application(arguments, out, model)
+    results = describe_provenance(command) | vars(outcome)
+    if model:
+        results |= read_training_facts(model.folder, model.experiment.networks)
+    if arguments.json:
+        write_record(arguments.json, results)
+    if finished or "out" in given:
+        write_record(out / f"{arguments.command}.json", results)
+    if model and finished and out == home:
+        from jaxunshear.report.report import write_report
+
+        print(write_report(model.folder), file=sys.stderr)
+    return outcome
+
+
+def pins(arguments: argparse.Namespace, out: Path, model: "TrainedModel | None") -> object:
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.config.sensor import get_sensor
+    from jaxunshear.data.recorded_pins import find_pins, summary
+    from jaxunshear.data.recordings import read_recordings
+    from jaxunshear.files import write_bytes, write_npz, write_text
+    from jaxunshear.perception.lattice_fitting import make_layout, read_layout
+
+    if not arguments.path.exists():
+        raise UserError(f"{arguments.path} does not exist: name {IMAGES}")
+    for recordings in filter(None, (arguments.path, arguments.rest)):
+        check_not_among(recordings, out, "--out")
+        read_recordings(recordings, Preprocess())  # refuses a place without images
+    size = arguments.size
+    if size is not None and not 32 <= size <= 2048:
+        raise UserError(f"--size {size}: use 32 to 2048 px")
+    preprocess = Preprocess(size=size) if size else None
+    lattice: Lattice | MarkerLayout
+    if model:
+        preprocess = model.require_simulation("pins --model").preprocess
+        if size or arguments.rest:
+            raise UserError(
+                "--model knows the images' size and the untouched pins: leave --size and --rest out"
+            )
+        lattice = model.lattice
+    elif arguments.layout:
+        lattice = read_layout(arguments.layout)
+    else:
+        lattice = make_layout(get_sensor(arguments.sensor))
+    found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
+    from jaxunshear.report.pin_figure import plot_pins
+    from jaxunshear.serialization import format_csv, to_builtins
+
+    arrays = {
+        "name": found.name,
+        "sure": found.sure,
+        "place_px": found.place_px.astype("float32"),
+        "motion_px": found.motion_px.astype("float32"),
+        "undeformed_px": found.lattice.rest.astype("float32"),
+    }
+    write_npz(out / "pins.npz", arrays, compressed=True)
+    write_text(out / "pins.csv", format_csv(to_builtins(found.table.rows)))
+    write_bytes(out / "pins.png", plot_pins(found.lattice, found.shown))
+    print(summary(found.table))
+    print(out / "pins.png")
+    return found.table
+
+
+def geometry(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
+    from jaxunshear.config.image import Preprocess
+    from jaxunshear.data.recordings import read_recordings
+    from jaxunshear.downstream.geometry_scores import estimate_recorded_heights, score_geometry
+    from jaxunshear.files import write_bytes
+    from jaxunshear.report.geometry_figure import plot_contacts, plot_recordings
+    from jaxunshear.serialization import to_builtins
+    from jaxunshear.text_table import format_text_table
+
+    if arguments.path is not None:
+        # refuses a place without images before there is work to lose
+        read_recordings(arguments.path, Preprocess())
+        check_not_among(arguments.path, out, "--out")
+    scores = score_geometry(model, arguments.contacts)
+    names = model.require_simulation("geometry").names
+    figure = plot_contacts(model.lattice, names, scores.contacts, scores.geometry)
+    write_bytes(out / "geometry.png", figure)
+    print(format_text_table([to_builtins(row) for row in scores.table.rows], GEOMETRY_COLUMNS))
+    print(out / "geometry.png")
+    if arguments.path is not None:
+        heights = estimate_recorded_heights(arguments.path, model, scores)
+        write_bytes(out / "recordings.png", plot_recordings(model.lattice, heights))
+        print(out / "recordings.png")
+    return scores.table
+
+
+def servo(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
+    from jaxunshear.downstream.servo import ServoTask
+    from jaxunshear.downstream.servo_scores import servo
+    from jaxunshear.files import write_bytes
+    from jaxunshear.report.trajectory_figure import plot_trajectories
+    from jaxunshear.results.applications import TrajectoryScore, TrajectoryScores
+    from jaxunshear.text_table import format_text_table
+
+    tasks = [
+        ServoTask(stimulus, arguments.starts, arguments.depth, seed=arguments.seed)
+        for stimulus in parse_stimuli(arguments.stimulus)
+    ]
+    ways = tuple(arguments.ways.split(",")) if arguments.ways else None
+    rows: list[TrajectoryScore] = []
+    for result in servo(model, tasks, ways, out):
+        name = str(result.task.stimulus)
+        rows += result.scores
+        write_bytes(
+            out / f"{name}.png", plot_trajectories(result.trajectories, result.contour, name)
+        )
+        print(format_text_table([vars(row) for row in result.scores], SERVO_COLUMNS))
+    print(out)
+    return TrajectoryScores(rows)
+
+
+def reconstruct(arguments: argparse.Namespace, out: Path, model: "TrainedModel") -> object:
+    from jaxunshear.downstream.object_reconstruction import reconstruct
+    from jaxunshear.downstream.servo import load_trajectories
+    from jaxunshear.files import write_bytes
+    from jaxunshear.report.object_figure import PICTURES, plot_objects
+    from jaxunshear.results.applications import ObjectScore, ObjectScores
+    from jaxunshear.text_table import format_text_table
+
+    model.require_simulation("reconstruct")  # a model of recordings has no trajectories
+    files = _find_trajectory_files(arguments, out)
+    rows: list[ObjectScore] = []
+    for result in reconstruct(model, [load_trajectories(file) for file in files]):
+        name = str(result.task.stimulus)
+        rows += result.scores
+        for method, (file_name, text) in PICTURES.items():
+            solids = {way: solid for (by, way), solid in result.objects.items() if by == method}
+            write_bytes(out / f"{name}-{file_name}.png", plot_objects(name, solids, text))
+        print(format_text_table([vars(row) for row in result.scores], OBJECT_COLUMNS))
+    print(out)
+    return ObjectScores(rows)
+
+
+def _find_trajectory_files(arguments: argparse.Namespace, out: Path) -> list[Path]:
+    names = list(list_stimulus_names(parse_stimuli(arguments.stimulus)))
+    if arguments.stimulus == "all":  # outlines in files, too
+        names += sorted({file.stem for file in out.glob("*.npz")} - set(names))
+    files = {name: out / f"{name}.npz" for name in names}
+    missing = [name for name, file in files.items() if not file.is_file()]
+    if len(missing) == len(names):
+        raise UserError(
+            f"--out {out} holds no walks: "
+            f"run `jaxunshear servo --model {arguments.model} --out {out}` first"
+        )
+    if arguments.stimulus != "all" and missing:
+        raise UserError(
+            f"--stimulus {', '.join(missing)}: {out} holds no walk of it; "
+            "run `jaxunshear servo` for it first"
+        )
+    return [file for name, file in files.items() if name not in missing]
+
+
+def _make_command(
+    name: str,
+    text: str,
+    application: Callable[..., object],
+    *options: Option | list[Option],
+) -> Command:
+    def run(arguments: argparse.Namespace, command: str) -> int:
+        apply(application, arguments, command)
+        return 0
+
+    return Command(name, text, run, options, is_resumable=name == "servo", checks_out=False)
+
+
+COMMANDS = (
+    Command(
+        "unshear",
+        "take the slide out of recorded images; also predicts their poses",
+        infer,
+        (
+            path("path", "PATH", IMAGES),
+            *CAMERA_MODEL,
+            path("--out", "DIR", "for images and poses.csv", required=True),
+            json_file(),
+        ),
+    ),
+    Command(
+        "pose",
+        "predict the poses of recorded images, as they are and unsheared",
+        infer,
+        (path("path", "PATH", IMAGES), *CAMERA_MODEL, json_file()),
+    ),
+    _make_command(
+        "pins",
+        "find, identify and draw the pins of recorded images",
+        pins,
+        path("--out", "DIR", "for the results (pins)"),
+        json_file(ROWS),
+        path("path", "IMAGES", IMAGES),
+        [
+            option("--sensor", "NAME", "whose pins they are (tactip331)", default="tactip331"),
+            path("--layout", "FILE", "instead: x and y of each pin, a line each, any unit"),
+            path("--model", "DIR", "instead: images of the sensor and camera of this run"),
+        ],
+        path("--rest", "IMAGES", "of the untouched sensor (default: the images' mean)"),
+        option("--size", "PX", "of the prepared images (theirs, at most 256)", type=int),
+    ),
+    _make_command(
+        "geometry",
+        "contact geometry of taps, sheared and unsheared images",
+        geometry,
+        path("--out", "DIR", "for the results (geometry)"),
+        json_file(ROWS),
+        path("path", "IMAGES", "also of these recordings", nargs="?"),
+        model_dir(),
+        integer("--contacts", "fresh ones to be scored on, at least 5 of each shape (300)", 300),
+    ),
+    _make_command(
+        "servo",
+        "follow the outlines of objects by touch, in the simulator",
+        servo,
+        path("--out", "DIR", "for the results (servo)"),
+        json_file(ROWS),
+        model_dir(),
+        STIMULUS,
+        integer("--starts", "for each way of perceiving (5)", 5),
+        option(
+            "--ways", "NAME,NAME", "of perceiving (default: all that the model's networks allow)"
+        ),
+        option("--depth", "MM", "of the contact (3)", type=float, default=3.0),
+        integer("--seed", "of the starts (0)", 0),
+    ),
+    _make_command(
+        "reconstruct",
+        "complete objects from the walks that `servo` left",
+        reconstruct,
+        path("--out", "DIR", "where they are, and results go"),
+        json_file(ROWS),
+        model_dir(),
+        STIMULUS,
+    ),
+)

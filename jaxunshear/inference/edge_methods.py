@@ -1,0 +1,143 @@
+"""Methods of perception in the simulator: from a binary image to the edge, or to unsheared pins.
+
+>>> model = load_model("standard")
+>>> estimators = make_edge_estimators(model, ("sheared", "disentangled"))
+>>> edge_mm, edge_deg = estimators["disentangled"](images)   # (B, S, S) uint8 of {0, 255} -> (B,)
+
+Each method loads its own networks only. Methods have the same names whether a run's networks take
+images or pins; pins are first detected and tracked in the image.
+"""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+import jax
+import numpy as np
+from jax import Array
+
+from jaxunshear.config.registry import (
+    DISENTANGLED,
+    ENTANGLED,
+    ENTANGLED_LARGE,
+    POSENET,
+    POSENET_SHEARED,
+    UNET,
+    UNSHEARING,
+)
+from jaxunshear.config.targets import list_target_names
+from jaxunshear.errors import UserError
+from jaxunshear.inference.forward import make_forward, scale_inputs
+from jaxunshear.inference.trained_model import TrainedModel
+from jaxunshear.models.dispatch import unshear
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.weights import Variables
+from jaxunshear.training.checkpoint import compute_weights_digest
+
+TRUE_POSE = "true"  # the pose that the simulator knows
+METHODS = {  # name: the networks it runs, in this order
+    "sheared": (POSENET,),
+    ENTANGLED: (ENTANGLED, POSENET),
+    DISENTANGLED: (DISENTANGLED, POSENET),
+    ENTANGLED_LARGE: (ENTANGLED_LARGE, POSENET),
+    UNET: (UNET, POSENET),
+    "learnt": (POSENET_SHEARED,),
+}
+EDGE_TARGETS = ("edge_mm", "edge_deg")
+# images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN if the networks need
+# pins and these are not identified
+EdgeEstimator = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows if
+# pins are not identified
+Unshear = Callable[[np.ndarray], np.ndarray]
+
+
+def list_methods(model: TrainedModel) -> tuple[str, ...]:
+    """List the methods that the trained networks of a model allow."""
+    trained = set(model.networks)
+    return tuple(method for method, networks in METHODS.items() if trained.issuperset(networks))
+
+
+def compute_network_digests(model: TrainedModel, methods: Iterable[str]) -> dict[str, str]:
+    """Compute a digest of the networks of each of `methods`; that of the true pose is empty.
+
+    Raises `UserError` if a network is missing.
+    """
+    digests: dict[str, str] = {}
+    by_method = {}
+    for method in methods:
+        networks = METHODS.get(method, ())
+        for name in networks:
+            if name not in digests:
+                digests[name] = compute_weights_digest(model.folder / name)
+        by_method[method] = " ".join(digests[name] for name in networks)
+    return by_method
+
+
+def make_edge_estimators(
+    model: TrainedModel, methods: Iterable[str]
+) -> dict[str, EdgeEstimator | None]:
+    """Make an estimator for each of `methods`; None for the true pose.
+
+    Raises `UserError` for an unknown method, or if a network is missing.
+    """
+    estimators: dict[str, EdgeEstimator | None] = {}
+    for method in methods:
+        if method not in (TRUE_POSE, *METHODS):
+            raise UserError(
+                f"perception '{method}' is unknown: use {TRUE_POSE}, {', '.join(METHODS)}"
+            )
+        estimators[method] = None if method == TRUE_POSE else _make_edge_estimator(model, method)
+    return estimators
+
+
+def _make_edge_estimator(model: TrainedModel, method: str) -> EdgeEstimator:
+    networks = {name: model.load_network(name) for name in METHODS[method]}
+    nets = {name: network.net for name, network in networks.items()}
+    targets = {name: network.targets for name, network in networks.items()}
+    names = list_target_names(targets[METHODS[method][-1]])
+    if not set(EDGE_TARGETS) <= set(names):
+        raise UserError(
+            f"{model.folder} reads {', '.join(names)}: an edge is followed by edge_mm and edge_deg"
+        )
+    forward = make_forward(nets, targets)
+    reader = model.simulated_reader
+
+    def predict_edge(variables: Variables, inputs: Array) -> tuple[Array, Array]:
+        _, pose = forward(variables, inputs)
+        return pose["edge_mm"], pose["edge_deg"]
+
+    variables = {name: network.variables for name, network in networks.items()}
+    run = jit_for_inference(predict_edge, variables)
+
+    def estimate_edge(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inputs = reader.read(images)
+        edge_mm, edge_deg = jax.device_get(run(inputs.values))
+        identified = inputs.identified
+        return np.where(identified, edge_mm, np.nan), np.where(identified, edge_deg, np.nan)
+
+    return estimate_edge
+
+
+def find_unshearing_network(method: str) -> str:
+    """Name the network that unshears the images of trajectories by a method of perception.
+
+    There may be no network of the name.
+    """
+    return DISENTANGLED if method == TRUE_POSE else method
+
+
+def load_unshearers(model: TrainedModel) -> dict[str, Unshear]:
+    """Load functions from images to motions of the unsheared pins, by network.
+
+    Pins are detected in the unsheared images, unless the networks give pins. Raises `UserError`.
+    """
+    names = [name for name in UNSHEARING if name in model.networks]
+    return {name: _make_unshearer(model, name) for name in names}
+
+
+def _make_unshearer(model: TrainedModel, name: str) -> Unshear:
+    net, variables, _ = model.load_network(name)
+    run = jit_for_inference(
+        lambda variables, inputs: unshear(net, variables, scale_inputs(inputs)), variables
+    )
+    return partial(model.simulated_reader.measure_unsheared_motions, model.lattice, run)

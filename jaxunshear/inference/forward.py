@@ -1,0 +1,116 @@
+"""Networks of a model as functions of a batch, to be compiled.
+
+Inputs are images (B, S, S) uint8 of {0, 255}, or pins (B, P, 2) px; networks over images take and
+give (B, S, S, 1) in [0, 1].
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.targets import Targets
+from jaxunshear.models import posenet
+from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.weights import Net, Tree, Variables
+from jaxunshear.training.checkpoint import check_finished, load_best, read_net, read_targets
+
+AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted from
+LEARNT = "learnt"  # poses by a PoseNet that was trained on slides
+BATCH = 32
+
+AnyArray = TypeVar("AnyArray", np.ndarray, Array)
+# (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
+Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
+
+
+class TrainedNetwork(NamedTuple):
+    net: Net
+    variables: Variables
+    targets: Targets  # that it predicts, of a PoseNet
+
+
+def load_network(folder: Path) -> TrainedNetwork:
+    """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
+    check_finished(folder)
+    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
+
+
+def scale_inputs(inputs: AnyArray) -> AnyArray:
+    """Scale images (B, S, S) uint8 to (B, S, S, 1) in [0, 1]; pins and scaled images stay."""
+    return inputs[..., None].astype(np.float32) / 255 if inputs.dtype == np.uint8 else inputs
+
+
+def make_forward(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forward:
+    """Chain networks, in the order in which they run, a PoseNet last; `targets` by network."""
+
+    def forward(variables: Variables, inputs: Array) -> tuple[Array, dict[str, Array]]:
+        values = scale_inputs(inputs)
+        *unshearing, (name, pose_net) = nets.items()
+        for unshearing_name, net in unshearing:
+            values = unshear(net, variables[unshearing_name], values)
+        outputs = predict(pose_net, variables[name], values)
+        return values, posenet.unscale_outputs(outputs, targets[name])
+
+    return forward
+
+
+def make_full_forward(
+    networks: Mapping[str, TrainedNetwork], with_sheared_poses: bool
+) -> Callable[[Variables, Array], tuple[Array | None, dict[str, dict[str, Array]]]]:
+    """Make a function of scaled inputs to the unsheared ones and poses by kind and quantity.
+
+    The unsheared ones are None without a network that unshears. `with_sheared_poses`: poses of the
+    inputs as they are, too, where others can be had.
+    """
+
+    def forward(
+        variables: Variables, values: Array
+    ) -> tuple[Array | None, dict[str, dict[str, Array]]]:
+        def predict_pose(name: str, values: Array) -> dict[str, Array]:
+            outputs = predict(networks[name].net, variables[name], values)
+            return posenet.unscale_outputs(outputs, networks[name].targets)
+
+        unsheared = None
+        if DISENTANGLED in networks:
+            unsheared = unshear(networks[DISENTANGLED].net, variables[DISENTANGLED], values)
+        poses = {}
+        if POSENET in networks and (with_sheared_poses or unsheared is None):
+            poses[AS_RECORDED] = predict_pose(POSENET, values)
+        if POSENET in networks and unsheared is not None:
+            poses[UNSHEARED] = predict_pose(POSENET, unsheared)
+        if POSENET_SHEARED in networks:
+            poses[LEARNT] = predict_pose(POSENET_SHEARED, values)
+        return unsheared, poses
+
+    return forward
+
+
+def compute_confidence(image: Array) -> Array:
+    """Compute how sure an unsheared image (S, S, 1) in [0, 1] is of its white pixels.
+
+    It is the mean of the pixels p, weighted by p: 1 for a crisp image, less for an image that is
+    grey between possible positions of a pin, 0 for a black one.
+    """
+    total = jnp.sum(image)
+    return jnp.where(total > 0, jnp.sum(image**2) / jnp.where(total > 0, total, 1), 0)
+
+
+def run_in_batches(
+    run: Callable[[np.ndarray], Tree], inputs: np.ndarray, batch_size: int = BATCH
+) -> Tree:
+    """Run a function of any number of images or pins, (N, ...), in batches of one shape.
+
+    One shape is compiled once. The results of `run` are arrays (B, ...), or a tree of them.
+    """
+    parts = []
+    for start in range(0, len(inputs), batch_size):
+        part = inputs[start : start + batch_size]
+        outputs = jax.device_get(run(np.resize(part, (batch_size, *part.shape[1:]))))
+        parts.append(jax.tree.map(lambda values, count=len(part): values[:count], outputs))
+    return jax.tree.map(lambda *values: np.concatenate(values), *parts)

@@ -1,0 +1,192 @@
+"""How the images of a sensor become inputs of networks, and what these give becomes images again.
+
+Networks over images take them as they are. For networks over pins, pins are detected and tracked,
+and unsheared pins are drawn as dots.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.linalg import orthogonal_procrustes
+
+from jaxunshear.angles import wrap_degrees
+from jaxunshear.data.preprocessing import SensorFrame, to_detection_px, to_image_px
+from jaxunshear.errors import UserError
+from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
+from jaxunshear.perception.lattice import Lattice, make_lattice
+from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.pin_tracking import measure_motions, track_images
+from jaxunshear.perception.sensor_check import (
+    MIN_PLAUSIBILITY,
+    NO_MINIMUM,
+    SensorAppearance,
+    compute_plausibility,
+    explain_rejection,
+)
+
+EDGE = "edge_deg"  # the target that rotates with the image
+
+Poses = dict[str, dict[str, np.ndarray]]  # by kind of input and quantity, (B,)
+Unshear = Callable[[np.ndarray], Array]  # network inputs -> unsheared
+PinTransform = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
+
+
+class NetworkInputs(NamedTuple):
+    """Inputs of networks for a batch."""
+
+    values: np.ndarray  # images (B, S, S) uint8, or pins (B, P, 2) px, NaN if one was not detected
+    identified: np.ndarray  # (B,) whether pins were identified, or none are needed
+    pins: np.ndarray | None = None  # (B, P, 2) px in the image, for pin networks
+
+
+class NetworkOutputs(NamedTuple):
+    """Outputs of networks for a batch, also for images to be rejected."""
+
+    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]
+    poses: Poses
+    pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
+
+
+class Predictions(NamedTuple):
+    """The results for B images; those of rejected images are NaN."""
+
+    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]; None if no network unshears
+    poses: Poses
+    pins: dict[str, np.ndarray]  # by kind, (B, P, 2) px, of pin networks alone
+    rejection: np.ndarray  # (B,) of text: why an image is rejected; empty if it is not
+    # (B,) in [0, 1]: how likely the image is one of the model's sensor, times
+    # `compute_confidence` of the unsheared image; 0 if it is rejected
+    confidence: np.ndarray
+
+
+class Codes(NamedTuple):
+    """Latent codes of B images, each code as a row of numbers."""
+
+    pose: np.ndarray  # z_p, (B, F)
+    shear: np.ndarray | None  # z_s, (B, G); None for weights without it, such as released ones
+
+
+class FrameTransforms(NamedTuple):
+    """Between the pins of an image and those that networks were trained on."""
+
+    to_model: PinTransform
+    from_model: PinTransform
+    degrees: float  # rotation of the image's lattice against the model's
+
+
+class ImageReader:
+    """For networks over images. `PinReader` has the same members."""
+
+    def read(self, images: np.ndarray) -> NetworkInputs:
+        """Make inputs of networks of images (B, S, S) uint8 of {0, 255}."""
+        return NetworkInputs(images, np.ones(len(images), bool))
+
+    def finish(
+        self, inputs: NetworkInputs, unsheared: np.ndarray | None, poses: Poses
+    ) -> NetworkOutputs:
+        """Make images and poses of these images of what the networks gave."""
+        return NetworkOutputs(None if unsheared is None else unsheared[..., 0], poses, {})
+
+    def measure_unsheared_motions(
+        self, lattice: Lattice, unshear: Unshear, images: np.ndarray
+    ) -> np.ndarray:
+        """Measure pin motions (N, P, 2) px in unsheared images; NaN if not identified."""
+        return measure_motions(lattice, run_in_batches(unshear, images)[..., 0])
+
+
+class PinReader(NamedTuple):
+    """For networks over pins."""
+
+    lattice: Lattice  # rest positions in the images
+    frame: SensorFrame | None = None  # of a camera; None: the images and the pins are the model's
+    transforms: FrameTransforms | None = None
+
+    def read(self, images: np.ndarray) -> NetworkInputs:
+        motion, identified = track_images(self.lattice, images, independent=True)
+        pins = values = self.lattice.rest + motion
+        if self.frame is not None and self.transforms is not None:
+            pins = to_image_px(self.frame, pins)
+            values = self.transforms.to_model(pins)
+        return NetworkInputs(values.astype(np.float32), identified, pins)
+
+    def finish(
+        self, inputs: NetworkInputs, unsheared: np.ndarray | None, poses: Poses
+    ) -> NetworkOutputs:
+        assert self.frame is not None and self.transforms is not None and inputs.pins is not None
+        pins, image = {AS_RECORDED: inputs.pins}, None
+        if unsheared is not None:
+            pins[UNSHEARED] = self.transforms.from_model(unsheared)
+            dots = draw_dots(jnp.asarray(pins[UNSHEARED]), self.frame.radius_px, self.frame.size)
+            image = np.asarray(dots)[..., 0]
+        for pose in poses.values():
+            if EDGE in pose:
+                pose[EDGE] = wrap_degrees(pose[EDGE] + self.transforms.degrees)
+        return NetworkOutputs(image, poses, pins)
+
+    def measure_unsheared_motions(
+        self, lattice: Lattice, unshear: Unshear, images: np.ndarray
+    ) -> np.ndarray:
+        motion, identified = track_images(lattice, images)
+        pins = (lattice.rest + motion).astype(np.float32)
+        unsheared = run_in_batches(unshear, pins) - lattice.rest
+        return np.where(identified[:, None, None], unsheared, np.nan)
+
+
+Reader = ImageReader | PinReader
+
+
+def check_images(images: np.ndarray, size: int) -> np.ndarray:
+    """Return images (B, size, size) as uint8 of {0, 255}. Raises UserError for others."""
+    images = np.asarray(images)
+    if images.ndim != 3 or images.shape[1:] != (size, size) or not len(images):
+        raise UserError(
+            f"images of shape {images.shape}: this model takes (B, {size}, {size}), "
+            "B at least 1; `prepare` makes one of a camera's frame"
+        )
+    if images.dtype == bool:
+        return images.astype(np.uint8) * np.uint8(255)
+    if images.dtype != np.uint8 or not np.isin(images, (0, 255)).all():
+        raise UserError(
+            f"images of {images.dtype}: this model takes uint8 of 0 and 255 alone, or bool; "
+            "`prepare` makes them"
+        )
+    return images
+
+
+def judge_batch(
+    images: np.ndarray, identified: np.ndarray, expected: SensorAppearance, force: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Say of each image why it is rejected, and how plausible it is, (B,) each."""
+    minimum = NO_MINIMUM if force else MIN_PLAUSIBILITY
+    plausibility = [compute_plausibility(image, expected) for image in images]
+    rejection = [
+        explain_rejection(*each, minimum)
+        for each in zip(identified.tolist(), plausibility, strict=True)
+    ]
+    return np.array(rejection), np.array(plausibility)
+
+
+def make_pin_reader(frame: SensorFrame, model_rest: np.ndarray) -> PinReader:
+    """Make the reader of a camera's frames for networks over pins that rest at (P, 2) px."""
+    lattice = make_lattice(to_detection_px(frame, frame.rest), frame.ring)
+    return PinReader(lattice, frame, make_frame_transforms(frame.rest, model_rest))
+
+
+def make_frame_transforms(image_rest: np.ndarray, model_rest: np.ndarray) -> FrameTransforms:
+    """Fit the rotation and scale between two lattices (P, 2), which pins' motions follow."""
+    centred = image_rest - image_rest.mean(axis=0)
+    target = model_rest - model_rest.mean(axis=0)
+    turn, scale = orthogonal_procrustes(centred, target)
+    scale = scale / np.square(centred).sum()
+    degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+
+    def to_model(pins: np.ndarray) -> np.ndarray:
+        return model_rest + scale * (pins - image_rest) @ turn
+
+    def from_model(pins: np.ndarray) -> np.ndarray:
+        return image_rest + (pins - model_rest) @ turn.T / scale
+
+    return FrameTransforms(to_model, from_model, degrees)

@@ -1,0 +1,328 @@
+"""A trained model, for binary images of a sensor.
+
+>>> model = load_model("skin", like="recordings/edge/shear")     # or the folder of a finished run
+>>> images = np.stack([model.prepare(frame) for frame in frames])
+>>> model.unshear(images)                             # (B, S, S) in [0, 1]
+>>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
+>>> model.codes(images).pose                          # (B, F)
+>>> model.predict(images).rejection                   # (B,) why the results of an image are NaN
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxunshear.allocator import keep_freed_memory
+from jaxunshear.config.data import PairedData
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.targets import list_target_names
+from jaxunshear.data.preprocessing import LIKE_REMEDY, SensorFrame, find_recordings_frame
+from jaxunshear.data.recorded_set import parse_frame
+from jaxunshear.data.recordings import read_recordings
+from jaxunshear.data.sources import DataSource, open_source
+from jaxunshear.errors import Note, UserError
+from jaxunshear.files import read_object
+from jaxunshear.inference.forward import (
+    BATCH,
+    TrainedNetwork,
+    compute_confidence,
+    load_network,
+    make_full_forward,
+    run_in_batches,
+    scale_inputs,
+)
+from jaxunshear.inference.readers import (
+    Codes,
+    ImageReader,
+    PinReader,
+    Poses,
+    Predictions,
+    Reader,
+    check_images,
+    judge_batch,
+    make_pin_reader,
+)
+from jaxunshear.model_folders import find_model_folder, load_settings
+from jaxunshear.models.dispatch import encode
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.posenet import unscale_outputs
+from jaxunshear.models.weights import Tree
+from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.preprocess import View, prepare_frame
+from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
+from jaxunshear.training.checkpoint import has_model, read_slides
+from jaxunshear.training.examples import FRAME
+
+POSENETS = (POSENET, POSENET_SHEARED)
+
+_compute_confidence = jax.jit(jax.vmap(compute_confidence))
+
+
+@dataclass(eq=False)
+class TrainedModel:
+    """Networks for binary images (B, S, S), uint8 of {0, 255} or bool, from `prepare`.
+
+    Results are NaN for images that are rejected: their pins are not those of the model's sensor
+    or, for pin networks, cannot be identified. Networks are loaded when they are first used; that
+    raises UserError if one is missing, damaged or not finished.
+    """
+
+    folder: Path
+    experiment: Experiment
+    # common to the frames to be read: of the training recordings, or of a folder that is like them
+    frame: SensorFrame | None = None
+    force: bool = False  # use images that are not of the model's sensor
+    with_sheared_poses: bool = True  # `predict` poses of the images as they are, too
+
+    @property
+    def sensor(self) -> Sensor:
+        return self.experiment.sensor
+
+    @cached_property
+    def source(self) -> DataSource:
+        """The contacts that it was trained on."""
+        return open_source(self.experiment)
+
+    @property
+    def reads_pins(self) -> bool:
+        return self.experiment.unshear.input == "pins"
+
+    def require_simulation(self, what: str) -> PairedData:
+        """Return the simulated contacts that it was trained on.
+
+        Raises UserError if it was trained on recordings, which `what` cannot use.
+        """
+        return self.experiment.paired.get_simulated(what)
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """The names of its trained networks."""
+        return tuple(name for name in ALL_NETWORKS if has_model(self.folder / name))
+
+    def load_network(self, name: str) -> TrainedNetwork:
+        return load_network(self.folder / name)
+
+    @cached_property
+    def _main_networks(self) -> dict[str, TrainedNetwork]:
+        # a PoseNet of simulated slides is for comparisons alone
+        names = (DISENTANGLED, *(POSENETS if self.source.predicts_directly else POSENETS[:1]))
+        networks = {name: self.load_network(name) for name in names if name in self.networks}
+        if not networks:
+            raise UserError(
+                f"{self.folder} holds no trained network that unshears or reads poses: "
+                "train one, or name another --model"
+            )
+        return networks
+
+    @cached_property
+    def targets(self) -> tuple[str, ...]:
+        """The quantities of predicted poses; none without a PoseNet."""
+        networks = self._main_networks
+        for name in POSENETS:
+            if name in networks:
+                return list_target_names(networks[name].targets)
+        return ()
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """Where pins rest in the images of the simulated sensor."""
+        paired = self.require_simulation("this")
+        return compute_rest_lattice(self.sensor, paired.camera, paired.preprocess)
+
+    @cached_property
+    def appearance(self) -> SensorAppearance:
+        """How its sensor appears in prepared images."""
+        if self.source.has_frame and self.frame:
+            return measure_sensor_appearance(self.frame.rest, self.frame.size)
+        return measure_sensor_appearance(self.lattice.rest, self.experiment.paired.preprocess.size)
+
+    @cached_property
+    def reader(self) -> Reader:
+        """How images become inputs of the networks, and outputs become images."""
+        if not self.reads_pins:
+            return ImageReader()
+        frame = self._require_frame()
+        if self.source.has_frame:
+            return make_pin_reader(frame, frame.rest)
+        variables = next(iter(self._main_networks.values())).variables
+        return make_pin_reader(frame, np.asarray(variables["batch_stats"]["rest"]))
+
+    @cached_property
+    def simulated_reader(self) -> Reader:
+        """For images of the simulated sensor that it was trained on."""
+        return PinReader(self.lattice) if self.reads_pins else ImageReader()
+
+    def _require_frame(self) -> SensorFrame:
+        if self.frame is None:
+            raise UserError(
+                f"{self.folder} reads pins of any sensor, "
+                f"but of contacts one by one no mean is known: {LIKE_REMEDY}"
+            )
+        return self.frame
+
+    @property
+    def view(self) -> View | None:
+        """The crop of the frames; None if each folder has its own."""
+        return self.frame.view if self.frame else None
+
+    @property
+    def preprocess(self) -> Preprocess:
+        """How frames are prepared."""
+        preprocess = self.experiment.paired.preprocess
+        if not self.reads_pins:
+            return preprocess
+        return replace(preprocess, size=self._require_frame().pins_px)
+
+    @property
+    def size(self) -> int:
+        return self.preprocess.size  # S, px
+
+    def prepare(self, frame: np.ndarray) -> np.ndarray:
+        """Turn a camera frame into a binary image (S, S) uint8.
+
+        The frame is (H, W) or (H, W, channels), of any number type. Colours are red, green, blue;
+        OpenCV's are blue, green, red. Warns with a `Note` if these networks do not suit a camera:
+        they were trained on simulated contacts of one sensor alone, so their predictions for other
+        frames mean little. Raises UserError.
+        """
+        if not self.source.suits_recordings:
+            warnings.warn(self.source.describe(), Note, stacklevel=2)
+        return prepare_frame(self.preprocess, frame, self.view or View())
+
+    def unshear(self, images: np.ndarray) -> np.ndarray:
+        """Predict the images of taps at the same poses, (B, S, S) float32 in [0, 1].
+
+        Raises UserError if the model has no such network.
+        """
+        unsheared = self._run_in_batches(images, self.predict).unsheared
+        if unsheared is None:
+            raise UserError(
+                f"{self.folder} holds no network that unshears: "
+                f"train {DISENTANGLED}, or load another model"
+            )
+        return unsheared
+
+    def pose(self, images: np.ndarray) -> Poses:
+        """Predict poses by kind of input and by quantity, (B,) each.
+
+        They are in mm and deg, in the frame of the training labels. Kinds are "as_recorded" and
+        "unsheared", and "learnt" if there is a PoseNet of slides. Raises UserError if the model has
+        no PoseNet.
+        """
+        poses = self._run_in_batches(images, self.predict).poses
+        if not poses:
+            raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
+        return poses
+
+    def codes(self, images: np.ndarray) -> Codes:
+        """Compute pose code and shear code. Raises UserError if the model has no codes."""
+        if (run := self._encode) is None:
+            raise UserError(
+                f"{self.folder} holds no network with codes: "
+                f"train {DISENTANGLED}, or load another model"
+            )
+
+        def encode_batch(batch: np.ndarray) -> tuple[Array | None, ...]:
+            inputs = self.reader.read(batch)
+            reasons, _ = judge_batch(batch, inputs.identified, self.appearance, self.force)
+            accepted = jnp.asarray(reasons == "")[:, None]
+            return tuple(
+                code if code is None else jnp.where(accepted, code.reshape(len(code), -1), jnp.nan)
+                for code in run(scale_inputs(inputs.values))
+            )
+
+        return Codes(*self._run_in_batches(images, encode_batch))
+
+    def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
+        """Predict how far each contact slid and rotated, mm and deg by quantity, (B,) each.
+
+        It is in the frame of the simulated sensor that the network was trained on, or as the
+        recordings were labelled. Slip cannot be seen, so its likely value is included. Raises
+        UserError if the shear code was not trained to predict slides.
+        """
+        targets = read_slides(self.folder / DISENTANGLED) if self._encode else ()
+        shear = self.codes(images).shear if targets else None
+        if shear is None:
+            raise UserError(
+                f"{self.folder}: its shear code was not taught the slide, or was left out: "
+                "train with the loss slide"
+            )
+        outputs = jnp.asarray((shear[:, : len(targets)] + 1) / 2)
+        return {name: np.asarray(v) for name, v in unscale_outputs(outputs, targets).items()}
+
+    def predict(self, images: np.ndarray) -> Predictions:
+        """Unshear one batch of images (B, S, S) uint8 of {0, 255}, and predict their poses."""
+        inputs = self.reader.read(images)
+        reasons, plausibility = judge_batch(images, inputs.identified, self.appearance, self.force)
+        unsheared, poses = jax.device_get(self._forward(scale_inputs(inputs.values)))
+        outputs = self.reader.finish(inputs, unsheared, poses)
+
+        def keep_accepted_rows(value: np.ndarray) -> np.ndarray:
+            accepted = (reasons == "").reshape(-1, *[1] * (value.ndim - 1))
+            return np.where(accepted, value, np.nan)
+
+        confidence = plausibility
+        if outputs.unsheared is not None:
+            confidence = plausibility * np.asarray(
+                _compute_confidence(outputs.unsheared[..., None])
+            )
+        confidence = np.where(reasons == "", confidence, 0.0)
+        unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
+        return Predictions(unsheared, poses, pins, reasons, confidence)
+
+    def compile(self, batch: int) -> None:
+        """Load the networks and compile them for this many images."""
+        self.predict(np.zeros((batch, self.size, self.size), np.uint8))
+
+    @cached_property
+    def _forward(self) -> Callable[..., Tree]:
+        networks = self._main_networks
+        variables = {name: network.variables for name, network in networks.items()}
+        return jit_for_inference(make_full_forward(networks, self.with_sheared_poses), variables)
+
+    @cached_property
+    def _encode(self) -> Callable[[np.ndarray], tuple[Array, Array | None]] | None:
+        if DISENTANGLED not in self.networks:
+            return None
+        net, variables, _ = self.load_network(DISENTANGLED)
+        return jit_for_inference(
+            lambda variables, values: encode(net, variables, values), variables
+        )
+
+    def _run_in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
+        images = check_images(images, self.size)
+        # finding pins in blank images of a full batch takes longer than to compile once more
+        return run_in_batches(run, images, min(BATCH, len(images)))
+
+
+def load_model(
+    name: str | Path, like: str | Path | None = None, force: bool = False
+) -> TrainedModel:
+    """Load released weights by name, or the networks in the folder of a finished run.
+
+    Pin networks that were trained on simulation alone, such as `skin`, need `like` to read frames
+    of a camera: a folder of at least 20 contacts of your sensor and camera. Their mean gives the
+    rest positions of the pins. Other networks do not use it. `force` also accepts images that are
+    not of the model's sensor. Raises UserError.
+    """
+    keep_freed_memory()
+    folder = find_model_folder(Path(name))
+    model = TrainedModel(folder, load_settings(folder), force=force)
+    if model.source.has_frame:
+        model.frame = parse_frame(read_object(folder / FRAME))
+    elif model.reads_pins and like is not None:
+        preprocess = model.experiment.paired.preprocess
+        recordings = read_recordings(like, preprocess)
+        model.frame = find_recordings_frame(recordings, preprocess, model.sensor)
+    return model

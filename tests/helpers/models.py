@@ -1,0 +1,54 @@
+"""Runs on disk whose networks have learnt nothing."""
+
+import json
+from functools import partial
+
+import jax
+
+from jaxunshear.config import networks
+from jaxunshear.config.serialization import to_json
+from jaxunshear.config.targets import to_json as targets_to_json
+from jaxunshear.files import write_json
+from jaxunshear.models import pin_networks, posenet, unshearnet
+from jaxunshear.training import checkpoint
+from jaxunshear.training.trainer import get_compile_options
+
+KINDS = {
+    networks.UnshearNet: "unshear",
+    networks.PoseNet: "posenet",
+    networks.PinUnshear: "pin_unshear",
+    networks.PinPoseNet: "pin_posenet",
+}
+
+
+def init(net, seed, targets=(), rest=None, spread=1.0):
+    """Draw variables; networks over pins need their rest positions (P, 2) px."""
+    outputs = posenet.count_outputs(targets) if targets else 0
+    if rest is not None:
+        fresh = partial(pin_networks.init, net, rest, spread, outputs=outputs)
+    elif isinstance(net, networks.PoseNet):
+        fresh = partial(posenet.init, net, outputs)
+    else:
+        fresh = partial(unshearnet.init, net)
+    return jax.jit(fresh, compiler_options=get_compile_options())(jax.random.key(seed))
+
+
+def change_weights(variables, change):
+    """Return variables whose trained arrays are changed, as initial ones hardly use the input."""
+    return variables | {"params": jax.tree.map(change, variables["params"])}
+
+
+def write_network(folder, net, variables, targets=()):
+    kept = {"kind": KINDS[type(net)], "net": vars(net), "targets": targets_to_json(targets)}
+    checkpoint.write_settings(folder, json.loads(json.dumps(kept)))
+    checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
+    write_json(folder / checkpoint.SUMMARY, {"steps": 1})
+
+
+def write_run(folder, experiment, nets, variables, targets):
+    """Write a run; nets and variables are by name, targets those of its PoseNets."""
+    write_json(folder / "experiment.json", to_json(experiment))
+    for name, net in nets.items():
+        learnt = targets if name.startswith("posenet") else ()
+        write_network(folder / name, net, variables[name], learnt)
+    return folder
