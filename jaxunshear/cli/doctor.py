@@ -28,4 +28,4 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         from jaxunshear.metrics.machine import describe_provenance
 
         write_json(arguments.json, describe_provenance(command) | to_json(diagnosis))
-    return 0 if diagnosis.usable else 1
+    return 0 if diagnosis.next.command else 1

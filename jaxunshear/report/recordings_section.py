@@ -1,6 +1,4 @@
-"""Sections of a recorded run's page: its recordings, pairs of contacts and error bounds."""
-
-from collections.abc import Sequence
+"""Sections of a page on recordings: what they are, pairs of contacts and error bounds."""
 
 from markupsafe import Markup
 
@@ -8,9 +6,10 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Target
 from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_descriptions import describe_test
-from jaxunshear.report import html, labels
+from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_number
-from jaxunshear.results.run import Results, Scores
+from jaxunshear.report.wording import Wording
+from jaxunshear.results.run import Recordings, Results, Scores
 
 PAIRING_TEXTS = {
     "rendered": (
@@ -34,17 +33,11 @@ PAIRING_TEXTS = {
 }
 
 
-def build_sections(results: Results) -> list[Markup]:
-    """Build the sections in the order of the page."""
-    return [
-        _build_recordings_section(results),
-        _build_pairing_section(results),
-        _build_intervals_section(results),
-    ]
-
-
-def _build_recordings_section(results: Results) -> Markup:
-    recordings, _ = results.recorded_facts
+def build_recordings_section(results: Results) -> Markup:
+    """Build the section on the recordings; nothing if there are none."""
+    recordings = results.recordings
+    if recordings is None:
+        return Markup()
     rows = []
     for kind, counts in (("taps", recordings.taps), ("slides", recordings.slides)):
         if any(counts.values()):
@@ -53,19 +46,20 @@ def _build_recordings_section(results: Results) -> Markup:
         "Frames of a real sensor: networks learn from train, their best step is chosen on "
         f"validation, all figures are of test ({describe_test(results)})."
     )
-    dropped, notes = recordings.dropped, recordings.notes
+    folded = Markup()
+    for heading, lines, count in (
+        (f"Frames left out ({recordings.dropped})", recordings.dropped_frames, recordings.dropped),
+        ("Notes from reading them", recordings.notes, 0),
+    ):
+        if lines:
+            folded += html.folded(heading, html.listed(lines, count - len(lines)))
+    facts = map(html.soft, _describe_recordings(results, recordings))
     return html.section(
-        "The recordings",
-        lead,
-        html.table(["contacts", *SPLITS], rows),
-        *map(html.soft, _describe_recordings(results)),
-        _fold_list(f"Frames left out ({dropped})", recordings.dropped_frames, dropped),
-        _fold_list("Notes from reading them", notes, len(notes)),
+        "The recordings", lead, html.table(["contacts", *SPLITS], rows), *facts, folded
     )
 
 
-def _describe_recordings(results: Results) -> list[str]:
-    recordings, _ = results.recorded_facts
+def _describe_recordings(results: Results, recordings: Recordings) -> list[str]:
     paired = results.settings["paired"]
     folders = dict.fromkeys((paired["tap_folder"], paired["slide_folder"]))
     codes = [Markup("<code>{}</code>").format(folder) for folder in folders if folder]
@@ -91,29 +85,21 @@ def _describe_recordings(results: Results) -> list[str]:
 
 
 def _describe_range(target: Target) -> str:
-    name = labels.name_quantity(target.name)
+    name = wording.name_quantity(target.name)
     if target.is_circular:
         return f"{name} over the full circle"
     low, high = target.centre - target.half_range, target.centre + target.half_range
-    return f"{name} {low:.2f} to {high:.2f} {labels.get_unit(target.name)}"
+    return f"{name} {low:.2f} to {high:.2f} {wording.get_unit(target.name)}"
 
 
-def _fold_list(heading: str, lines: Sequence[str], count: int) -> Markup:
-    """Fold the first lines of `count` away under a heading; nothing if there are none."""
-    if not lines:
-        return Markup()
-    return html.folded(heading, html.listed(lines, count - len(lines)))
-
-
-def _build_pairing_section(results: Results) -> Markup:
+def build_pairing_section(results: Results) -> Markup:
     """Build the section on partners of slides; nothing if there are no pairs."""
     if results.pairing is None or results.pairing.way not in PAIRING_TEXTS:
         return Markup()
-    names, rows = labels.list_targets(results), []
+    names, rows = wording.list_targets(results), []
     for split, gaps in results.pairing.gaps.items():
-        cells = [_format_gap(gaps[name]) for name in names]
-        rows.append([split, str(gaps["pairs"]), *cells])
-    head = ["pose of the partner off by", "pairs", *map(labels.format_heading, names)]
+        rows.append([split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in names)])
+    head = ["pose of the partner off by", "pairs", *map(wording.format_heading, names)]
     note = html.soft("Median, and in brackets the 95th percentile.")
     lead = PAIRING_TEXTS[results.pairing.way]
     return html.section("How slides are paired", lead, html.table(head, rows), note)
@@ -124,19 +110,16 @@ def _format_gap(gap: Scores | int) -> str:
     return f"{format_number(gap['median'])} ({format_number(gap['p95'])})"
 
 
-def _build_intervals_section(results: Results) -> Markup:
-    """Build the section on error bounds.
-
-    There is none for runs of an earlier version, or with few validation contacts.
-    """
+def build_bounds_section(results: Results, words: Wording) -> Markup:
+    """Build the section on error bounds; nothing if validation contacts were too few for them."""
     widths, coverage = results.half_width or {}, results.coverage or {}
     bounded = {name for shares in coverage.values() for name in shares}
-    names = [name for name in labels.list_targets(results) if name in bounded]
+    names = [name for name in wording.list_targets(results) if name in bounded]
     rows = []
     for kind, shares in coverage.items():
         if kind in widths:
             cells = [f"{format_number(widths[kind][name])} ({shares[name]:.1%})" for name in names]
-            rows.append([labels.name_kind(results, kind), *cells])
+            rows.append([words.kinds[kind], *cells])
     if not rows:
         return Markup()
     lead = (
@@ -144,5 +127,5 @@ def _build_intervals_section(results: Results) -> Markup:
         f"brackets the share of test contacts that they hold ({describe_test(results)}). "
         f"{ELSEWHERE_NOTE}. For yours: jaxunshear evaluate RUN --recordings DIR."
     )
-    head = ["pose read from", *map(labels.format_heading, names)]
+    head = ["pose read from", *map(wording.format_heading, names)]
     return html.section("How far an answer may be off", lead, html.table(head, rows))
