@@ -194,7 +194,8 @@ def _has_same_test(run: Run, other: Run) -> bool:
 
 
 def _has_same_input(run: Run, other: Run) -> bool:
-    return wording.get_modality(run.results) == wording.get_modality(other.results)
+    inputs = [each.results.settings["unshear"].get("input") for each in (run, other)]
+    return inputs[0] == inputs[1]
 
 
 def note_obstacles(runs: Sequence[Run]) -> list[str]:

@@ -39,6 +39,8 @@ MIN_PX = 32  # side of the prepared frames
 MIN_PINS = 20  # frames with fewer show none
 PINS_RATIO = (0.85, 1.1)  # found pins over a layout's, within which it is tried
 MAX_LISTED_IMAGES = 20  # problems in the text; --json has all
+INVERTED = "the pins are dark on a light ground: invert the frames, then check them again"
+NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a dark ground"
 
 
 @dataclass(frozen=True)
@@ -217,13 +219,9 @@ def choose_step(path: Path, usable: Sequence[FolderCheck]) -> Step:
         advice = "these folders differ in size or sensor: check each on its own"
         return Step(_join("doctor", largest), advice)
     if pins.inverted:
-        return Step(
-            "", "the pins are dark on a light ground: invert the frames, then check them again"
-        )
+        return Step("", INVERTED)
     if pins.median < MIN_PINS:
-        return Step(
-            "", "no pins are found: frames must show the light pins of a TacTip on a dark ground"
-        )
+        return Step("", NO_PINS)
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
@@ -233,15 +231,19 @@ def choose_step(path: Path, usable: Sequence[FolderCheck]) -> Step:
     slides = sum(each.labels.slides for each in usable)
     if taps and slides:
         return Step(_join("fit", "--taps", path, "--slides", path))
-    released = pins.layout == TACTIP_331.name
     if taps or slides:
         advice = "these networks learn to read poses, not to unshear"
-        if taps and released:
+        if taps and pins.layout == TACTIP_331.name:
             advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
         return Step(_join("fit", "--taps" if taps else "--slides", path), advice)
-    if not released:
+    return _choose_inference(path, usable, pins.layout)
+
+
+def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> Step:
+    """Choose the command for frames whose labels are not enough for training."""
+    if layout != TACTIP_331.name:
         advice = f"released weights need {TACTIP_331.pins} pins"
-        return Step(_join("pins", path, "--sensor", pins.layout), advice)
+        return Step(_join("pins", path, "--sensor", layout), advice)
     if sum(each.usable for each in usable) < MIN_FRAMES:
         advice = f"`unshear` needs {MIN_FRAMES} frames of the same sensor: name them by --like"
         return Step(_join("pins", path), advice)

@@ -30,7 +30,7 @@ from jaxunshear.cli.fields import format_field_help, split_help_request
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.environment import check_environment, check_links
+from jaxunshear.environment import check_environment
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
@@ -168,7 +168,6 @@ def _run(argv: list[str]) -> int:
     arguments = parse(parser, words)
     if arguments is None:
         return 0
-    check_links(vars(arguments).values())
     _check_places(arguments)
     if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
         check_environment()

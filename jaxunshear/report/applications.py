@@ -11,42 +11,26 @@ from jaxunshear.report import html
 from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
+from jaxunshear.report.wording import TEXTS
 from jaxunshear.results.folders import find_results_folder
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: title for name, title in METHOD_TITLES.items() if "unsheared" in title
 }
-GEOMETRY_LEAD = (
-    "How far the skin is pressed in, from the pins, against the simulator's own indentation: "
-    "by the areas of their Voronoi cells, and by an inverse of the skin learnt from taps. "
-    "Contacts that no network has seen, each with a 95 % interval over contacts, of one "
-    "training. Images whose pins are not identified for sure are left out and counted."
-)
-TRAJECTORY_LEAD = (
-    "The sensor follows outlines in the simulator, steered by what each way of perceiving "
-    "reports. Walks that closed the outline; below, how far the sensor was from it in mm: mean "
-    "/ 95th percentile / largest."
-)
-OBJECT_LEAD = (
-    "The shape that each walk's images enclose, against the true one: area shared over area of "
-    "either, mean of the walks; below, the outlines' mean and largest distance in mm. By "
-    "height maps of the pins' cells (voronoi) or of where the skin stands."
-)
-STREAM_LEAD = "Frames from a source to unsheared image, pose and confidence, as on a robot."
 
 
 def build_sections(run_dir: Path) -> list[Markup]:
     """Build the sections of commands that have been run. Raises UserError on damaged files."""
     sections = []
-    for name, (title, lead, build_body) in SECTIONS.items():
+    for name, text in TEXTS["applications"].items():
         folder = find_results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
             continue
         results = read_object(file)
         try:
-            body = build_body(results, folder)
-            sections.append(html.section(title, lead, *body, html.code(results["command"])))
+            body = [*BODIES[name](results, folder), html.code(results["command"])]
+            sections.append(html.section(text["title"], text["lead"], *body))
         except (KeyError, TypeError, AttributeError) as error:
             remedy = f"run `jaxunshear {name}` again, or delete it"
             raise UserError(f"{file} lacks {error}: {remedy}") from error
@@ -111,11 +95,11 @@ def _show_stream(results: Json, folder: Path) -> list[Markup]:
     return [html.table(("frames", ""), rows)]
 
 
-SECTIONS = {  # by command: title, lead, and what shows its results
-    "geometry": ("Contact geometry", GEOMETRY_LEAD, _show_geometry),
-    "servo": ("Around objects by touch", TRAJECTORY_LEAD, _show_trajectories),
-    "reconstruct": ("Complete objects", OBJECT_LEAD, _show_objects),
-    "stream": ("As a stream", STREAM_LEAD, _show_stream),
+BODIES = {
+    "geometry": _show_geometry,
+    "servo": _show_trajectories,
+    "reconstruct": _show_objects,
+    "stream": _show_stream,
 }
 
 

@@ -45,7 +45,7 @@ def build_section(images: MontageImages, words: Wording) -> Markup:
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
         body.append(html.folded(summary, _build_table(images, others, words)))
-    return html.section("What it does", words.montage + words.modality.montage_note, *body)
+    return html.section("What it does", words.montage, *body)
 
 
 def _build_table(images: MontageImages, rows: list[int], words: Wording) -> Markup:

@@ -81,7 +81,7 @@ def _describe_recovery(results: Results, words: Wording) -> Markup:
             text = f"{value:{form}}{_format_interval(spread[name], form)}"
         if text:
             parts.append(f"{wording.name_quantity(name)} {text}")
-    return words.recovery.text.format(kind, words.recovery.separator.join(parts) or "none")
+    return wording.write_recovery(results, words.recovery, kind, parts)
 
 
 def _format_interval(interval: Span, form: str) -> str:
@@ -116,7 +116,7 @@ def _format_error_changes(part: PartPoses, kind: str, digits: dict[str, int]) ->
 
 def _describe_differences(results: Results, words: Wording) -> list[Markup]:
     """Describe the disentangled network less each other one, contact by contact."""
-    if words.by_kind:
+    if words.differences == "by kind":
         kinds = [kind for kind, scores in results.difference.items() if set(scores) != {"ms_ssim"}]
         return [_describe_difference(results, words, kind) for kind in kinds]
     names = wording.list_main_targets(results)

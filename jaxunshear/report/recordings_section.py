@@ -8,29 +8,8 @@ from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_number
-from jaxunshear.report.wording import Wording
+from jaxunshear.report.wording import TEXTS, Wording
 from jaxunshear.results.run import Recordings, Results, Scores
-
-PAIRING_TEXTS = {
-    "rendered": (
-        "A slide's partner is what a renderer, a network that learnt from the taps, draws at the "
-        "slide's pose: no tap need be recorded there, and the two poses are equal. How true the "
-        "drawings are, the errors of pose on partners show."
-    ),
-    "nearest": (
-        "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' "
-        "ranges. In training, a pair counts the less the further the two poses are apart."
-    ),
-    "pose_id": (
-        "A slide's partner is the tap that was recorded at the same pose, under the same pose_id."
-    ),
-    "simulated": (
-        "No recorded slide teaches: training slides are recorded taps whose pins are dragged as "
-        "the contact simulator says, each paired with its tap. Recorded slides are for the test "
-        "alone; there a slide's partner is what a renderer draws at its pose."
-    ),
-    "file": "A slide's partner is the tap that a table of pairs names.",
-}
 
 
 def build_recordings_section(results: Results) -> Markup:
@@ -94,14 +73,14 @@ def _describe_range(target: Target) -> str:
 
 def build_pairing_section(results: Results) -> Markup:
     """Build the section on partners of slides; nothing if there are no pairs."""
-    if results.pairing is None or results.pairing.way not in PAIRING_TEXTS:
+    if results.pairing is None or results.pairing.way not in TEXTS["pairing"]:
         return Markup()
     names, rows = wording.list_targets(results), []
     for split, gaps in results.pairing.gaps.items():
         rows.append([split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in names)])
     head = ["pose of the partner off by", "pairs", *map(wording.format_heading, names)]
     note = html.soft("Median, and in brackets the 95th percentile.")
-    lead = PAIRING_TEXTS[results.pairing.way]
+    lead = TEXTS["pairing"][results.pairing.way]
     return html.section("How slides are paired", lead, html.table(head, rows), note)
 
 

@@ -54,7 +54,7 @@ def _build_sections(
     run_dir: Path, results: Results, words: Wording, shown: Markup, trainings: Trainings
 ) -> Iterator[Markup]:
     """Yield the sections in the order of the page; empty ones have nothing to show."""
-    yield html.opening(results.experiment, results.claim, words.lead)
+    yield html.opening(results.experiment, results.claim, wording.write_lead(results, words))
     yield headlines.build_headlines(results, words)
     yield shown
     yield score_sections.build_similarity_section(results, words)

@@ -89,8 +89,9 @@ def _list_validation_errors(results: Results, words: Wording) -> dict[str, str]:
     """Give the label of each validation figure that is plotted over seconds of training."""
     titles = {"supervised": f"unsheared {words.modality.output}, MSE"}
     for name in wording.list_main_targets(results):
-        quantity = wording.name_quantity(name)
-        titles[name] = words.validation_error.format(quantity, wording.get_unit(name))
+        titles[name] = words.validation_error.format(
+            quantity=wording.name_quantity(name), unit=wording.get_unit(name)
+        )
     return titles
 
 

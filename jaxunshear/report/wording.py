@@ -1,118 +1,67 @@
 """The words for a run's results: what its contacts, targets, columns and pictures are called.
 
-Sections of a page are the same for all runs and ask for words alone; `describe` chooses these.
+Sections of a page are the same for all runs and ask for words alone; `describe` chooses these from
+wording.toml.
 """
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
+import msgspec
 from markupsafe import Markup
 
 from jaxunshear.config.registry import DISENTANGLED, REGISTRY, UNSHEARING
-from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.results.run import FullTable, Results, Tables
 
-KINDS = {
-    "tap": "tap (no slide)",
-    "sheared": "sheared, as felt",
-    "sheared_learnt": "sheared, PoseNet that learnt slides",
-    "mean_tap": "mean of the training taps",
-    "nearest_tap": "training tap nearest to the sheared",
-    "translated": "sheared, best translation (knows the tap)",
-    **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
-    "true_slide": "sheared, pins known by name",
-}
-RECORDED_KINDS = KINDS | {
-    "tap": "taps (no slide)",
-    "partner": "partners of the slides",
-    "sheared": "slides, as felt",
-    "sheared_learnt": "slides, learnt from slides directly",
-    **{name: f"slides, unsheared ({REGISTRY[name].title})" for name in UNSHEARING},
-    "unsheared": "slides, unsheared",
-    "true_slide": "slides, pins known by name",
-}
-QUANTITIES = {
-    "x_mm": "x",
-    "y_mm": "y",
-    "z_mm": "z",
-    "yaw_deg": "yaw",
-    "depth_mm": "depth",
-    "edge_mm": "edge distance",
-    "edge_deg": "edge angle",
-    "Rx_deg": "Rx",
-    "Ry_deg": "Ry",
-    "Rz_deg": "Rz",
-}
-QUANTITIES |= {
-    f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED_FIELDS
-}
+TEXTS: dict[str, Any] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
+QUANTITIES = {"edge_mm": "edge distance", "edge_deg": "edge angle"}
 EDGE = ("edge_mm", "edge_deg")  # unlike x and yaw, these are not ambiguous along an edge
-MAX_CARDS = 3  # quantities with a card, at most
-
-SIMULATED_LEAD = Markup(
-    "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
-    "this run turn such an image into the one a plain tap would have given. Every figure of ours "
-    "is measured on <b>simulated</b> contacts at poses kept out of training; the paper's, in "
-    "<span class=real>tinted columns</span>, are from a <b>real</b> sensor."
+EDGE_NOTE = (
+    " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle "
+    "are not."
 )
-RECORDED_LEAD = Markup(
-    "A soft dome that slides feels its own shear on top of what it touches. {} Every figure is "
-    "measured on <b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: "
-    "{} ({}).{}"
+NOTHING_UNSHEARED = (
+    "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read "
+    "poses."
 )
-PAPER_LEAD = Markup(
+PAPER_NOTE = Markup(
     " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
 )
+MAX_CARDS = 3  # quantities with a card, at most
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
+class RecoveryWords:
+    """The sentence on recovery, `text`, in which the network and the quantities stand."""
+
+    text: str
+    separator: str  # of quantities
+    form: str  # of a number
+    undamaged: str  # of a quantity in which slides do no damage; it is left out if empty
+
+
+@dataclass(frozen=True)
 class ModalityWords:
     """Words for what networks are given and give."""
 
     input: str
     output: str
-    pose_input: str  # head of a column
+    pose_input: str
     drawn: str  # what the images of the run show, if they are drawings
-    montage_note: str
-    paper_tables: tuple[str, ...]  # the paper's, of the same quantities on a real sensor
-
-
-MODALITIES = {
-    "images": ModalityWords(
-        input="an image",
-        output="image",
-        pose_input="image given to PoseNet",
-        drawn="",
-        montage_note="",
-        paper_tables=("ms_ssim", "swap"),
-    ),
-    "pins": ModalityWords(
-        input="pins",
-        output="pins",
-        pose_input="what PoseNet is given",
-        drawn="of drawn pins",
-        montage_note=" The network reads pins and gives pins: the images are these pins, drawn.",
-        paper_tables=(),
-    ),
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecoveryWords:
-    """The sentence on recovery, `text`, in which the network and the quantities stand."""
-
-    text: Markup
-    separator: str  # of quantities
-    form: str  # of a number
-    undamaged: str  # of a quantity in which slides do no damage; it is left out if empty
+    montage: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wording:
     """The words for one run."""
 
-    lead: Markup  # of the page
+    lead: str  # of the page
     modality: ModalityWords
     kinds: Mapping[str, str]  # of contact
     target: str  # of unshearing: the tap at the same pose, or the partner in its place
@@ -123,10 +72,10 @@ class Wording:
     montage: str
     contact: str
     depth: str
-    mm_digits: int  # of errors in mm
+    mm_digits: int
     posenet: str
     recovery: RecoveryWords
-    by_kind: bool  # whether differences are listed by kind of contact instead of by quantity
+    differences: Literal["by quantity", "by kind"]
     pin_row: str  # of the target's own pins
     pin_truth: str
     validation_error: str
@@ -138,129 +87,74 @@ class Wording:
 
 def describe(results: Results) -> Wording:
     """Choose the words for a run."""
-    build = _describe_simulated_run if results.simulated else _describe_recorded_run
-    return build(results, get_modality(results))
+    words = TEXTS["simulated" if results.simulated else "recorded"]
+    modality = TEXTS[results.settings["unshear"].get("input", "images")]
+    pairing = results.pairing.way if results.pairing else ""
+    target = "partner" if pairing in ("rendered", "nearest", "simulated") else "tap"
+    papers = {*words["paper_tables"], *(modality["paper_tables"] if target == "tap" else ())}
+    filled = {
+        "modality": modality,
+        "kinds": list_kinds(words),
+        "target": target,
+        "paper": {name: table for name, table in results.paper.items() if name in papers},
+        "posenet": _describe_posenet(words["posenet"], results),
+    }
+    filled |= {name: words[name].format(target=target) for name in ("pin_row", "pin_truth")}
+    filled["montage"] = words["montage"].format(target=target) + modality["montage"]
+    return msgspec.convert(words | filled, Wording)
 
 
-def get_modality(results: Results) -> ModalityWords:
-    """Return the words for the input of the run's networks."""
-    return MODALITIES[results.settings["unshear"].get("input", "images")]
+def list_kinds(words: Mapping[str, Any]) -> dict[str, str]:
+    """List the names of kinds of contact; the networks stand in the place of `network`."""
+    kinds = {}
+    for kind, name in words["kinds"].items():
+        if kind == "network":
+            kinds |= {network: name.format(REGISTRY[network].title) for network in UNSHEARING}
+        else:
+            kinds[kind] = name
+    return kinds
 
 
-def _describe_simulated_run(results: Results, modality: ModalityWords) -> Wording:
-    posenet = "Mean absolute error of a PoseNet that has only learned from taps."
-    if "edge_mm" in list_targets(results):
-        posenet += (
-            " x and yaw are ambiguous along a smooth edge; the distance to the edge and its "
-            "local angle are not."
-        )
-    return Wording(
-        lead=SIMULATED_LEAD,
-        modality=modality,
-        kinds=KINDS,
-        target="tap",
-        paper=results.paper,
-        cards=("likeness", "errors", "pins"),
-        card_notes={},
-        likeness_note="",
-        montage="One contact of each shape that is typical of its test set: what was felt, what "
-        "the network made of it, and the truth.",
-        contact="image",
-        depth="depth",
-        mm_digits=2,
-        posenet=posenet,
-        recovery=RecoveryWords(
-            text=Markup(
-                "<p class=soft>Recovery, the part of the slide's damage that is undone, by the {} "
-                "network: {}.</p>"
-            ),
-            separator=", ",
-            form=".0%",
-            undamaged="",
-        ),
-        by_kind=False,
-        pin_row=KINDS["tap"],
-        pin_truth="tap's true pins",
-        validation_error="{} of taps, {}",
-    )
+KINDS = list_kinds(TEXTS["simulated"])
 
 
-def _describe_recorded_run(results: Results, modality: ModalityWords) -> Wording:
-    way = results.pairing.way if results.pairing else ""
-    target = "partner" if way in ("rendered", "nearest", "simulated") else "tap"
-    paper = {name: results.paper[name] for name in modality.paper_tables if target == "tap"}
-    return Wording(
-        lead=_write_recorded_lead(results, modality, has_paper=bool(paper)),
-        modality=modality,
-        kinds=RECORDED_KINDS,
-        target=target,
-        paper=paper,
-        cards=("errors", "likeness", "recovery"),
-        card_notes={
-            "tap": "taps",
-            "sheared": "slides, as felt",
-            "sheared_learnt": "learnt from slides directly",
-        },
-        likeness_note="1 is equal",
-        montage="A held-out slide that is typical: what was felt, what the network made of it, "
-        f"and its {target}.",
-        contact="contact",
-        depth="z",
-        mm_digits=3,  # the pins of a real sensor show hundredths of a mm
-        posenet="Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet "
-        f"that has only learned from {_describe_lessons(results)}",
-        recovery=RecoveryWords(
-            text=Markup(
-                "<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {} network: {}. 1 "
-                "is as good as taps, 0 as bad as slides as felt.</p><p class=soft>"
-            )
-            + _describe_paper_recovery(results)
-            + Markup("</p>"),
-            separator="; ",
-            form=".2f",
-            undamaged="none, as slides do no harm",
-        ),
-        by_kind=True,
-        pin_row=target,
-        pin_truth=f"{target}'s pins",
-        validation_error="error in {}, {}",
-    )
-
-
-def _write_recorded_lead(results: Results, modality: ModalityWords, has_paper: bool) -> Markup:
-    networks = (
-        "Nothing is unsheared here, for which it takes taps and slides: the networks of this run "
-        "read poses."
-    )
+def write_lead(results: Results, words: Wording) -> Markup:
+    """Write how the page begins."""
+    networks = NOTHING_UNSHEARED
     if results.ms_ssim:
         networks = (
-            f"The networks of this run turn {modality.input} of a slide into what a plain tap "
-            "would have given."
+            f"The networks of this run turn {words.modality.input} of a slide into what a plain "
+            "tap would have given."
         )
     counts = {"taps": results.counts.test_taps, "slides": results.counts.test_poses}
-    contacts = " and ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-    paper = PAPER_LEAD if results.ms_ssim and has_paper else ""
-    return RECORDED_LEAD.format(networks, contacts, describe_test(results), paper)
+    return Markup(words.lead).format(
+        networks=networks,
+        contacts=" and ".join(f"{count} {kind}" for kind, count in counts.items() if count),
+        test=describe_test(results),
+        paper=PAPER_NOTE if results.ms_ssim and words.paper else "",
+    )
 
 
-def _describe_lessons(results: Results) -> str:
+def _describe_posenet(text: str, results: Results) -> str:
+    lessons = "taps."
     if set(results.pose_mae) == {"sheared_learnt"}:
-        return "labelled slides."
-    if "sheared_learnt" in results.pose_mae:
-        return "taps; one row is of a PoseNet that learned from labelled slides."
-    return "taps."
+        lessons = "labelled slides."
+    elif "sheared_learnt" in results.pose_mae:
+        lessons = "taps; one row is of a PoseNet that learned from labelled slides."
+    edges = EDGE_NOTE if "edge_mm" in list_targets(results) else ""
+    return text.format(lessons=lessons) + edges
 
 
-def _describe_paper_recovery(results: Results) -> str:
-    """Describe the paper's recoveries, which are of another sensor and give the scale."""
-    error, parts = results.paper["pose_mae"], []
+def write_recovery(
+    results: Results, words: RecoveryWords, network: str, parts: list[str]
+) -> Markup:
+    """Write the recoveries of a network, beside the paper's, which are of another sensor."""
+    error, papers = results.paper["pose_mae"], []
     for name, sheared in error["sheared"].items():
         recovery = (sheared - error[DISENTANGLED][name]) / (sheared - error["tap"][name])
-        parts.append(f"{recovery:.2f} in {name_quantity(name)}")
-    return (
-        "The paper's disentangled network, on another sensor and task, has a recovery of "
-        f"{' and '.join(parts)}."
-    )
+        papers.append(f"{recovery:.2f} in {name_quantity(name)}")
+    listed = words.separator.join(parts) or "none"
+    return Markup(words.text).format(network=network, parts=listed, paper=" and ".join(papers))
 
 
 def list_targets(results: Results) -> list[str]:
@@ -278,7 +172,7 @@ def list_main_targets(results: Results) -> list[str]:
 
 def name_quantity(name: str) -> str:
     """Name a quantity without its unit."""
-    return QUANTITIES.get(name, name.rpartition("_")[0])
+    return QUANTITIES.get(name) or name.rpartition("_")[0].replace("_", " ")
 
 
 def get_unit(name: str) -> str:
