@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -76,14 +75,6 @@ def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeyp
         (checkout / ".git" / "HEAD").write_text("nothing")
     assert code_version.read_commit(checkout) == (None, None)
     assert capfd.readouterr() == ("", "")
-
-
-def test_git_is_asked_once():
-    assert code_version.read_source() is code_version.read_source()
-    assert (
-        code_version.read_source().version == __version__
-        and Path(__file__).resolve().parents[1] == code_version.ROOT
-    )
 
 
 def test_an_installed_package_has_its_version_alone(tmp_path):

@@ -63,11 +63,6 @@ def test_a_terminal_gets_one_line_redrawn_at_most_five_times_a_second(columns, m
     assert columns < 80 or re.search(" ━+$", drawings[-1])
 
 
-def test_a_terminal_that_cannot_move_its_cursor_gets_lines(monkeypatch):
-    monkeypatch.setenv("TERM", "dumb")
-    assert work(Terminal(), steps=100, seconds=0.5) == work(io.StringIO(), steps=100, seconds=0.5)
-
-
 def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
     stream = Terminal()
     clock = Clock()
@@ -89,13 +84,6 @@ def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
 def test_resumed_work_does_not_count_towards_the_rate():
     lines = work(io.StringIO(), steps=40, seconds=0.5, done=1000).splitlines()
     assert lines[0] == "train: 1200/1400 images, 20 images/s, 10 s left"
-
-
-def test_an_interrupted_line_is_ended():
-    stream = Terminal()
-    with pytest.raises(KeyboardInterrupt), Progress("train", total=10, stream=stream):
-        raise KeyboardInterrupt
-    assert plain(stream.getvalue()).endswith("\n")
 
 
 @pytest.mark.parametrize(

@@ -8,18 +8,17 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 from markupsafe import Markup
 
 from jaxunshear.config.registry import DISENTANGLED, REGISTRY, UNSHEARING
 from jaxunshear.evaluation.recorded_descriptions import describe_test
+from jaxunshear.files import Json
 from jaxunshear.results.run import FullTable, Results, Tables
 
-TEXTS: dict[str, Any] = tomllib.loads(
-    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-)
+TEXTS: Json = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 QUANTITIES = {"edge_mm": "edge distance", "edge_deg": "edge angle"}
 EDGE = ("edge_mm", "edge_deg")  # unlike x and yaw, these are not ambiguous along an edge
 EDGE_NOTE = (
@@ -104,9 +103,9 @@ def describe(results: Results) -> Wording:
     return msgspec.convert(words | filled, Wording)
 
 
-def list_kinds(words: Mapping[str, Any]) -> dict[str, str]:
+def list_kinds(words: Json) -> dict[str, str]:
     """List the names of kinds of contact; the networks stand in the place of `network`."""
-    kinds = {}
+    kinds: dict[str, str] = {}
     for kind, name in words["kinds"].items():
         if kind == "network":
             kinds |= {network: name.format(REGISTRY[network].title) for network in UNSHEARING}
