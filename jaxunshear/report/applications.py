@@ -11,7 +11,7 @@ from jaxunshear.report import html
 from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
-from jaxunshear.report.wording import TEXTS
+from jaxunshear.report.wording import section
 from jaxunshear.results.folders import find_results_folder
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
@@ -22,15 +22,15 @@ KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} 
 def build_sections(run_dir: Path) -> list[Markup]:
     """Build the sections of commands that have been run. Raises UserError on damaged files."""
     sections = []
-    for name, text in TEXTS["applications"].items():
+    for name, build_body in BODIES.items():
         folder = find_results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
             continue
         results = read_object(file)
         try:
-            body = [*BODIES[name](results, folder), html.code(results["command"])]
-            sections.append(html.section(text["title"], text["lead"], *body))
+            body = [*build_body(results, folder), html.code(results["command"])]
+            sections.append(section(name, *body))
         except (KeyError, TypeError, AttributeError) as error:
             remedy = f"run `jaxunshear {name}` again, or delete it"
             raise UserError(f"{file} lacks {error}: {remedy}") from error

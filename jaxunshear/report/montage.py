@@ -11,7 +11,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import BROKEN_NPZ, read_npz
 from jaxunshear.report import html
-from jaxunshear.report.wording import Wording
+from jaxunshear.report.wording import Wording, section
 from jaxunshear.style import encode_png
 
 MISSING = (255, 122, 26)  # orange: only the tap is bright
@@ -45,7 +45,7 @@ def build_section(images: MontageImages, words: Wording) -> Markup:
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
         body.append(html.folded(summary, _build_table(images, others, words)))
-    return html.section("What it does", words.montage, *body)
+    return section("montage", *body, montage=words.montage)
 
 
 def _build_table(images: MontageImages, rows: list[int], words: Wording) -> Markup:

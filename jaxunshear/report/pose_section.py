@@ -9,7 +9,6 @@ from jaxunshear.report.score_sections import describe_differences, judge_differe
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.run import PartPoses, Parts, Results, Span
 
-TITLE = "What a pose network reads"
 UNSHEARED_ALIAS = "unsheared"  # in recorded results: the run's main network, once more
 ARROW = " \u2192 "
 
@@ -17,11 +16,10 @@ ARROW = " \u2192 "
 def build_pose_section(results: Results, words: Wording) -> Markup:
     """Build the section on errors of poses, with all that is derived from them."""
     if not results.pose_mae:
-        return html.section(TITLE, "This run has no PoseNet.")
+        return wording.section("no_pose")
     intervals = wording.describe_intervals(results)
-    return html.section(
-        TITLE,
-        f"{words.posenet} {intervals[0].upper()}{intervals[1:]}",
+    return wording.section(
+        "pose",
         _build_error_table(results, words),
         _describe_unambiguous_edges(results, words),
         _describe_recovery(results, words),
@@ -29,6 +27,8 @@ def build_pose_section(results: Results, words: Wording) -> Markup:
         _build_parts(results, words, results.pose_by_depth, words.depth),
         _build_parts(results, words, results.pose_by_slide, "length of the slide"),
         *_describe_differences(results, words),
+        posenet=words.posenet,
+        intervals=intervals[0].upper() + intervals[1:],
     )
 
 

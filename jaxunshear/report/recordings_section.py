@@ -21,10 +21,6 @@ def build_recordings_section(results: Results) -> Markup:
     for kind, counts in (("taps", recordings.taps), ("slides", recordings.slides)):
         if any(counts.values()):
             rows.append([kind, *(str(counts[split]) for split in SPLITS)])
-    lead = (
-        "Frames of a real sensor: networks learn from train, their best step is chosen on "
-        f"validation, all figures are of test ({describe_test(results)})."
-    )
     folded = Markup()
     for heading, lines, count in (
         (f"Frames left out ({recordings.dropped})", recordings.dropped_frames, recordings.dropped),
@@ -33,9 +29,8 @@ def build_recordings_section(results: Results) -> Markup:
         if lines:
             folded += html.folded(heading, html.listed(lines, count - len(lines)))
     facts = map(html.soft, _describe_recordings(results, recordings))
-    return html.section(
-        "The recordings", lead, html.table(["contacts", *SPLITS], rows), *facts, folded
-    )
+    body = [html.table(["contacts", *SPLITS], rows), *facts, folded]
+    return wording.section("recordings", *body, test=describe_test(results))
 
 
 def _describe_recordings(results: Results, recordings: Recordings) -> list[str]:
@@ -79,9 +74,9 @@ def build_pairing_section(results: Results) -> Markup:
     for split, gaps in results.pairing.gaps.items():
         rows.append([split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in names)])
     head = ["pose of the partner off by", "pairs", *map(wording.format_heading, names)]
-    note = html.soft("Median, and in brackets the 95th percentile.")
-    lead = TEXTS["pairing"][results.pairing.way]
-    return html.section("How slides are paired", lead, html.table(head, rows), note)
+    note = html.soft(TEXTS["sections"]["pairing"]["note"])
+    pairing = TEXTS["pairing"][results.pairing.way]
+    return wording.section("pairing", html.table(head, rows), note, pairing=pairing)
 
 
 def _format_gap(gap: Scores | int) -> str:
@@ -101,10 +96,6 @@ def build_bounds_section(results: Results, words: Wording) -> Markup:
             rows.append([words.kinds[kind], *cells])
     if not rows:
         return Markup()
-    lead = (
-        "Half-widths that hold 95 % of the errors on validation contacts of the same session; in "
-        f"brackets the share of test contacts that they hold ({describe_test(results)}). "
-        f"{ELSEWHERE_NOTE}. For yours: jaxunshear evaluate RUN --recordings DIR."
-    )
-    head = ["pose read from", *map(wording.format_heading, names)]
-    return html.section("How far an answer may be off", lead, html.table(head, rows))
+    table = html.table(["pose read from", *map(wording.format_heading, names)], rows)
+    test = describe_test(results)
+    return wording.section("bounds", table, test=test, elsewhere=ELSEWHERE_NOTE)

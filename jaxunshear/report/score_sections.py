@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_cells, format_number, format_paper_heading
-from jaxunshear.report.wording import Wording
+from jaxunshear.report.wording import TEXTS, Wording
 from jaxunshear.results.run import FurtherTest, Results, Span
 
 ESTIMATORS = {"pixels": "kernel ridge on pixels", "pins": "kernel ridge on pins"}
@@ -33,17 +33,17 @@ def build_similarity_section(results: Results, words: Wording) -> Markup:
         paper_cells = html.format_paper_cells(paper.get(kind, {}), paper_groups)
         rows.append([words.kinds[kind], *cells, *paper_cells])
     name, size = results.metric["ms_ssim"], results.metric["image_px"]
-    quantity = f"{name} {words.modality.drawn}".rstrip()
-    lead = f"{quantity} at {size} px, 1 is equal; {wording.describe_intervals(results)}"
-    if paper_groups and name != "ms_ssim":
-        lead += " The paper's has five scales at 256 px: near, but not the same quantity."
+    has_other_scales = bool(paper_groups) and name != "ms_ssim"
     paper_headings = map(format_paper_heading, paper_groups)
     head = [f"image compared with its {words.target}", *groups, *paper_headings]
-    return html.section(
-        "How alike the images are",
-        lead,
+    return wording.section(
+        "similarity",
         html.table(head, rows, range(1 + len(groups), len(head)), [len(rows) - 1]),
         describe_differences(results, "ms_ssim", "likeness", 4, 1),
+        quantity=f"{name} {words.modality.drawn}".rstrip(),
+        size=size,
+        intervals=wording.describe_intervals(results),
+        note=TEXTS["sections"]["similarity"]["note"] if has_other_scales else "",
     )
 
 
@@ -98,14 +98,16 @@ def _build_further_test(name: str, test: FurtherTest, targets: list[str], words:
         if errors is not None:
             cells += format_cells(errors, test.spread.pose_mae[kind], quantities)
         rows.append([title, *cells])
-    shapes = "shapes that no network has seen" if name == "unseen" else "the shapes trained on"
-    lead = (
-        f"{test.contacts} slides over {shapes}, {_describe_contacts(test)}: likeness of the "
-        f"images, then errors of pose; {wording.describe_intervals(test)}"
-    )
     head = ["image", *groups, *map(wording.format_heading, quantities)]
-    table = html.table(head, rows, (), [len(rows) - 1])
-    return html.section(f"Test of its own: {name}", lead, table)
+    return wording.section(
+        "further_test",
+        html.table(head, rows, (), [len(rows) - 1]),
+        test=name,
+        contacts=test.contacts,
+        shapes="shapes that no network has seen" if name == "unseen" else "the shapes trained on",
+        settings=_describe_contacts(test),
+        intervals=wording.describe_intervals(test),
+    )
 
 
 def _describe_contacts(test: FurtherTest) -> str:
@@ -141,18 +143,9 @@ def build_pin_section(results: Results, words: Wording) -> Markup:
     rows = [
         [titles[kind], *format_cells(errors[kind], {}, digits)] for kind in titles if kind in errors
     ]
-    lead = (
-        f"How far each pin, known by name, is from the {words.pin_truth}; the last row is how far "
-        "the slide moved them."
-    )
-    if "missed_per_image" in digits:
-        lead = (
-            f"Centroids found in each image, matched one to one with the {words.pin_truth} within "
-            "half a pitch. The first row is what finding pins costs by itself; the last is how far "
-            "the slide really moved them."
-        )
     head = ["image", *(PIN_HEADINGS[name] for name in digits)]
-    return html.section("Where the pins are", lead, html.table(head, rows))
+    kind = "found_pins" if "missed_per_image" in digits else "known_pins"
+    return wording.section(kind, html.table(head, rows), truth=words.pin_truth)
 
 
 def build_swap_section(results: Results, words: Wording) -> Markup:
@@ -168,22 +161,11 @@ def build_swap_section(results: Results, words: Wording) -> Markup:
         if paper:
             values += [paper[cell][metric] for metric in paper_metrics]
         rows.append([cell, target, *(format_number(value, 3) for value in values)])
-    title = "The two decoders"
-    lead = (
-        "Each decoder fed the codes it was trained on (z_p: pose code, z_s: shear code), its pins "
-        "drawn."
-    )
-    if len(rows) > 2:  # codes of pin networks have two widths and cannot be swapped
-        title = "Swapped codes"
-        lead = (
-            "Each decoder fed the code it was trained on, and the wrong one (z_p: pose code, z_s: "
-            "shear code). A bad image from the wrong code shows that the decoder uses its code, "
-            "not that the code is free of the other factor."
-        )
     paper_headings = map(format_paper_heading, paper_metrics.values())
     metrics = ["MSE", "SSIM", str(results.metric["ms_ssim"])]
     head = ["decoder(codes)", "should draw", *metrics, *paper_headings]
-    return html.section(title, lead, html.table(head, rows, (5, 6)))
+    name = "swap" if len(rows) > 2 else "decoders"  # codes of two widths cannot be swapped
+    return wording.section(name, html.table(head, rows, (5, 6)))
 
 
 def build_estimators_section(results: Results, words: Wording) -> Markup:
@@ -201,20 +183,13 @@ def build_estimators_section(results: Results, words: Wording) -> Markup:
             title = ""  # only the first row of an estimator bears its name
     taps = results.counts.reader_taps or {}
     learnt = "; ".join(f"{ESTIMATORS[name]}: {count} taps" for name, count in taps.items())
-    lead = (
-        "A network may please readers of the make that taught it. These are no neural networks: "
-        f"kernel ridges that learnt from PoseNet's training taps alone{learnt and f' ({learnt})'}. "
-        f"Mean absolute errors; {wording.describe_intervals(results)}"
-    )
     note = Markup()
     if results.readers.keys() == ESTIMATORS.keys():  # pins are those that are found in the images
-        note = html.soft(
-            "Kernel ridge on pins learnt from the taps' true pins. It reads the pins that are "
-            "found in a part of the test images; those whose pins are not known by name for sure "
-            "are left out and counted."
-        )
+        note = html.soft(TEXTS["sections"]["estimators"]["note"])
     head = ["reader", "given", "images", *map(wording.format_heading, digits)]
-    return html.section("Read by readers of another make", lead, html.table(head, rows), note)
+    intervals = wording.describe_intervals(results)
+    body = html.table(head, rows), note
+    return wording.section("estimators", *body, taps=learnt and f" ({learnt})", intervals=intervals)
 
 
 def _format_image_count(images: Mapping[str, int]) -> str:

@@ -29,7 +29,7 @@ CONTACT_TITLES = {
 def build_training_section(trainings: Trainings) -> Markup:
     """Build the section with the loss curves and the summary of each training."""
     if not trainings.histories:
-        return html.section("Training", "This run has no training logs.")
+        return wording.section("no_training")
     rows = [
         [
             name,
@@ -42,13 +42,9 @@ def build_training_section(trainings: Trainings) -> Markup:
         for name, summary in trainings.summaries.items()
     ]
     head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
-    lead = (
-        "Losses at each validation, in training (thin) and on poses kept out of it (thick). The "
-        "best step is used."
-    )
     text = "loss over epochs of " + ", ".join(trainings.histories)
     curves = html.embed_svg(_plot_losses(trainings.histories), text)
-    return html.section("Training", lead, curves, html.table(head, rows))
+    return wording.section("training", curves, html.table(head, rows))
 
 
 def build_times_section(results: Results, words: Wording, trainings: Trainings) -> Markup:
@@ -67,18 +63,13 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
         if curves:
             text = f"{label} over seconds of training"
             figures.append(html.embed_svg(_plot_error(curves, name, label), text))
-    lead = (
-        "Wall clock of each stage, summed over the runs that it was stopped and continued in (what "
-        "one had spent that was killed outright is lost), and what the seconds of training bought "
-        "on poses kept out of it."
-    )
     waits = []
     for name, times in results.ms_per_image.items():
         median, p95 = _format_ms(times["median"]), _format_ms(times["p95"])
         waits.append(f"{name} {median} ms (95th percentile {p95})")
     text = f"One image at a time, compilation apart: {'; '.join(waits)}."
     note = html.soft(text) if waits else ""
-    return html.section("Error against run time", lead, html.row(*figures), note)
+    return wording.section("times", html.row(*figures), note)
 
 
 def _format_ms(milliseconds: float) -> str:
@@ -115,9 +106,8 @@ def build_contacts_section(results: Results) -> Markup:
             f"{counts.test} to test"
         )
     poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
-    return html.section(
-        "Contact quality",
-        "How well the simulated contacts behind the test images were solved.",
+    return wording.section(
+        "contacts",
         html.table(["sheared test contacts", "mean", "median", "95th percentile", "largest"], rows),
         html.soft(f"{retried} {pairs}; {poses}"),
     )
@@ -128,9 +118,8 @@ def build_provenance_section(results: Results) -> Markup:
     source = to_builtins(results.source) if results.source else {}
     facts = (results.seeds, to_builtins(results.machine), results.versions, source)
     tables = (html.table(("", ""), list(fact.items())) for fact in facts if fact)
-    return html.section(
-        "How to get this again",
-        "The same command, seeds and versions on the same machine give the same numbers.",
+    return wording.section(
+        "provenance",
         html.code(results.command),
         html.row(*tables),
         html.folded("All settings", html.code(json.dumps(results.settings, indent=2))),

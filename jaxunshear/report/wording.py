@@ -16,6 +16,7 @@ from markupsafe import Markup
 from jaxunshear.config.registry import DISENTANGLED, REGISTRY, UNSHEARING
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.files import Json
+from jaxunshear.report import html
 from jaxunshear.results.run import FullTable, Results, Tables
 
 TEXTS: Json = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -182,6 +183,12 @@ def get_unit(name: str) -> str:
 def format_heading(name: str) -> Markup:
     """Format the heading of a quantity's column: its name above its unit."""
     return Markup("{}<br>{}").format(name_quantity(name), get_unit(name))
+
+
+def section(name: str, *body: object, **facts: object) -> Markup:
+    """Build a section of wording.toml; `facts` stand in its title and in its lead."""
+    text = TEXTS["sections"][name]
+    return html.section(text["title"].format(**facts), text["lead"].format(**facts), *body)
 
 
 def describe_intervals(results: Tables) -> str:
