@@ -8,9 +8,8 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -80,21 +79,16 @@ class FolderCheck:
         return self.frames - sum(self.left_out.values())
 
 
-class Step(NamedTuple):
-    """What to do next."""
-
-    command: str  # empty if no command can use the frames
-    advice: str = ""
-
-
 @dataclass(frozen=True)
 class Diagnosis:
     """The result of checking the recordings at `path`."""
 
-    path: Path
-    folders: tuple[FolderCheck, ...]
-    problems: tuple[Problem, ...]
-    next: Step
+    path: str
+    rows: list[FolderCheck]
+    problems: list[Json]  # with place, row of a table, and text
+    usable: bool
+    next: str  # command; empty if none can use the frames
+    note: str  # advice on that command, or what to do first
 
 
 def check_recordings(path: Path) -> Diagnosis:
@@ -120,8 +114,9 @@ def check_recordings(path: Path) -> Diagnosis:
         raise UserError(
             f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}"
         )
-    step = choose_step(path, [folder for folder in folders if folder.pins])
-    return Diagnosis(path, tuple(folders), tuple(problems), step)
+    command, note = _choose_command(path, [folder for folder in folders if folder.pins])
+    listed = [{"place": str(each.place), "row": each.row, "text": str(each)} for each in problems]
+    return Diagnosis(str(path), folders, listed, bool(command), command, note)
 
 
 def _check_folder(
@@ -210,47 +205,47 @@ def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     return PinCheck(len(detections), median, layout, followed, inverted)
 
 
-def choose_step(path: Path, usable: Sequence[FolderCheck]) -> Step:
+def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str]:
     """Choose the next command for the usable folders at `path`, and advice on it."""
     pins = usable[0].pins
     assert pins is not None
     if len({(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}) > 1:
         largest = path / max(usable, key=lambda folder: folder.usable).name
         advice = "these folders differ in size or sensor: check each on its own"
-        return Step(_join("doctor", largest), advice)
+        return _join("doctor", largest), advice
     if pins.inverted:
-        return Step("", INVERTED)
+        return "", INVERTED
     if pins.median < MIN_PINS:
-        return Step("", NO_PINS)
+        return "", NO_PINS
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
         file = "FILE gives x and y of each pin, a line each"
-        return Step(_join("pins", path, "--layout", "FILE"), f"{advice}; {file}")
+        return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
     taps = sum(each.labels.taps for each in usable)
     slides = sum(each.labels.slides for each in usable)
     if taps and slides:
-        return Step(_join("fit", "--taps", path, "--slides", path))
+        return _join("fit", "--taps", path, "--slides", path), ""
     if taps or slides:
         advice = "these networks learn to read poses, not to unshear"
         if taps and pins.layout == TACTIP_331.name:
             advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
-        return Step(_join("fit", "--taps" if taps else "--slides", path), advice)
+        return _join("fit", "--taps" if taps else "--slides", path), advice
     return _choose_inference(path, usable, pins.layout)
 
 
-def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> Step:
+def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> tuple[str, str]:
     """Choose the command for frames whose labels are not enough for training."""
     if layout != TACTIP_331.name:
         advice = f"released weights need {TACTIP_331.pins} pins"
-        return Step(_join("pins", path, "--sensor", layout), advice)
+        return _join("pins", path, "--sensor", layout), advice
     if sum(each.usable for each in usable) < MIN_FRAMES:
         advice = f"`unshear` needs {MIN_FRAMES} frames of the same sensor: name them by --like"
-        return Step(_join("pins", path), advice)
+        return _join("pins", path), advice
     advice = "training needs labels of poses, which these frames lack"
     if any(each.labels.posed for each in usable):
         advice = "no moves are known: to train, name a folder each by `fit --taps DIR --slides DIR`"
-    return Step(_join("unshear", path, "--out", "unsheared"), advice)
+    return _join("unshear", path, "--out", "unsheared"), advice
 
 
 def _join(*words: str | Path) -> str:
@@ -259,7 +254,7 @@ def _join(*words: str | Path) -> str:
 
 def describe(diagnosis: Diagnosis) -> list[str]:
     """Describe the diagnosis in lines of text."""
-    folders, problems, step = diagnosis.folders, diagnosis.problems, diagnosis.next
+    folders, problems = diagnosis.rows, diagnosis.problems
     frames, usable = sum(each.frames for each in folders), sum(each.usable for each in folders)
     lines = [f"{diagnosis.path}: {_count(frames, 'frame')} in {_count(len(folders), 'folder')}"]
     reasons: Counter[str] = Counter()
@@ -269,24 +264,11 @@ def describe(diagnosis: Diagnosis) -> list[str]:
     counts = "".join(f", {count} {reason}" for reason, count in reasons.items())
     share = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%})"
     lines += ["", f"left out: {share}{counts}"]
-    lines += [f"problem: {problem}" for problem in problems[:MAX_LISTED_IMAGES]]
+    lines += [f"problem: {problem['text']}" for problem in problems[:MAX_LISTED_IMAGES]]
     if len(problems) > MAX_LISTED_IMAGES:
         lines.append(f"problem: {len(problems) - MAX_LISTED_IMAGES} more, listed by --json")
-    lines.append(f"next: {step.command or 'no command can use these frames'}")
-    return [*lines, f"note: {step.advice}"] if step.advice else lines
-
-
-def to_json(diagnosis: Diagnosis) -> Json:
-    """Convert the diagnosis to JSON, with a row per folder."""
-    problems = [{"place": str(p.place), "row": p.row, "text": str(p)} for p in diagnosis.problems]
-    return {
-        "path": str(diagnosis.path),
-        "rows": [asdict(folder) for folder in diagnosis.folders],
-        "problems": problems,
-        "usable": bool(diagnosis.next.command),
-        "next": diagnosis.next.command,
-        "note": diagnosis.next.advice,
-    }
+    lines.append(f"next: {diagnosis.next or 'no command can use these frames'}")
+    return [*lines, f"note: {diagnosis.note}"] if diagnosis.note else lines
 
 
 def _count(number: int, noun: str) -> str:

@@ -19,13 +19,14 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
-    from jaxunshear.doctor import check_recordings, describe, to_json
+    from jaxunshear.doctor import check_recordings, describe
 
     diagnosis = check_recordings(arguments.path)
     print("\n".join(describe(diagnosis)))
     if arguments.json:
         from jaxunshear.files import write_json
         from jaxunshear.metrics.machine import describe_provenance
+        from jaxunshear.serialization import to_builtins
 
-        write_json(arguments.json, describe_provenance(command) | to_json(diagnosis))
-    return 0 if diagnosis.next.command else 1
+        write_json(arguments.json, describe_provenance(command) | to_builtins(diagnosis))
+    return 0 if diagnosis.usable else 1
