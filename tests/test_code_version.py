@@ -43,19 +43,12 @@ def test_a_commit_and_whether_the_code_is_as_committed(checkout):
 def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
     checkout, tmp_path, monkeypatch
 ):
-    other = tmp_path / "other"
+    commit, other = git(checkout, "rev-parse", "HEAD"), tmp_path / "other"
     shutil.copytree(checkout, other)
     git(other, "commit", "-q", "--allow-empty", "-m", "second")
     monkeypatch.chdir(other)
     monkeypatch.setenv("GIT_DIR", str(other / ".git"))
-    assert (
-        code_version.read_commit(checkout)[0]
-        == subprocess.run(
-            ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"],
-            capture_output=True,
-            text=True,
-        ).stdout.strip()
-    )
+    assert code_version.read_commit(checkout)[0] == commit
 
 
 def test_an_environment_inside_a_checkout_is_not_the_checkout(checkout):

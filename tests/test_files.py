@@ -90,20 +90,18 @@ def test_corrupt_json_names_file_and_remedy(tmp_path, content):
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (MemoryError(), r"cannot read runs: there is not enough memory"),
-        (
-            PermissionError(errno.EACCES, "Permission denied"),
-            r"cannot read runs: Permission denied",
-        ),
-        (OSError(errno.EMFILE, "Too many open files"), r"cannot read runs: Too many open files"),
+        (MemoryError(), "there is not enough memory"),
+        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied"),
+        (OSError(errno.EMFILE, "Too many open files"), "Too many open files"),
     ],
 )
 def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
     wrapped = ValueError("a library's own")
     wrapped.__cause__ = error
     for each in (error, wrapped):
-        with pytest.raises(UserError, match=line):
+        with pytest.raises(UserError, match=f"cannot read runs: {line}"):
             files.raise_machine_error(Path("runs"), each)
+    files.raise_machine_error(Path("runs"), ValueError("bad header"))  # may be damage
 
 
 def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
@@ -117,9 +115,7 @@ def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     assert files.read_object_if_sound(path) == {"data": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"), [("[]", "list"), ("1", "int"), ("null", "NoneType"), ('"a"', "str")]
-)
+@pytest.mark.parametrize(("text", "kind"), [("[]", "list"), ("null", "NoneType")])
 def test_what_is_no_object_is_refused_where_one_is_read(tmp_path, text, kind):
     path = tmp_path / "experiment.json"
     path.write_text(text)

@@ -29,9 +29,8 @@ class Terminal(io.StringIO):
 
 def work(stream: io.StringIO, steps: int, seconds: float, done: int = 0) -> str:
     clock = Clock()
-    with Progress(
-        "train", total=done + 10 * steps, done=done, stream=stream, clock=clock
-    ) as progress:
+    total = done + 10 * steps
+    with Progress("train", total=total, done=done, stream=stream, clock=clock) as progress:
         for _ in range(steps):
             clock.now += seconds
             progress.advance(10)
@@ -73,12 +72,8 @@ def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
             inner.advance()
         outer.advance(2)
     left = [line.split("\r")[-1] for line in plain(stream.getvalue()).split("\n")]
-    assert [line.split(",")[0] for line in left] == [
-        "said",
-        "in: 1/1 images",
-        "out [red]: 2/2 images",
-        "",
-    ]
+    shown = ["said", "in: 1/1 images", "out [red]: 2/2 images", ""]
+    assert [line.split(",")[0] for line in left] == shown
 
 
 def test_resumed_work_does_not_count_towards_the_rate():

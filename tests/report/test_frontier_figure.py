@@ -144,9 +144,7 @@ def test_a_picture_is_drawn_where_there_is_something_to_draw():
     assert plot_frontier(record(summary(FOUR[:1]))) is None
 
 
-@pytest.mark.parametrize(
-    ("setting", "ms"), [("train.epochs", [5, 5]), ("unshear.widths", [3, 9])]
-)
+@pytest.mark.parametrize(("setting", "ms"), [("train.epochs", [5, 5]), ("unshear.widths", [3, 9])])
 def test_cells_of_one_network_take_equally_long_for_an_image(setting, ms):
     """Neither does training decide, as other widths and sizes do."""
     made = summary(FOUR)
