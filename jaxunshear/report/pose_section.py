@@ -4,7 +4,7 @@ from markupsafe import Markup
 
 from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.report import html, wording
-from jaxunshear.report.html import format_cells, format_number, format_paper_heading
+from jaxunshear.report.html import format_cells, format_number
 from jaxunshear.report.score_sections import describe_differences, judge_difference
 from jaxunshear.report.wording import Wording
 from jaxunshear.results.run import PartPoses, Parts, Results, Span
@@ -47,7 +47,7 @@ def _build_error_table(results: Results, words: Wording) -> Markup:
     cells = format_cells(results.baselines["pose_chance"], {}, digits)
     rows.append([constant_answer, *cells, *("" for _ in paper_names)])
     headings = map(wording.format_heading, digits)
-    paper_headings = (format_paper_heading(wording.format_heading(name)) for name in paper_names)
+    paper_headings = html.format_paper_headings(map(wording.format_heading, paper_names))
     head = [words.modality.pose_input, *headings, *paper_headings]
     return html.table(head, rows, range(1 + len(digits), len(head)), [main_row])
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from markupsafe import Markup
 
 from jaxunshear.report import html, wording
-from jaxunshear.report.html import format_cells, format_number, format_paper_heading
+from jaxunshear.report.html import format_cells, format_number
 from jaxunshear.report.wording import TEXTS, Wording
 from jaxunshear.results.run import FurtherTest, Results, Span
 
@@ -34,7 +34,7 @@ def build_similarity_section(results: Results, words: Wording) -> Markup:
         rows.append([words.kinds[kind], *cells, *paper_cells])
     name, size = results.metric["ms_ssim"], results.metric["image_px"]
     has_other_scales = bool(paper_groups) and name != "ms_ssim"
-    paper_headings = map(format_paper_heading, paper_groups)
+    paper_headings = html.format_paper_headings(paper_groups)
     head = [f"image compared with its {words.target}", *groups, *paper_headings]
     return wording.section(
         "similarity",
@@ -161,7 +161,7 @@ def build_swap_section(results: Results, words: Wording) -> Markup:
         if paper:
             values += [paper[cell][metric] for metric in paper_metrics]
         rows.append([cell, target, *(format_number(value, 3) for value in values)])
-    paper_headings = map(format_paper_heading, paper_metrics.values())
+    paper_headings = html.format_paper_headings(paper_metrics.values())
     metrics = ["MSE", "SSIM", str(results.metric["ms_ssim"])]
     head = ["decoder(codes)", "should draw", *metrics, *paper_headings]
     name = "swap" if len(rows) > 2 else "decoders"  # codes of two widths cannot be swapped
