@@ -29,7 +29,8 @@ def _build_similarity_cards(results: Results, words: Wording) -> Iterator[Markup
     sheared, after = results.ms_ssim["sheared"]["overall"], results.ms_ssim[kind]["overall"]
     note = "; ".join(filter(None, (words.modality.drawn, words.likeness_note)))
     ok = None
-    low, high = (results.bars.get(f"ms_ssim.{name}.overall") for name in (kind, "sheared"))
+    low = results.bars.get(f"ms_ssim.{kind}.overall")
+    high = results.bars.get("ms_ssim.sheared.overall")
     if low and high and kind != "sheared":
         note = f"at least {low.bar:.2f} unsheared, at most {high.bar:.2f} sheared"
         ok = low.is_met(after) and high.is_met(sheared)

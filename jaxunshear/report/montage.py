@@ -93,7 +93,7 @@ def _select_typical(images: MontageImages) -> tuple[list[int], list[int]]:
 def _make_cells(images: MontageImages, row: int, words: Wording) -> list[Cell]:
     """Make the images of a contact, with the likenesses below them."""
     network, target = choose_main_kind(images), words.target
-    sheared, unsheared, tap = (images[name][row] for name in ("sheared", network, "tap"))
+    sheared, unsheared, tap = images["sheared"][row], images[network][row], images["tap"][row]
     truth = "tap (truth)" if target == "tap" else target
     return [
         Cell("sheared (input)", sheared, f"{images['ms_ssim_sheared'][row]:.2f}"),
