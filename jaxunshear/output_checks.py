@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 from jaxunshear.errors import UserError
@@ -42,9 +43,10 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
 
 
 def _check_above(path: Path, option: str) -> None:
-    nearest = next((folder for folder in path.absolute().parents if folder.exists()), None)
-    if nearest is not None and not nearest.is_dir():
-        raise UserError(f"{option} {path}: {nearest} is a file: name another place")
+    """Refuse a place in a file, or in a link that leads to no folder."""
+    nearest = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not nearest.is_dir():
+        raise UserError(f"{option} {path}: {nearest} is a file: name another folder")
 
 
 def check_not_among(recordings: Path, out: Path, option: str) -> None:

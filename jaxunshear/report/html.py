@@ -24,14 +24,15 @@ _ENVIRONMENT = Environment(
 _MACROS = _ENVIRONMENT.get_template("page.html").module
 
 
-def _get_macro(name: str) -> Callable[..., Markup]:
+def get_macro(name: str) -> Callable[..., Markup]:
+    """Return a macro of page.html."""
     return getattr(_MACROS, name)
 
 
-page, opening, compared = map(_get_macro, ("page", "opening", "compared"))
-section, card, cards, table = map(_get_macro, ("section", "card", "cards", "table"))
-montage, caption, figure = map(_get_macro, ("montage", "caption", "figure"))
-folded, listed, row, soft, code = map(_get_macro, ("folded", "listed", "row", "soft", "code"))
+page, opening, compared = map(get_macro, ("page", "opening", "compared"))
+section, card, cards, table = map(get_macro, ("section", "card", "cards", "table"))
+montage, caption, figure = map(get_macro, ("montage", "caption", "figure"))
+folded, listed, row, soft, code = map(get_macro, ("folded", "listed", "row", "soft", "code"))
 
 
 def embed_svg(svg: str, text: str) -> Markup:

@@ -81,7 +81,7 @@ def _describe_recovery(results: Results, words: Wording) -> Markup:
             text = f"{value:{form}}{_format_interval(spread[name], form)}"
         if text:
             parts.append(f"{wording.name_quantity(name)} {text}")
-    return wording.write_recovery(results, words.recovery, kind, parts)
+    return wording.write_recovery(results, words, kind, parts)
 
 
 def _format_interval(interval: Span, form: str) -> str:

@@ -10,16 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import msgspec
 from markupsafe import Markup
 
 from jaxunshear.config.registry import DISENTANGLED, REGISTRY, UNSHEARING
 from jaxunshear.evaluation.recorded_descriptions import describe_test
 from jaxunshear.files import Json
 from jaxunshear.report import html
+from jaxunshear.results.record_files import convert_record
 from jaxunshear.results.run import FullTable, Results, Tables
 
-TEXTS: Json = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+FILE = Path(__file__).with_suffix(".toml")
+TEXTS: Json = tomllib.loads(FILE.read_text(encoding="utf-8"))
 QUANTITIES = {"edge_mm": "edge distance", "edge_deg": "edge angle"}
 EDGE = ("edge_mm", "edge_deg")  # unlike x and yaw, these are not ambiguous along an edge
 EDGE_NOTE = (
@@ -30,17 +31,13 @@ NOTHING_UNSHEARED = (
     "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read "
     "poses."
 )
-PAPER_NOTE = Markup(
-    " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
-)
 MAX_CARDS = 3  # quantities with a card, at most
 
 
 @dataclass(frozen=True)
 class RecoveryWords:
-    """The sentence on recovery, `text`, in which the network and the quantities stand."""
+    """Words for the parts of the sentence on recovery."""
 
-    text: str
     separator: str  # of quantities
     form: str  # of a number
     undamaged: str  # of a quantity in which slides do no damage; it is left out if empty
@@ -61,7 +58,7 @@ class ModalityWords:
 class Wording:
     """The words for one run."""
 
-    lead: str  # of the page
+    source: str  # of contacts: begins the names of macros
     modality: ModalityWords
     kinds: Mapping[str, str]  # of contact
     target: str  # of unshearing: the tap at the same pose, or the partner in its place
@@ -87,12 +84,14 @@ class Wording:
 
 def describe(results: Results) -> Wording:
     """Choose the words for a run."""
-    words = TEXTS["simulated" if results.simulated else "recorded"]
+    source = "simulated" if results.simulated else "recorded"
+    words = TEXTS[source]
     modality = TEXTS[results.settings["unshear"].get("input", "images")]
     pairing = results.pairing.way if results.pairing else ""
     target = "partner" if pairing in ("rendered", "nearest", "simulated") else "tap"
     papers = {*words["paper_tables"], *(modality["paper_tables"] if target == "tap" else ())}
     filled = {
+        "source": source,
         "modality": modality,
         "kinds": list_kinds(words),
         "target": target,
@@ -101,7 +100,7 @@ def describe(results: Results) -> Wording:
     }
     filled |= {name: words[name].format(target=target) for name in ("pin_row", "pin_truth")}
     filled["montage"] = words["montage"].format(target=target) + modality["montage"]
-    return msgspec.convert(words | filled, Wording)
+    return convert_record(words | filled, Wording, FILE, "install jaxunshear again")
 
 
 def list_kinds(words: Json) -> dict[str, str]:
@@ -127,12 +126,10 @@ def write_lead(results: Results, words: Wording) -> Markup:
             "tap would have given."
         )
     counts = {"taps": results.counts.test_taps, "slides": results.counts.test_poses}
-    return Markup(words.lead).format(
-        networks=networks,
-        contacts=" and ".join(f"{count} {kind}" for kind, count in counts.items() if count),
-        test=describe_test(results),
-        paper=PAPER_NOTE if results.ms_ssim and words.paper else "",
-    )
+    contacts = " and ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+    has_paper = bool(results.ms_ssim and words.paper)
+    write = html.get_macro(f"{words.source}_lead")
+    return write(networks, contacts, describe_test(results), has_paper)
 
 
 def _describe_posenet(text: str, results: Results) -> str:
@@ -145,16 +142,15 @@ def _describe_posenet(text: str, results: Results) -> str:
     return text.format(lessons=lessons) + edges
 
 
-def write_recovery(
-    results: Results, words: RecoveryWords, network: str, parts: list[str]
-) -> Markup:
+def write_recovery(results: Results, words: Wording, network: str, parts: list[str]) -> Markup:
     """Write the recoveries of a network, beside the paper's, which are of another sensor."""
     error, papers = results.paper["pose_mae"], []
     for name, sheared in error["sheared"].items():
         recovery = (sheared - error[DISENTANGLED][name]) / (sheared - error["tap"][name])
         papers.append(f"{recovery:.2f} in {name_quantity(name)}")
-    listed = words.separator.join(parts) or "none"
-    return Markup(words.text).format(network=network, parts=listed, paper=" and ".join(papers))
+    listed = words.recovery.separator.join(parts) or "none"
+    write = html.get_macro(f"{words.source}_recovery")
+    return write(network, listed, " and ".join(papers))
 
 
 def list_targets(results: Results) -> list[str]:
