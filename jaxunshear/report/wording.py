@@ -27,10 +27,6 @@ EDGE_NOTE = (
     " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle "
     "are not."
 )
-NOTHING_UNSHEARED = (
-    "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read "
-    "poses."
-)
 MAX_CARDS = 3  # quantities with a card, at most
 
 
@@ -119,17 +115,12 @@ KINDS = list_kinds(TEXTS["simulated"])
 
 def write_lead(results: Results, words: Wording) -> Markup:
     """Write how the page begins."""
-    networks = NOTHING_UNSHEARED
-    if results.ms_ssim:
-        networks = (
-            f"The networks of this run turn {words.modality.input} of a slide into what a plain "
-            "tap would have given."
-        )
+    unsheared = words.modality.input if results.ms_ssim else ""
     counts = {"taps": results.counts.test_taps, "slides": results.counts.test_poses}
     contacts = " and ".join(f"{count} {kind}" for kind, count in counts.items() if count)
     has_paper = bool(results.ms_ssim and words.paper)
     write = html.get_macro(f"{words.source}_lead")
-    return write(networks, contacts, describe_test(results), has_paper)
+    return write(unsheared, contacts, describe_test(results), has_paper)
 
 
 def _describe_posenet(text: str, results: Results) -> str:
