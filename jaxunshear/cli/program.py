@@ -68,6 +68,8 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
             return _print_error(f"{error.filename}: {error.strerror}")
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
             return _print_error("out of memory; use a smaller --train.batch or smaller images")
+        if "Unable to initialize backend" in str(error):  # JAX names the variable and a remedy
+            return _print_error(str(error))
         raise
 
 
