@@ -45,7 +45,7 @@ def _build_error_cards(results: Results, words: Wording) -> Iterator[Markup]:
     kind = next((kind for kind in kinds if kind in pose), None)
     if kind is None:
         return
-    for quantity in wording.list_main_targets(results):
+    for quantity in words.main_targets:
         before, after = "", _format_error(pose[kind][quantity], quantity)
         if kind not in ("sheared", "tap") and "sheared" in pose:
             before = _format_error(pose["sheared"][quantity], quantity)
@@ -78,7 +78,7 @@ def _build_pin_cards(results: Results, words: Wording) -> Iterator[Markup]:
 def _build_recovery_cards(results: Results, words: Wording) -> Iterator[Markup]:
     recovery = results.pose_recovery.get(choose_main_kind(results.pose_recovery))
     if recovery:
-        quantities = wording.list_main_targets(results)
+        quantities = words.main_targets
         values = ", ".join(format_number(recovery[quantity]) for quantity in quantities)
         names = ", ".join(map(wording.name_quantity, quantities))
         note = f"{names}; 1 is as good as taps, 0 as bad as slides as felt"

@@ -1,5 +1,7 @@
 """The section of a run's page on poses: errors by kind of contact, and recovery."""
 
+from collections.abc import Mapping
+
 from markupsafe import Markup
 
 from jaxunshear.evaluation.score import choose_main_kind
@@ -33,7 +35,7 @@ def build_pose_section(results: Results, words: Wording) -> Markup:
 
 
 def _build_error_table(results: Results, words: Wording) -> Markup:
-    digits = words.choose_digits(wording.list_targets(results))
+    digits = words.digits
     paper = words.paper.get("pose_mae", {})
     paper_names = [name for name in paper.get("tap", ()) if name in digits]
     rows: list[list[str]] = []
@@ -74,7 +76,7 @@ def _describe_recovery(results: Results, words: Wording) -> Markup:
     if kind == "sheared":
         return Markup()
     recovery, spread = results.pose_recovery[kind], results.spread.pose_recovery[kind]
-    for name in wording.list_targets(results):
+    for name in words.digits:
         text, value = words.recovery.undamaged, recovery.get(name)
         if value is not None:
             form = words.recovery.form
@@ -90,7 +92,7 @@ def _format_interval(interval: Span, form: str) -> str:
 
 def _build_parts(results: Results, words: Wording, parts: Parts | None, by: str) -> Markup:
     """Build the folded table of recovery by `parts`; of errors if recovery is unknown."""
-    kind, names = choose_main_kind(results.pose_mae), wording.list_targets(results)
+    kind, names = choose_main_kind(results.pose_mae), words.digits
     if kind == "sheared":
         return Markup()
     head = [f"as felt{ARROW}unsheared, by {by}", *map(wording.format_heading, names)]
@@ -102,11 +104,11 @@ def _build_parts(results: Results, words: Wording, parts: Parts | None, by: str)
             cells = format_cells(part.pose_recovery[kind], spread, dict.fromkeys(names, 2))
             rows.append([name, *cells])
         elif part and {"sheared", kind} <= set(part.pose_mae):
-            rows.append([name, *_format_error_changes(part, kind, words.choose_digits(names))])
+            rows.append([name, *_format_error_changes(part, kind, words.digits)])
     return html.folded(f"By {by}", html.table(head, rows)) if rows else Markup()
 
 
-def _format_error_changes(part: PartPoses, kind: str, digits: dict[str, int]) -> list[str]:
+def _format_error_changes(part: PartPoses, kind: str, digits: Mapping[str, int]) -> list[str]:
     before, after = part.pose_mae["sheared"], part.pose_mae[kind]
     return [
         f"{format_number(before[name], count)}{ARROW}{format_number(after[name], count)}"
@@ -119,7 +121,7 @@ def _describe_differences(results: Results, words: Wording) -> list[Markup]:
     if words.differences == "by kind":
         kinds = [kind for kind, scores in results.difference.items() if set(scores) != {"ms_ssim"}]
         return [_describe_difference(results, words, kind) for kind in kinds]
-    names = wording.list_main_targets(results)
+    names = words.main_targets
     subjects = {"edge_mm": "mm from the edge"}
     if "edge_mm" not in names:
         subjects = {
@@ -133,7 +135,7 @@ def _describe_differences(results: Results, words: Wording) -> list[Markup]:
 def _describe_difference(results: Results, words: Wording, kind: str) -> Markup:
     differences, spread = results.difference[kind], results.spread.difference[kind]
     parts = []
-    for name, digits in words.choose_digits(wording.list_targets(results)).items():
+    for name, digits in words.digits.items():
         form = f"+.{digits}f"
         interval = _format_interval(spread[name], form)
         figure = f"{differences[name]:{form}}{interval} {wording.get_unit(name)}"

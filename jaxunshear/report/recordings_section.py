@@ -66,14 +66,16 @@ def _describe_range(target: Target) -> str:
     return f"{name} {low:.2f} to {high:.2f} {wording.get_unit(target.name)}"
 
 
-def build_pairing_section(results: Results) -> Markup:
+def build_pairing_section(results: Results, words: Wording) -> Markup:
     """Build the section on partners of slides; nothing if there are no pairs."""
     if results.pairing is None or results.pairing.way not in TEXTS["pairing"]:
         return Markup()
-    names, rows = wording.list_targets(results), []
+    rows = []
     for split, gaps in results.pairing.gaps.items():
-        rows.append([split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in names)])
-    head = ["pose of the partner off by", "pairs", *map(wording.format_heading, names)]
+        rows.append(
+            [split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in words.digits)]
+        )
+    head = ["pose of the partner off by", "pairs", *map(wording.format_heading, words.digits)]
     note = html.soft(TEXTS["sections"]["pairing"]["note"])
     pairing = TEXTS["pairing"][results.pairing.way]
     return wording.section("pairing", html.table(head, rows), note, pairing=pairing)
@@ -88,7 +90,7 @@ def build_bounds_section(results: Results, words: Wording) -> Markup:
     """Build the section on error bounds; nothing if validation contacts were too few for them."""
     widths, coverage = results.half_width or {}, results.coverage or {}
     bounded = {name for shares in coverage.values() for name in shares}
-    names = [name for name in wording.list_targets(results) if name in bounded]
+    names = [name for name in words.digits if name in bounded]
     rows = []
     for kind, shares in coverage.items():
         if kind in widths:

@@ -63,7 +63,7 @@ def _build_sections(
     yield score_sections.build_further_tests(results, words)
     yield score_sections.build_pin_section(results, words)
     yield recordings_section.build_recordings_section(results)
-    yield recordings_section.build_pairing_section(results)
+    yield recordings_section.build_pairing_section(results, words)
     yield recordings_section.build_bounds_section(results, words)
     yield score_sections.build_swap_section(results, words)
     yield from applications.build_sections(run_dir)

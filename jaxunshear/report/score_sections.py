@@ -82,13 +82,13 @@ def build_further_tests(results: Results, words: Wording) -> Markup:
     """Build a section for each further test, such as other shapes or taps at other depths."""
     sections = []
     for name, test in results.tests.items():
-        sections.append(_build_further_test(name, test, wording.list_targets(results), words))
+        sections.append(_build_further_test(name, test, words))
     return Markup().join(sections)
 
 
-def _build_further_test(name: str, test: FurtherTest, targets: list[str], words: Wording) -> Markup:
+def _build_further_test(name: str, test: FurtherTest, words: Wording) -> Markup:
     groups = dict.fromkeys(next(iter(test.ms_ssim.values())), 3)
-    quantities = dict.fromkeys(targets, 2) if test.pose_mae else {}
+    quantities = dict.fromkeys(words.digits, 2) if test.pose_mae else {}
     rows = []
     for kind, title in words.kinds.items():
         likeness, errors = test.ms_ssim.get(kind, {}), test.pose_mae.get(kind)
@@ -172,7 +172,7 @@ def build_estimators_section(results: Results, words: Wording) -> Markup:
     """Build the section on pose estimators that are no neural networks; nothing without them."""
     if not results.readers:
         return Markup()
-    digits = words.choose_digits(wording.list_targets(results))
+    digits = words.digits
     rows = []
     for estimator, kinds in results.readers.items():
         title = ESTIMATORS[estimator]

@@ -54,7 +54,7 @@ def build_times_section(results: Results, words: Wording, trainings: Trainings) 
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
         figures.append(html.embed_svg(_plot_stage_times(stages), text))
-    for name, label in _list_validation_errors(results, words).items():
+    for name, label in _list_validation_errors(words).items():
         curves = {
             key: history
             for key, history in trainings.histories.items()
@@ -76,10 +76,10 @@ def _format_ms(milliseconds: float) -> str:
     return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
 
 
-def _list_validation_errors(results: Results, words: Wording) -> dict[str, str]:
+def _list_validation_errors(words: Wording) -> dict[str, str]:
     """Give the label of each validation figure that is plotted over seconds of training."""
     titles = {"supervised": f"unsheared {words.modality.output}, MSE"}
-    for name in wording.list_main_targets(results):
+    for name in words.main_targets:
         titles[name] = words.validation_error.format(
             quantity=wording.name_quantity(name), unit=wording.get_unit(name)
         )

@@ -65,17 +65,14 @@ class Wording:
     montage: str
     contact: str
     depth: str
-    mm_digits: int
+    digits: Mapping[str, int]  # decimals of errors, by target
+    main_targets: list[str]  # with which the page begins
     posenet: str
     recovery: RecoveryWords
     differences: Literal["by quantity", "by kind"]
     pin_row: str  # of the target's own pins
     pin_truth: str
     validation_error: str
-
-    def choose_digits(self, targets: list[str]) -> dict[str, int]:
-        """Choose the decimals of the errors in `targets`."""
-        return {name: self.mm_digits if get_unit(name) == "mm" else 2 for name in targets}
 
 
 def describe(results: Results) -> Wording:
@@ -92,6 +89,8 @@ def describe(results: Results) -> Wording:
         "kinds": list_kinds(words),
         "target": target,
         "paper": {name: table for name, table in results.paper.items() if name in papers},
+        "digits": {name: words["digits"].get(get_unit(name), 2) for name in list_targets(results)},
+        "main_targets": list_main_targets(results),
         "posenet": _describe_posenet(words["posenet"], results),
     }
     filled |= {name: words[name].format(target=target) for name in ("pin_row", "pin_truth")}
