@@ -161,11 +161,12 @@ def compare_scores(runs: Sequence[Run]) -> list[Score]:
     names: dict[str, None] = {}
     for metrics in values:
         names |= dict.fromkeys(metrics)
-    return [
-        Score(name, [each.get(name) for each in values], [each.get(name) for each in changes])
-        for name in names
-        if _get_table_name(name) != WITHIN_RUN_TABLE
-    ]
+    scores = []
+    for name in names:
+        if _get_table_name(name) != WITHIN_RUN_TABLE:
+            differences = [each.get(name) for each in changes]
+            scores.append(Score(name, [each.get(name) for each in values], differences))
+    return scores
 
 
 def _compare_to_reference(run: Run, reference: Run) -> dict[str, Figure]:
