@@ -32,7 +32,7 @@ def release(run_dir: Path, out: Path) -> Path:
     Raises `UserError` if `out` exists, or the run is not finished or evaluated.
     """
     from jaxunshear.inference.perception import load_networks
-    from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
+    from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
     for name in ("experiment.json", "results.json"):
@@ -48,7 +48,7 @@ def release(run_dir: Path, out: Path) -> Path:
         card = make_card(results, out.name)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    names = [name for name in RELEASED_PARTS if has_model(run_dir / name)]
+    names = [name for name in RELEASED_PARTS if (run_dir / name / MODEL).is_file()]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     _, variables, targets = load_networks(run_dir, names)
