@@ -24,6 +24,8 @@ from jaxunshear.simulator.stimuli import (
 )
 
 SUFFIXES = (".png", ".svg", ".pdf")
+USES = {**dict.fromkeys(TRAINING, "trained on"), **dict.fromkeys(UNSEEN, "kept unseen")}
+DRAWING_POINTS = 500  # along a side
 
 
 def list_names(catalogue: str) -> list[str]:
@@ -31,40 +33,32 @@ def list_names(catalogue: str) -> list[str]:
     return list(SENSORS) if catalogue == "sensors" else list(STIMULI)
 
 
-def format_listing(kind: str) -> str:
+def format_listing(catalogue: str) -> str:
     """Format one line for each sensor or stimulus."""
-    if kind == "sensors":
-        lines = [
-            f"{sensor.name:16} {sensor.pins} pins, {sensor.layout}, {sensor.pin_spacing_mm:g} mm "
-            f"apart; dome radius {sensor.dome_radius_mm:g} mm"
-            for sensor in SENSORS.values()
-        ]
-    else:
+    lines = [
+        f"{sensor.name:16} {sensor.pins} pins, {sensor.layout}, {sensor.pin_spacing_mm:g} mm "
+        f"apart; dome radius {sensor.dome_radius_mm:g} mm"
+        for sensor in SENSORS.values()
+    ]
+    if catalogue == "stimuli":
         lines = [
             f"{stimulus.name:12} {stimulus.material}, friction {stimulus.friction:g}; "
-            f"{_describe_use(stimulus.name)}"
+            f"{USES.get(stimulus.name, 'for recordings of it')}"
             for stimulus in STIMULI.values()
         ]
     return "\n".join(lines)
 
 
-def _describe_use(name: str) -> str:
-    if name in TRAINING:
-        return "trained on"
-    return "kept unseen" if name in UNSEEN else "for recordings of it"
-
-
-def draw(kind: str, name: str, out: Path) -> None:
+def draw(catalogue: str, name: str, out: Path) -> None:
     """Draw a sensor's pins or the outline of a stimulus in mm to `out`, a PNG, SVG or PDF."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
-    subject = get_sensor(name) if kind == "sensors" else make_stimulus(parse_stimulus(name))
     figure = Figure(figsize=(6, 6), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
-    if isinstance(subject, Sensor):
-        _draw_sensor(axes, subject)
+    if catalogue == "sensors":
+        _draw_sensor(axes, get_sensor(name))
     else:
-        _draw_stimulus(axes, subject)
+        _draw_stimulus(axes, make_stimulus(parse_stimulus(name)))
     data = io.BytesIO()
     figure.savefig(data, format=out.suffix[1:].lower(), dpi=150)
     write_bytes(out, data.getvalue())
@@ -81,8 +75,8 @@ def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
 
 def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     """Draw a stimulus in the target frame, with the square of the sensor's positions."""
-    reach, points = 2.1 * stimulus.extent_mm, 500
-    side = np.linspace(-reach, reach, points, dtype=np.float32)
+    reach = 2.1 * stimulus.extent_mm
+    side = np.linspace(-reach, reach, DRAWING_POINTS, dtype=np.float32)
     xy = np.stack(np.meshgrid(side, side), axis=-1)
     distance = compute_distances(stimulus, xy)
     axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])

@@ -14,6 +14,7 @@ CODE_PATHS = (  # what decides a result
     *("jaxunshear", "verification", "benchmarks", "data_specs", "experiments"),
     *("pyproject.toml", "constraints.txt"),
 )
+STATUS = ("git", "--no-optional-locks", "status", "--porcelain=v2", "--branch", "--", *CODE_PATHS)
 # a hook of another repository sets them
 GIT_VARIABLES = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")
 TIMEOUT_S = 20
@@ -35,19 +36,10 @@ def read_commit(root: Path) -> tuple[str | None, bool | None]:
     """
     if not (root / ".git").exists():  # a checkout may hold this package in an environment alone
         return None, None
-    command = [
-        "git",
-        "--no-optional-locks",
-        "status",
-        "--porcelain=v2",
-        "--branch",
-        "--",
-        *CODE_PATHS,
-    ]
     variables = {name: value for name, value in os.environ.items() if name not in GIT_VARIABLES}
     try:
         done = subprocess.run(
-            command, cwd=root, env=variables, capture_output=True, text=True, timeout=TIMEOUT_S
+            STATUS, cwd=root, env=variables, capture_output=True, text=True, timeout=TIMEOUT_S
         )
     except (OSError, subprocess.TimeoutExpired):
         return None, None

@@ -8,7 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,8 @@ MIN_PX = 32  # side of the prepared frames
 MIN_PINS = 20  # frames with fewer show none
 PINS_RATIO = (0.85, 1.1)  # found pins over a layout's, within which it is tried
 MAX_LISTED_IMAGES = 20  # problems in the text; --json has all
-UNREADABLE, OTHER_SIZE = "cannot be read", "of another size"
+INVERTED = "the pins are dark on a light ground: invert the frames, then check them again"
+NO_PINS = "no pins are found: frames must show the light pins of a TacTip on a dark ground"
 
 
 @dataclass(frozen=True)
@@ -82,15 +83,12 @@ class FolderCheck:
 class Diagnosis:
     """The result of checking the recordings at `path`."""
 
-    path: Path
-    folders: tuple[FolderCheck, ...]
-    problems: tuple[Problem, ...]
-    command: str  # to run next; empty if no command can use the frames
-    advice: str  # on that command, or what to do first
-
-    @property
-    def usable(self) -> bool:
-        return bool(self.command)
+    path: str
+    rows: list[FolderCheck]
+    problems: list[Json]  # with place, row of a table, and text
+    usable: bool
+    next: str  # command; empty if none can use the frames
+    note: str  # advice on that command, or what to do first
 
 
 def check_recordings(path: Path) -> Diagnosis:
@@ -99,9 +97,9 @@ def check_recordings(path: Path) -> Diagnosis:
     Raises UserError if no frame can be used.
     """
     recordings = read_recordings(path, Preprocess())
-    notes = recordings.notes
     problems = [
-        note if isinstance(note, Problem) else Problem.from_line(path, note) for note in notes
+        note if isinstance(note, Problem) else Problem.from_line(path, note)
+        for note in recordings.notes
     ]
     rows: dict[Path, list[int]] = {}
     for row, file in enumerate(recordings.files):
@@ -116,45 +114,51 @@ def check_recordings(path: Path) -> Diagnosis:
         raise UserError(
             f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}"
         )
-    command, advice = choose_command(path, folders)
-    return Diagnosis(path, tuple(folders), tuple(problems), command, advice)
+    command, note = _choose_command(path, [folder for folder in folders if folder.pins])
+    listed = [{"place": str(each.place), "row": each.row, "text": str(each)} for each in problems]
+    return Diagnosis(str(path), folders, listed, bool(command), command, note)
 
 
 def _check_folder(
     recordings: Recordings, rows: list[int], share: int, problems: list[Problem], progress: Progress
 ) -> FolderCheck:
     """Check the frames in `rows`, which lie in one folder, and add to `problems`."""
-    files = recordings.files
-    sizes: dict[int, tuple[int, int]] = {}
-    left_out: Counter[str] = Counter()
-    for row in rows:
+    files = [recordings.files[row] for row in rows]
+    sizes: dict[Path, tuple[int, int]] = {}
+    for file in files:
         try:
-            raw = read_image(files[row])
+            raw = read_image(file)
             check_frame(raw)
-            sizes[row] = (raw.shape[1], raw.shape[0])
+            sizes[file] = (raw.shape[1], raw.shape[0])
         except UserError as error:
-            problems.append(Problem.with_place(files[row], str(error)))
-            left_out[UNREADABLE] += 1
+            problems.append(Problem.with_place(file, str(error)))
         progress.advance()
     width, height = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
-    for row, size in sizes.items():
+    usable = [file for file, size in sizes.items() if size == (width, height)]
+    for file, size in sizes.items():
         if size != (width, height):
             text = f"{size[0]} x {size[1]} pixels, where most here have {width} x {height}"
-            problems.append(Problem.with_place(files[row], text))
-            left_out[OTHER_SIZE] += 1
-    usable = [files[row] for row in rows if sizes.get(row) == (width, height)]
-    pins = _check_pins([usable[i] for i in select_evenly(len(usable), share)])
-    name = _name_folder(recordings.path, files[rows[0]].parent)
-    labels = _check_labels(recordings, rows)
-    return FolderCheck(name, len(rows), dict(left_out), (width, height), pins, labels)
+            problems.append(Problem.with_place(file, text))
+    left_out = {
+        "cannot be read": len(files) - len(sizes),
+        "of another size": len(sizes) - len(usable),
+    }
+    return FolderCheck(
+        _name_folder(recordings.path, files[0].parent),
+        len(rows),
+        {reason: count for reason, count in left_out.items() if count},
+        (width, height),
+        _check_pins([usable[i] for i in select_evenly(len(usable), share)]),
+        _check_labels(recordings, rows),
+    )
 
 
 def _name_folder(root: Path, folder: Path) -> str:
     """Name the folder of the labels, which lies above that of the images in most layouts."""
-    if root.is_file() or folder == root:
-        return root.absolute().name
     labelled = folder.parent if folder.name in IMAGE_FOLDERS else folder
-    return root.absolute().name if labelled == root else labelled.relative_to(root).as_posix()
+    if root.is_file() or root in (folder, labelled):
+        return root.absolute().name
+    return labelled.relative_to(root).as_posix()
 
 
 def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
@@ -201,45 +205,36 @@ def _track_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
     return PinCheck(len(detections), median, layout, followed, inverted)
 
 
-def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str]:
-    """Choose the command line to run next, empty if there is none, and advice on it."""
-    usable = [folder for folder in folders if folder.pins]
-    kinds = {(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}
+def _choose_command(path: Path, usable: Sequence[FolderCheck]) -> tuple[str, str]:
+    """Choose the next command for the usable folders at `path`, and advice on it."""
     pins = usable[0].pins
     assert pins is not None
-    if len(kinds) > 1:
-        largest = max(usable, key=lambda folder: folder.usable).name
+    if len({(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}) > 1:
+        largest = path / max(usable, key=lambda folder: folder.usable).name
         advice = "these folders differ in size or sensor: check each on its own"
-        return _join("doctor", path / largest), advice
+        return _join("doctor", largest), advice
     if pins.inverted:
-        return "", "the pins are dark on a light ground: invert the frames, then check them again"
+        return "", INVERTED
     if pins.median < MIN_PINS:
-        return "", "no pins are found: frames must show the light pins of a TacTip on a dark ground"
+        return "", NO_PINS
     if pins.layout is None:
         layouts = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
         advice = f"about {pins.median:.0f} pins match no known layout, {layouts}"
         file = "FILE gives x and y of each pin, a line each"
         return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
-    if any(each.labels.taps or each.labels.slides for each in usable):
-        return _choose_training(path, usable, pins.layout)
+    taps = sum(each.labels.taps for each in usable)
+    slides = sum(each.labels.slides for each in usable)
+    if taps and slides:
+        return _join("fit", "--taps", path, "--slides", path), ""
+    if taps or slides:
+        advice = "these networks learn to read poses, not to unshear"
+        if taps and pins.layout == TACTIP_331.name:
+            advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
+        return _join("fit", "--taps" if taps else "--slides", path), advice
     return _choose_inference(path, usable, pins.layout)
 
 
-def _choose_training(path: Path, usable: list[FolderCheck], layout: str) -> tuple[str, str]:
-    """Choose the command for frames with labels of taps, slides or both."""
-    taps = sum(each.labels.taps for each in usable)
-    slides = sum(each.labels.slides for each in usable)
-    words: list[str | Path] = []
-    for option, count in (("--taps", taps), ("--slides", slides)):
-        if count:
-            words += [option, path]
-    advice = "" if taps and slides else "these networks learn to read poses, not to unshear"
-    if not slides and layout == TACTIP_331.name:
-        advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
-    return _join("fit", *words), advice
-
-
-def _choose_inference(path: Path, usable: list[FolderCheck], layout: str) -> tuple[str, str]:
+def _choose_inference(path: Path, usable: Sequence[FolderCheck], layout: str) -> tuple[str, str]:
     """Choose the command for frames whose labels are not enough for training."""
     if layout != TACTIP_331.name:
         advice = f"released weights need {TACTIP_331.pins} pins"
@@ -259,7 +254,7 @@ def _join(*words: str | Path) -> str:
 
 def describe(diagnosis: Diagnosis) -> list[str]:
     """Describe the diagnosis in lines of text."""
-    folders = diagnosis.folders
+    folders, problems = diagnosis.rows, diagnosis.problems
     frames, usable = sum(each.frames for each in folders), sum(each.usable for each in folders)
     lines = [f"{diagnosis.path}: {_count(frames, 'frame')} in {_count(len(folders), 'folder')}"]
     reasons: Counter[str] = Counter()
@@ -269,25 +264,11 @@ def describe(diagnosis: Diagnosis) -> list[str]:
     counts = "".join(f", {count} {reason}" for reason, count in reasons.items())
     share = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%})"
     lines += ["", f"left out: {share}{counts}"]
-    problems = diagnosis.problems
-    lines += [f"problem: {problem}" for problem in problems[:MAX_LISTED_IMAGES]]
+    lines += [f"problem: {problem['text']}" for problem in problems[:MAX_LISTED_IMAGES]]
     if len(problems) > MAX_LISTED_IMAGES:
         lines.append(f"problem: {len(problems) - MAX_LISTED_IMAGES} more, listed by --json")
-    lines.append(f"next: {diagnosis.command or 'no command can use these frames'}")
-    return [*lines, f"note: {diagnosis.advice}"] if diagnosis.advice else lines
-
-
-def to_json(diagnosis: Diagnosis) -> Json:
-    """Convert the diagnosis to JSON, with a row per folder."""
-    problems = [{"place": str(p.place), "row": p.row, "text": str(p)} for p in diagnosis.problems]
-    return {
-        "path": str(diagnosis.path),
-        "rows": [asdict(folder) for folder in diagnosis.folders],
-        "problems": problems,
-        "usable": diagnosis.usable,
-        "next": diagnosis.command,
-        "note": diagnosis.advice,
-    }
+    lines.append(f"next: {diagnosis.next or 'no command can use these frames'}")
+    return [*lines, f"note: {diagnosis.note}"] if diagnosis.note else lines
 
 
 def _count(number: int, noun: str) -> str:

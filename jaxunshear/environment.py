@@ -3,12 +3,7 @@
 They may decide on which device work runs and where files are kept, but not what comes out.
 """
 
-import errno
 import os
-import subprocess
-import sys
-from collections.abc import Iterable
-from functools import cache
 
 from jaxunshear.errors import UserError
 from jaxunshear.files import cache_folder
@@ -18,56 +13,43 @@ RESPECTED_VARIABLES = (
     *("JAX_PLATFORM", "JAX_CUDA_", "JAX_ROCM_", "JAX_COMPILATION_CACHE_", "JAX_PERSISTENT_CACHE_"),
     *("JAX_ENABLE_COMPILATION_CACHE", "JAX_LOG", "JAX_DEBUG_LOG_", "JAX_TRACEBACK_", "JAX_DUMP_"),
 )
-DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
-START_JAX = "import jax; jax.devices()"
 KERNELS_VARIABLE = "JAXUNSHEAR_KERNELS"  # which layers networks have, see `models/layer_choice.py`
 KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # devices of a training, see `training/devices.py`
-TIMEOUT_S = 120  # a GPU on a busy machine needs some
 
 
 def check_variables() -> None:
-    """Raise UserError if a variable of JAX in the environment would change results."""
+    """Raise UserError if a variable of JAX or a flag of XLA would change results."""
     refused = [
         f"{name}={value}"
         for name, value in sorted(os.environ.items())
         if name.startswith("JAX_") and not name.startswith(RESPECTED_VARIABLES)
     ]
+    for flag in os.environ.get("XLA_FLAGS", "").split():
+        if any(word in flag for word in ROUNDING):
+            refused.append(f"XLA_FLAGS={flag}")
     if refused:
         raise UserError(
             f"{', '.join(refused)}: would give other results under the same name: unset it"
         )
 
 
-def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def check_environment() -> None:
     """Check the environment before there is work to lose.
 
-    Raises UserError if it names no place for a cache, devices that are not there, variables or
-    flags that would change results, or layers or a number of devices that cannot be.
+    Raises UserError if it names no place for a cache, variables or flags that would change results,
+    or layers or a number of devices that cannot be.
     """
     check_variables()
     cache_folder()
     read_kernels_choice()
     read_device_count()
-    flags = os.environ.get("XLA_FLAGS", "").split()
-    for flag in flags:
-        if any(word in flag for word in ROUNDING):
-            raise UserError(
-                f"XLA_FLAGS: {flag} would give other results under the same name: leave it out"
-            )
-    values = {name: os.environ.get(name, "") for name in DEVICE_VARIABLES}
-    changed = [f"{name}={value}" for name, value in values.items() if value not in ("", "cpu")]
-    if changed and not _can_start_jax(tuple(changed)):
-        raise UserError(
-            f"{', '.join(changed)}: JAX cannot start with that on this machine; "
-            "unset it, or name what is there"
-        )
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def read_kernels_choice() -> str:
@@ -86,30 +68,3 @@ def read_device_count() -> int | None:
     if word != "all" and not (word.isdecimal() and int(word) >= 1):
         raise UserError(f"{DEVICE_COUNT}={word}: use a number of devices from 1 on, or all")
     return None if word == "all" else int(word)
-
-
-@cache
-def _can_start_jax(variables: tuple[str, ...]) -> bool:
-    """Return whether JAX starts with these variables of the environment.
-
-    It is tried in another process: XLA ends a process that has a bad flag, and a sweep must leave
-    the devices to its rows.
-    """
-    command = [sys.executable, "-c", START_JAX]
-    try:
-        return subprocess.run(command, capture_output=True, timeout=TIMEOUT_S).returncode == 0
-    except subprocess.TimeoutExpired:
-        return False
-
-
-def check_links(paths: Iterable[object]) -> None:
-    """Raise UserError for a path that is, or lies in, a link that leads back to itself."""
-    for path in paths:
-        if isinstance(path, os.PathLike):
-            try:
-                os.stat(path)
-            except OSError as error:
-                if error.errno == errno.ELOOP:
-                    raise UserError(
-                        f"{path} is, or lies in, a link that leads back to itself: name another"
-                    ) from None

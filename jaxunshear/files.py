@@ -16,7 +16,7 @@ import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
 CHECKSUM_FIELD = "checksum"  # of an object of JSON, beside its fields
 FULL_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT)
-MACHINE_ERRORS = (  # names, as some systems lack some of them
-    *("EACCES", "EPERM", "EMFILE", "ENFILE", "ENOMEM"),
-    *("EIO", "ESTALE", "EROFS", "ENOSPC", "EDQUOT"),
+MACHINE_ERRORS = (
+    *(errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENFILE, errno.ENOMEM),
+    *(errno.EIO, errno.ESTALE, errno.EROFS, *FULL_DISK_ERRORS),
 )
 BROKEN_NPZ = (  # what `read_npz` raises
     OSError,
@@ -76,25 +76,27 @@ def raise_machine_error(path: Path, error: BaseException) -> None:
 
     So nobody is asked to delete a sound file. Errors that a library wrapped in its own count, too.
     """
-    codes = {getattr(errno, name, None) for name in MACHINE_ERRORS}
-    cause: BaseException | None = error
-    while cause is not None:
+    for cause in _iterate_causes(error):
         if isinstance(cause, MemoryError):
             raise UserError(f"cannot read {path}: there is not enough memory") from error
-        if isinstance(cause, OSError) and cause.errno in codes:
+        if isinstance(cause, OSError) and cause.errno in MACHINE_ERRORS:
             raise explain_os_error(path, cause, "read") from error
-        cause = cause.__cause__ or cause.__context__
 
 
-def is_disk_full(error: BaseException | None) -> bool:
+def is_disk_full(error: BaseException) -> bool:
     """Return whether an error, or one that a library wrapped in it, says that the disk is full."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in FULL_DISK_ERRORS:
+    for cause in _iterate_causes(error):
+        if isinstance(cause, OSError) and cause.errno in FULL_DISK_ERRORS:
             return True
-        if "No space left on device" in str(error) or "Disk quota exceeded" in str(error):
+        if "No space left on device" in str(cause) or "Disk quota exceeded" in str(cause):
             return True
-        error = error.__cause__ or error.__context__
     return False
+
+
+def _iterate_causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
@@ -116,11 +118,11 @@ def write_bytes(path: Path, data: bytes) -> None:
     Pipes and devices are written into, never replaced. Raises UserError that names the path.
     """
     try:
-        if is_device(path):
+        if path.exists() and not (path.is_file() or path.is_dir()):
             with path.open("wb") as file:
                 file.write(data)
         else:
-            _replace(follow_link(path), data)
+            _replace(Path(os.path.realpath(path)), data)
     except OSError as error:
         raise explain_os_error(path, error) from error
 
@@ -139,16 +141,6 @@ def _replace(path: Path, data: bytes) -> None:
         with contextlib.suppress(OSError):  # the first error is the one worth reporting
             part.unlink(missing_ok=True)
         raise
-
-
-def follow_link(path: Path) -> Path:
-    """Return the absolute path; of a link, that of the place it leads to."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path.absolute()
-
-
-def is_device(path: Path) -> bool:
-    """Return whether `path` is, or leads to, neither a file nor a folder but a pipe or a device."""
-    return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def write_npz(path: Path, arrays: "Mapping[str, np.ndarray]", compressed: bool = False) -> None:

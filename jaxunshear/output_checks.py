@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 from jaxunshear.errors import UserError
@@ -14,8 +15,7 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         return
     if path.is_dir():
         raise UserError(f"{option} {path} is a folder: name a file")
-    if file := _find_file_above(path):
-        raise UserError(f"{option} {path}: {file} is a file: name a file in a folder")
+    _check_above(path, option)
     if path.is_file() and path.stat().st_size and not _is_measurement(path):
         raise UserError(
             f"{option} {path} holds something else, which would be lost: name another file"
@@ -39,20 +39,18 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(f"{option} {path} is a file: name a folder")
-    if file := _find_file_above(path):
-        raise UserError(f"{option} {path}: {file} is a file: name another folder")
+    _check_above(path, option)
 
 
-def _find_file_above(path: Path) -> Path | None:
-    nearest = next((folder for folder in path.absolute().parents if folder.exists()), None)
-    return None if nearest is None or nearest.is_dir() else nearest
+def _check_above(path: Path, option: str) -> None:
+    """Refuse a place in a file, or in a link that leads to no folder."""
+    nearest = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not nearest.is_dir():
+        raise UserError(f"{option} {path}: {nearest} is a file: name another folder")
 
 
 def check_not_among(recordings: Path, out: Path, option: str) -> None:
-    """Refuse to write among the recordings.
-
-    A name could be one of theirs, and the next run would read what this one wrote.
-    """
+    """Refuse to write among the recordings, which the next run would read."""
     place, root = out.resolve(), recordings.resolve()
     if place == root.parent if recordings.is_file() else place.is_relative_to(root):
         raise UserError(

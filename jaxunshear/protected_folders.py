@@ -12,7 +12,7 @@ MARKER_FILES = {
     "experiment.json": (RUN, "unshear"),
     "sweep.json": (SWEEP, "cells"),
     "task.json": (SWEEP, "kind"),
-    "shards.json": (SET, None),
+    "shards.json": (SET, ""),
 }
 
 
@@ -21,8 +21,10 @@ def find_owner(path: Path) -> tuple[Path, str] | None:
     place = Path(os.path.realpath(path))
     for folder in (place, *place.parents):
         for name, (kind, field) in MARKER_FILES.items():
-            if (folder / name).is_file() and _may_have_field(folder / name, field):
-                return folder, kind
+            if (folder / name).is_file():
+                content = read_object_if_sound(folder / name)
+                if content is None or not field or field in content:  # a damaged one may be theirs
+                    return folder, kind
     return None
 
 
@@ -44,9 +46,3 @@ def check_outside(path: Path | None, option: str, home: Path | None = None) -> N
             f"{option} {path} lies in {folder}, which is {kind} with files of its own: "
             "name a place elsewhere"
         )
-
-
-def _may_have_field(file: Path, field: str | None) -> bool:
-    """Return whether a file has a field; a damaged file may have it."""
-    content = read_object_if_sound(file)
-    return content is None or field is None or field in content

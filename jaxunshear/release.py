@@ -8,10 +8,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config.registry import DISENTANGLED, POSENET, REGISTRY
+from jaxunshear.config.registry import REGISTRY
 from jaxunshear.config.stimuli import list_stimulus_names
 from jaxunshear.config.targets import to_json
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.score import choose_main_kind
 from jaxunshear.files import Json, read_object, write_json, write_text
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import read_record
@@ -22,18 +23,16 @@ RELEASED_PARTS = {
     name: kind.released_parts for name, kind in REGISTRY.items() if kind.released_parts is not None
 }
 ORIGIN_FIELDS = ("origin", "data", "start")  # of the training data, kept with the weights
-REQUIRED_NETWORKS = (DISENTANGLED, POSENET)
 CARD = "README.md"
 
 
 def release(run_dir: Path, out: Path) -> Path:
-    """Write experiment.json, the networks and README.md to `out`, and return `out`.
+    """Write experiment.json, the trained networks and README.md to `out`, and return `out`.
 
-    The run needs the disentangled network and PoseNet; other networks that it has trained are
-    added. Raises `UserError` if `out` exists, or the run is not finished or evaluated.
+    Raises `UserError` if `out` exists, or the run is not finished or evaluated.
     """
     from jaxunshear.inference.trained_model import load_model
-    from jaxunshear.training.checkpoint import MODEL, has_model, write_weights
+    from jaxunshear.training.checkpoint import MODEL, write_weights
     from jaxunshear.training.examples import FRAME
 
     for name in ("experiment.json", "results.json"):
@@ -49,8 +48,7 @@ def release(run_dir: Path, out: Path) -> Path:
         card = make_card(results, out.name)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATE_REMEDY}") from error
-    required = REQUIRED_NETWORKS if results.simulated else ()
-    names = [name for name in RELEASED_PARTS if name in required or has_model(run_dir / name)]
+    names = [name for name in RELEASED_PARTS if (run_dir / name / MODEL).is_file()]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
     trained = load_model(run_dir)
@@ -66,7 +64,7 @@ def release(run_dir: Path, out: Path) -> Path:
             part / name / MODEL, {"kind": model["kind"], "net": model["net"]} | targets | origin
         )
     settings |= {"name": out.name}  # that of a sweep's row names its settings
-    if not results.simulated:
+    if results.recordings is not None:
         write_json(part / FRAME, read_object(run_dir / FRAME))
         _hide_recordings(settings["paired"])
     write_json(part / "experiment.json", settings)
@@ -77,11 +75,8 @@ def release(run_dir: Path, out: Path) -> Path:
 
 def _hide_recordings(paired: Json) -> None:
     """Replace the paths of recordings in their settings; a table of pairs is not released."""
-    paired |= {
-        "tap_folder": "recorded taps" if paired["tap_folder"] else "",
-        "slide_folder": "recorded slides",
-        "pairs": "",
-    }
+    taps = "recorded taps" if paired["tap_folder"] else ""
+    paired |= {"tap_folder": taps, "slide_folder": "recorded slides", "pairs": ""}
     if paired["pairing"] == "file":
         paired["pairing"] = "pose_id"
 
@@ -90,23 +85,27 @@ def make_card(results: Results, name: str) -> str:
     """Write the model card in Markdown from the run's results."""
     machines = {_format_machine(machine) for machine in results.trained_on.values()}
     machines -= {_format_machine(results.machine)}
-    sources = [results.source, *results.trained_by.values()]
-    command, px = f"--model {name}", results.metric["image_px"]
+    sources = [source for source in (results.source, *results.trained_by.values()) if source]
     poses, seed = results.counts.test_poses, results.seeds["experiment"]
     paragraphs = [
         f"# {name}",
         results.settings["claim"],
-        f"    jaxunshear unshear RECORDINGS {command} --out unsheared\n"
-        f"    jaxunshear pose RECORDINGS {command}",
-        f"Networks for {results.settings['unshear']['input']} of {px} px; kernels are stored as "
-        "float16.",
-        _describe_simulated_data(results) if results.simulated else _describe_recordings(results),
+        f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared\n"
+        f"    jaxunshear pose RECORDINGS --model {name}",
+        f"Networks for {results.settings['unshear']['input']} of {results.metric['image_px']} px; "
+        "kernels are stored as float16.",
+        _describe_data(results),
         f"Mean errors at {poses} poses kept out of training (seed {seed}):",
         _format_errors(results),
-        *_describe_tests(results),
+    ]
+    for test_name, test in results.tests.items():
+        likeness = test.ms_ssim[choose_main_kind(test.ms_ssim)]["overall"]
+        stimuli = ", ".join(test.stimuli)
+        paragraphs.append(f"Test `{test_name}` ({stimuli}): likeness {likeness:.3f}.")
+    paragraphs += [
         *(f"Trained on: {machine}" for machine in sorted(machines)),
         f"Machine: {_format_machine(results.machine)}",
-        *sorted({f"Code: {json.dumps(to_builtins(source))}" for source in sources if source}),
+        *sorted({f"Code: {json.dumps(to_builtins(source))}" for source in sources}),
         f"Versions: {json.dumps(results.versions)}",
     ]
     return "\n\n".join(paragraphs) + "\n"
@@ -122,39 +121,33 @@ def _format_errors(results: Results) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _describe_tests(results: Results) -> list[str]:
-    sentences = []
-    for name, test in results.tests.items():
-        likeness = test.ms_ssim[DISENTANGLED]["overall"]
-        sentences.append(f"Test `{name}` ({', '.join(test.stimuli)}): likeness {likeness:.3f}.")
-    return sentences
-
-
 def _format_machine(machine: Machine) -> str:
     return json.dumps(to_builtins(replace(machine, kernels=None)))
 
 
-def _describe_simulated_data(results: Results) -> str:
-    sensor, paired = results.settings["sensor"]["name"], results.settings["paired"]
+def _describe_data(results: Results) -> str:
+    """Describe what the networks learnt from: recordings, or else simulated contacts."""
+    settings, paired, recordings = results.settings, results.settings["paired"], results.recordings
+    if recordings is not None:
+        labelled = f"{recordings.labelled:.0%} of their labels"
+        way = results.pairing.way if results.pairing else "none"
+        return (
+            f"Learnt from recordings (digest {recordings.digest}) of a sensor with "
+            f"{recordings.pins} pins: {recordings.taps['train']} taps and "
+            f"{recordings.slides['train']} slides with {labelled}, paired by "
+            f"`{way}`; poses are in the frame and the units of the labels. Not measured: another "
+            "sensor, object or camera."
+        )
     ranges, shapes = paired["ranges"], ", ".join(list_stimulus_names(paired["stimuli"]))
     angles = ""
     for name in ("twist", "tilt"):
         if largest := ranges.get(f"{name}_deg"):
             angles += f", {name} up to {largest:g} deg"
     return (
-        f"Learnt from {results.counts.train} pairs of simulated touches (sensor `{sensor}`, shapes "
-        f"{shapes}) by `{results.command}`: poses within {ranges['lateral_mm']:g} mm and "
-        f"{ranges['yaw_deg']:g} deg, depths {ranges['depth_min_mm']:g} to "
-        f"{ranges['depth_max_mm']:g} mm, slides up to {ranges['move_mm']:g} mm{angles}. Not "
-        "measured here: any real sensor (`jaxunshear evaluate MODEL --recordings DIR`)."
-    )
-
-
-def _describe_recordings(results: Results) -> str:
-    recordings, pairing = results.recorded_facts
-    slides = f"{recordings.slides['train']} slides with {recordings.labelled:.0%} of their labels"
-    return (
-        f"Learnt from recordings (digest {recordings.digest}) of a sensor with {recordings.pins} "
-        f"pins: {recordings.taps['train']} taps and {slides}, paired by `{pairing.way}`; poses are "
-        "in the frame and the units of the labels. Not measured: another sensor, object or camera."
+        f"Learnt from {results.counts.train} pairs of simulated touches (sensor "
+        f"`{settings['sensor']['name']}`, shapes {shapes}) by `{results.command}`: poses within "
+        f"{ranges['lateral_mm']:g} mm and {ranges['yaw_deg']:g} deg, depths "
+        f"{ranges['depth_min_mm']:g} to {ranges['depth_max_mm']:g} mm, slides up to "
+        f"{ranges['move_mm']:g} mm{angles}. Not measured here: any real sensor (`jaxunshear "
+        "evaluate MODEL --recordings DIR`)."
     )

@@ -220,25 +220,25 @@ def _is_unfinished(run: _Run, stage: str) -> bool:
 
 def print_summary(results: Results, folder: Path) -> None:
     """Print scores and errors of each kind of image, and the bars that the run met or missed."""
-    if not results.simulated:
+    if results.recordings is not None:
         _print_recorded(results, folder)
         return
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
-    from jaxunshear.report import labels
+    from jaxunshear.report import wording
     from jaxunshear.text_table import format_text_table
 
     likeness, errors, name = results.ms_ssim, results.pose_mae, str(results.metric["ms_ssim"])
     rows = [
         {
-            "": labels.name_kind(results, kind),
+            "": wording.KINDS[kind],
             name: likeness.get(kind, {}).get("overall"),
             **errors.get(kind, {}),
         }
-        for kind in labels.KINDS
+        for kind in wording.KINDS
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
-    print(format_text_table(rows, ("", name, *labels.list_targets(results))))
+    print(format_text_table(rows, ("", name, *wording.list_targets(results))))
     for row in build_measurements(replace(results, tests={})).rows:
         if row.bar is not None:
             met = "met" if row.ok else "MISSED"

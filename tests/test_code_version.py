@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -44,19 +43,12 @@ def test_a_commit_and_whether_the_code_is_as_committed(checkout):
 def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(
     checkout, tmp_path, monkeypatch
 ):
-    other = tmp_path / "other"
+    commit, other = git(checkout, "rev-parse", "HEAD"), tmp_path / "other"
     shutil.copytree(checkout, other)
     git(other, "commit", "-q", "--allow-empty", "-m", "second")
     monkeypatch.chdir(other)
     monkeypatch.setenv("GIT_DIR", str(other / ".git"))
-    assert (
-        code_version.read_commit(checkout)[0]
-        == subprocess.run(
-            ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"],
-            capture_output=True,
-            text=True,
-        ).stdout.strip()
-    )
+    assert code_version.read_commit(checkout)[0] == commit
 
 
 def test_an_environment_inside_a_checkout_is_not_the_checkout(checkout):
@@ -76,14 +68,6 @@ def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeyp
         (checkout / ".git" / "HEAD").write_text("nothing")
     assert code_version.read_commit(checkout) == (None, None)
     assert capfd.readouterr() == ("", "")
-
-
-def test_git_is_asked_once():
-    assert code_version.read_source() is code_version.read_source()
-    assert (
-        code_version.read_source().version == __version__
-        and Path(__file__).resolve().parents[1] == code_version.ROOT
-    )
 
 
 def test_an_installed_package_has_its_version_alone(tmp_path):

@@ -21,10 +21,8 @@ def rewritten(folder, settings=(), scores=None):
     path = folder / "results.json"
     results = json.loads(path.read_text())
     for name, value in dict(settings).items():
-        place = results["settings"]
-        *groups, last = name.split(".")
-        for group in groups:
-            place = place[group]
+        group, _, last = name.rpartition(".")
+        place = results["settings"][group] if group else results["settings"]
         place[last] = value
     write_json(path, results)
     if scores is not None:
@@ -56,10 +54,14 @@ def pair(finished, tmp_path):
 def means(values, poses):
     """Of values in each of a thousand draws of poses, each with all its contacts."""
     named, group = np.unique(poses, axis=0, return_inverse=True)
-    drawn = np.random.default_rng(0).multinomial(
-        len(named), np.full(len(named), 1 / len(named)), size=1000
-    )
+    shares = np.full(len(named), 1 / len(named))
+    drawn = np.random.default_rng(0).multinomial(len(named), shares, size=1000)
     return np.array([np.repeat(values, draw[group.reshape(-1)]).mean() for draw in drawn])
+
+
+def contents(*folders):
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    return {path: path.read_bytes() for path in files}
 
 
 def named(folders):
@@ -72,34 +74,26 @@ def test_a_difference_is_of_pairs(pair, finished):
     found, poses = named((first, second)), np.stack([scores["stimulus"], scores["pose_id"]], axis=1)
     change = found[GAIN].changes[1]
     assert change.mean == pytest.approx(-gain.mean(), rel=1e-5)
-    assert change.interval == pytest.approx(
-        np.quantile(means(-gain, poses), [0.025, 0.975]), rel=1e-5
-    )
+    expected = np.quantile(means(-gain, poses), [0.025, 0.975])
+    assert change.interval == pytest.approx(expected, rel=1e-5)
     assert found[GAIN].changes[0] is None
     apart = [value.interval[1] - value.interval[0] for value in found[GAIN].values]
-    assert change.interval[1] - change.interval[0] < 0.5 * min(
-        apart
-    )  # what is common to both cancels
+    shared = change.interval[1] - change.interval[0]
+    assert shared < 0.5 * min(apart)  # what is common to both cancels
 
 
 def test_a_run_does_not_differ_from_its_copy(finished, tmp_path):
     copy = shutil.copytree(finished[0], tmp_path / "copy")
     found = named((finished[0], copy))
     paired = [score.changes[1] for score in found.values() if score.changes[1]]
-    assert len(paired) > 30 and all(
-        change.mean == 0 and change.interval in ([0, 0], None) for change in paired
-    )
+    assert len(paired) > 30
+    assert all(change.mean == 0 and change.interval in ([0, 0], None) for change in paired)
     assert not compare_settings(read_runs((finished[0], copy)))
 
 
 def test_the_page_and_the_text(pair, command, tmp_path):
     first, second, _ = pair
-    before = {
-        path: path.read_bytes()
-        for folder in (first, second)
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+    before = contents(first, second)
     answer = command("compare", first, second, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert len(answer.out.splitlines()) <= 14
@@ -117,13 +111,7 @@ def test_the_page_and_the_text(pair, command, tmp_path):
     assert "train.learning_rate 0.001 0.01" in text and "training of disentangled" in text
     change = named((first, second))[GAIN].changes[1]
     assert f"{change.mean:+.3g} [{change.interval[0]:.3g}, {change.interval[1]:.3g}]" in text
-    now = {
-        path: path.read_bytes()
-        for folder in (first, second)
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
-    assert now == before
+    assert contents(first, second) == before
     assert command("compare", first, second, "--out", tmp_path / "out").code == 0
     assert (tmp_path / "out" / "first-second.html").read_text() == html
 
@@ -176,8 +164,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(pair, command, tmp_path)
     ):
         if reason == "lies in":
             (first / "experiment.json").write_text('{"unshear": {}}')
-        answer = command(
-            "compare", *words, *([] if "--out" in words else ["--out", tmp_path / "out"])
-        )
+        out = () if "--out" in words else ("--out", tmp_path / "out")
+        answer = command("compare", *words, *out)
         assert (answer.code, answer.err.count("\n")) == (2, 1) and reason in answer.err, answer.err
     assert not (tmp_path / "out").exists() and not (first / "new").exists()

@@ -25,14 +25,6 @@ def test_json_round_trip_of_arrays_paths_and_nan(tmp_path):
     assert os.listdir(path.parent) == ["results.json"]
 
 
-def test_what_is_not_json_is_refused_and_leaves_the_old_file(tmp_path):
-    path = tmp_path / "results.json"
-    files.write_json(path, 1)
-    with pytest.raises(TypeError, match="object"):
-        files.write_json(path, object())
-    assert files.read_json(path) == 1
-
-
 def test_full_disk_keeps_the_old_file_and_names_the_new(tmp_path, monkeypatch):
     path = tmp_path / "results.json"
     files.write_text(path, "old")
@@ -45,12 +37,6 @@ def test_full_disk_keeps_the_old_file_and_names_the_new(tmp_path, monkeypatch):
         files.write_text(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["results.json"]
-
-
-def test_a_file_where_a_folder_should_be(tmp_path):
-    (tmp_path / "runs").write_text("")
-    with pytest.raises(UserError, match="runs"):
-        files.write_text(tmp_path / "runs" / "a", "x")
 
 
 @pytest.fixture
@@ -101,35 +87,21 @@ def test_corrupt_json_names_file_and_remedy(tmp_path, content):
         files.read_json(path)
 
 
-def test_missing_json_names_file(tmp_path):
-    with pytest.raises(UserError, match=r"none\.json: No such file"):
-        files.read_json(tmp_path / "none.json")
-
-
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (MemoryError(), r"cannot read runs: there is not enough memory"),
-        (
-            PermissionError(errno.EACCES, "Permission denied"),
-            r"cannot read runs: Permission denied",
-        ),
-        (OSError(errno.EMFILE, "Too many open files"), r"cannot read runs: Too many open files"),
+        (MemoryError(), "there is not enough memory"),
+        (PermissionError(errno.EACCES, "Permission denied"), "Permission denied"),
+        (OSError(errno.EMFILE, "Too many open files"), "Too many open files"),
     ],
 )
 def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
     wrapped = ValueError("a library's own")
     wrapped.__cause__ = error
     for each in (error, wrapped):
-        with pytest.raises(UserError, match=line):
+        with pytest.raises(UserError, match=f"cannot read runs: {line}"):
             files.raise_machine_error(Path("runs"), each)
-
-
-@pytest.mark.parametrize(
-    "error", [ValueError("bad header"), FileNotFoundError(errno.ENOENT, "No such file")]
-)
-def test_what_may_be_damage_is_left_to_be_called_so(error):
-    files.raise_machine_error(Path("runs"), error)
+    files.raise_machine_error(Path("runs"), ValueError("bad header"))  # may be damage
 
 
 def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
@@ -143,9 +115,7 @@ def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     assert files.read_object_if_sound(path) == {"data": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"), [("[]", "list"), ("1", "int"), ("null", "NoneType"), ('"a"', "str")]
-)
+@pytest.mark.parametrize(("text", "kind"), [("[]", "list"), ("null", "NoneType")])
 def test_what_is_no_object_is_refused_where_one_is_read(tmp_path, text, kind):
     path = tmp_path / "experiment.json"
     path.write_text(text)

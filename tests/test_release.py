@@ -1,6 +1,5 @@
 """Weights released from a run: complete, minimal, found by name, and checked for damage."""
 
-import json
 import shutil
 from dataclasses import asdict
 from functools import partial
@@ -65,25 +64,15 @@ def card_of(held):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished") / "small"
+    outputs = posenet.count_outputs(TARGETS)
     for name, kind, init, net in (
         ("disentangled", "unshear", partial(unshearnet.init, NET), NET),
-        (
-            "posenet",
-            "posenet",
-            partial(posenet.init, POSENET, posenet.count_outputs(TARGETS)),
-            POSENET,
-        ),
+        ("posenet", "posenet", partial(posenet.init, POSENET, outputs), POSENET),
     ):
         variables = jax.jit(init, compiler_options=get_compile_options())(jax.random.key(1))
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
-        settings = {
-            "kind": kind,
-            "net": asdict(net),
-            "targets": targets.to_json(TARGETS),
-            "training": "long",
-            "seed": 0,
-            **LEARNT,
-        }
+        settings = {"kind": kind, "net": asdict(net), "targets": targets.to_json(TARGETS)}
+        settings |= {"training": "long", "seed": 0, **LEARNT}
         checkpoint.write_settings(folder / name, settings)
         checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})
         write_json(folder / name / "summary.json", {"steps": 1})
@@ -117,10 +106,9 @@ def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
     assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
-    wide = settings | {
-        "paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}
-    }
-    text = card_of(RESULTS | {"settings": wide})
+    wide = {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}
+    wider = settings | {"paired": settings["paired"] | wide}
+    text = card_of(RESULTS | {"settings": wider})
     assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
 
@@ -129,15 +117,12 @@ def test_released_weights_do_what_the_run_does(run, tmp_path):
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), (made, "by_weights")):
         infer.unshear_recordings(frames, Path(model), tmp_path / out, force=True)
-    pictures = [
-        np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_weights")
-    ]
+    pictures, poses = [], []
+    for out in (tmp_path / "by_run", tmp_path / "by_weights"):
+        pictures.append(np.asarray(Image.open(out / "a.png"), float))
+        poses.append(np.genfromtxt(out / "poses.csv", delimiter=",", skip_header=1)[2:])
     assert np.ptp(pictures[0]) > 20
     assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16
-    poses = [
-        np.genfromtxt(tmp_path / out / "poses.csv", delimiter=",", skip_header=1)[2:]
-        for out in ("by_run", "by_weights")
-    ]
     np.testing.assert_allclose(*poses, atol=0.05)
     for name in ("disentangled", "posenet"):
         reported = read_json(made / name / "model.json")
@@ -147,12 +132,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path):
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
     card = (made / "README.md").read_text()
-    assert (
-        "--model mine" in card
-        and "0.123" in card
-        and "simulated" in card
-        and "`unseen` (leaf)" in card
-    )
+    assert all(words in card for words in ("--model mine", "0.123", "simulated", "`unseen` (leaf)"))
 
 
 def test_nothing_is_overwritten_and_nothing_unfinished_is_released(run, tmp_path):
@@ -170,10 +150,7 @@ def test_a_half_trained_network_is_not_released(run, tmp_path, name):
     if name == "entangled":
         shutil.copytree(run / "disentangled", run / name)
     (run / name / "summary.json").unlink()
-    finish = f"jaxunshear train FILE --network {name} --out {run.parent}"
-    with pytest.raises(
-        UserError, match=f"training of {name} in {run / name} was not finished: .*`{finish}`"
-    ):
+    with pytest.raises(UserError, match=f"training of {name} in {run / name} was not finished"):
         release(run, tmp_path / "new")
     assert not list(tmp_path.glob("new*"))
 
@@ -185,11 +162,6 @@ def test_a_half_trained_network_is_not_released(run, tmp_path, name):
         ("results.json", "[]", r"evaluate"),
         ("posenet/model.json", '{"net": {}}', r"model\.json lacks"),
         ("posenet/model.json", "{", r"model\.json"),
-        (
-            "posenet/model.json",
-            json.dumps({"kind": "posenet", "net": asdict(POSENET)}),
-            "states no pose targets",
-        ),
     ],
 )
 def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):
@@ -199,23 +171,16 @@ def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):
     assert not list(tmp_path.glob("new*"))
 
 
-@pytest.mark.parametrize(
-    "spoil", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * len(data)]
-)
-def test_damaged_weights_are_reported(run, tmp_path, spoil):
-    file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
-    file.write_bytes(spoil(file.read_bytes()))
-    with pytest.raises(UserError, match="damaged"):
-        checkpoint.load_best(file.parent)
-
-
-def test_weights_of_another_network_under_a_true_digest_are_reported_apart(run, tmp_path):
+def test_damaged_weights_and_those_of_another_network_are_reported(run, tmp_path):
     file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
     with np.load(file) as kept:
         arrays = dict(kept)
     name = next(name for name in arrays if name.endswith("kernel"))
     np.savez(file, **(arrays | {name: arrays[name] + 1}))
     with pytest.raises(UserError, match="digest"):
+        checkpoint.load_best(file.parent)
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(UserError, match="damaged"):
         checkpoint.load_best(file.parent)
 
 
@@ -238,10 +203,3 @@ def test_what_is_released_with_the_package_can_be_used(folder):
         checkpoint.read_net(folder / name)
         assert checkpoint.read_targets(folder / name) == wanted
     assert (folder / "README.md").read_text().startswith(f"# {folder.name}\n")
-
-
-def test_all_released_weights_are_small():
-    assert (
-        sum(path.stat().st_size for path in model_folders.RELEASED.rglob("*") if path.is_file())
-        <= 20e6
-    )

@@ -15,7 +15,7 @@ from jaxunshear.cli.options import Command
 from jaxunshear.cli.program import Parser, check_json, parse, report_errors
 from jaxunshear.code_version import read_source
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.environment import check_environment, check_links
+from jaxunshear.environment import check_environment
 from jaxunshear.output_checks import check_new_folder
 from jaxunshear.protected_folders import check_outside
 
@@ -138,7 +138,6 @@ def _run(argv: list[str]) -> int:
     if arguments is None:
         return 0
     command = COMMANDS[arguments.command]
-    check_links(vars(arguments).values())
     check_json(arguments)
     out = getattr(arguments, "out", None)
     if command.computes:

@@ -4,6 +4,7 @@
 """
 
 import argparse
+import os
 import shlex
 import sys
 import warnings
@@ -13,7 +14,7 @@ from typing import Any, NoReturn
 
 from jaxunshear.cli.options import Commands
 from jaxunshear.code_version import read_source
-from jaxunshear.environment import check_environment, check_links
+from jaxunshear.environment import check_environment
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import Json, is_disk_full
 from jaxunshear.output_checks import check_new_file, check_new_folder
@@ -67,6 +68,8 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
             return _print_error(f"{error.filename}: {error.strerror}")
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
             return _print_error("out of memory; use a smaller --train.batch or smaller images")
+        if "Unable to initialize backend" in str(error):  # JAX names the variable and a remedy
+            return _print_error(str(error))
         raise
 
 
@@ -103,7 +106,11 @@ def check_json(arguments: argparse.Namespace) -> None:
     check_outside(file, "--json")
     check_new_file(file)
     for option, value in vars(arguments).items():
-        if option != "json" and isinstance(value, Path) and value.resolve() == file.resolve():
+        if (
+            option != "json"
+            and isinstance(value, Path)
+            and os.path.realpath(value) == os.path.realpath(file)
+        ):
             raise UserError(
                 f"--json {file} is also what this command reads or writes: name another file"
             )
@@ -123,7 +130,6 @@ def run_tool(
     arguments = parse(parser, words)
     if arguments is None:
         return 0
-    check_links(vars(arguments).values())
     check_json(arguments)
     if "out" in arguments:
         check_new_folder(arguments.out)

@@ -10,11 +10,12 @@ from jaxunshear.files import Json
 
 def doctor(arguments: argparse.Namespace, command: str) -> int:
     """Run the command; return 0, or 1 if no command can use the frames."""
-    from jaxunshear.doctor import check_recordings, describe, to_json
+    from jaxunshear.doctor import check_recordings, describe
+    from jaxunshear.serialization import to_builtins
 
     diagnosis = check_recordings(arguments.path)
     print("\n".join(describe(diagnosis)))
-    _write_json(arguments.json, command, to_json(diagnosis))
+    _write_json(arguments.json, command, to_builtins(diagnosis))
     return 0 if diagnosis.usable else 1
 
 

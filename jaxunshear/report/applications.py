@@ -11,6 +11,7 @@ from jaxunshear.report import html
 from jaxunshear.report.html import format_number, format_with_interval
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.trajectory_figure import METHOD_TITLES
+from jaxunshear.report.wording import section
 from jaxunshear.results.folders import find_results_folder
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
@@ -21,25 +22,22 @@ KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} 
 def build_sections(run_dir: Path) -> list[Markup]:
     """Build the sections of commands that have been run. Raises UserError on damaged files."""
     sections = []
-    for name, build in (
-        ("geometry", _build_geometry_section),
-        ("servo", _build_trajectory_section),
-        ("reconstruct", _build_object_section),
-        ("stream", _build_stream_section),
-    ):
+    for name, build_body in BODIES.items():
         folder = find_results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
             continue
+        results = read_object(file)
         try:
-            sections.append(build(read_object(file), folder))
+            body = [*build_body(results, folder), html.code(results["command"])]
+            sections.append(section(name, *body))
         except (KeyError, TypeError, AttributeError) as error:
             remedy = f"run `jaxunshear {name}` again, or delete it"
             raise UserError(f"{file} lacks {error}: {remedy}") from error
     return sections
 
 
-def _build_geometry_section(results: Json, folder: Path) -> Markup:
+def _show_geometry(results: Json, folder: Path) -> list[Markup]:
     rows = [
         [
             KINDS.get(row["kind"], row["kind"]),
@@ -53,42 +51,22 @@ def _build_geometry_section(results: Json, folder: Path) -> Markup:
         if row["stimulus"] == "all"
     ]
     head = ["image", "by", "correlation", "error, mm rms", "pins not sure", "ms an image"]
-    lead = (
-        "How far the skin is pressed in, from the pins, against the simulator's own indentation: "
-        "by the areas of their Voronoi cells, and by an inverse of the skin learnt from taps. "
-        "Contacts that no network has seen, each with a 95 % interval over contacts, of one "
-        "training. Images whose pins are not identified for sure are left out and counted."
-    )
-    picture, command = _embed_png(folder / "geometry.png"), html.code(results["command"])
-    return html.section("Contact geometry", lead, html.table(head, rows), picture, command)
+    return [html.table(head, rows), _embed_png(folder / "geometry.png")]
 
 
 def _format_score(row: Json, name: str) -> str:
     return format_with_interval(row.get(name), row.get(f"{name}_interval"), 3)
 
 
-def _build_trajectory_section(results: Json, folder: Path) -> Markup:
-    lead = (
-        "The sensor follows outlines in the simulator, steered by what each way of perceiving "
-        "reports. Walks that closed the outline; below, how far the sensor was from it in mm: mean "
-        "/ 95th percentile / largest."
-    )
+def _show_trajectories(results: Json, folder: Path) -> list[Markup]:
     rows = results["rows"]
-    perceive_ms = {row["way"]: row["perceive_ms"] for row in rows}
-    times = "; ".join(
-        f"{METHOD_TITLES.get(method, method)} {ms:.1f} ms"
-        for method, ms in perceive_ms.items()
-        if method != "true"
-    )
-    pictures = [_embed_png(folder / f"{name}.png") for name in _list_values(rows, "stimulus")]
-    return html.section(
-        "Around objects by touch",
-        lead,
+    times = {row["way"]: row["perceive_ms"] for row in rows if row["way"] != "true"}
+    listed = "; ".join(f"{METHOD_TITLES.get(name, name)} {ms:.1f} ms" for name, ms in times.items())
+    return [
         _build_method_table(rows, _format_trajectory),
-        html.soft(f"Perceiving takes, a step: {times}."),
-        *pictures,
-        html.code(results["command"]),
-    )
+        html.soft(f"Perceiving takes, a step: {listed}."),
+        *(_embed_png(folder / f"{name}.png") for name in _list_values(rows, "stimulus")),
+    ]
 
 
 def _format_trajectory(row: Json) -> str:
@@ -97,18 +75,12 @@ def _format_trajectory(row: Json) -> str:
     return form.format(row["closed"], row["starts"], *distances)
 
 
-def _build_object_section(results: Json, folder: Path) -> Markup:
-    lead = (
-        "The shape that each walk's images enclose, against the true one: area shared over area of "
-        "either, mean of the walks; below, the outlines' mean and largest distance in mm. By "
-        "height maps of the pins' cells (voronoi) or of where the skin stands."
-    )
+def _show_objects(results: Json, folder: Path) -> list[Markup]:
     pictures = []
     for name in _list_values(results["rows"], "stimulus"):
         pictures += [_embed_png(folder / f"{name}-{file}.png") for file, _ in PICTURES.values()]
     rows = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
-    table = _build_method_table(rows, _format_object)
-    return html.section("Complete objects", lead, table, *pictures, html.code(results["command"]))
+    return [_build_method_table(rows, _format_object), *pictures]
 
 
 def _format_object(row: Json) -> str:
@@ -116,13 +88,19 @@ def _format_object(row: Json) -> str:
     return Markup("{}<small>{} / {}</small>").format(format_number(row["iou"], 3), *distances)
 
 
-def _build_stream_section(results: Json, folder: Path) -> Markup:
+def _show_stream(results: Json, folder: Path) -> list[Markup]:
     latency = results["latency_ms"] or {}
     rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
     rows += [[f"{name}, ms", format_number(value, 1)] for name, value in latency.items()]
-    lead = "Frames from a source to unsheared image, pose and confidence, as on a robot."
-    table = html.table(("frames", ""), rows)
-    return html.section("As a stream", lead, table, html.code(results["command"]))
+    return [html.table(("frames", ""), rows)]
+
+
+BODIES = {
+    "geometry": _show_geometry,
+    "servo": _show_trajectories,
+    "reconstruct": _show_objects,
+    "stream": _show_stream,
+}
 
 
 def _build_method_table(rows: list[Json], format_cell: Callable[[Json], str]) -> Markup:

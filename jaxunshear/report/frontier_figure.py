@@ -24,6 +24,7 @@ COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
 # settings that decide the contacts of the test and their images, except sizes in px:
 # errors in mm and degrees can be compared across sizes
 TEST_SETTINGS = ("paired.", "sensor")
+NETWORK_SETTINGS = ("unshear.",)
 SIZE_SETTINGS = ("paired.preprocess.size", "paired.camera.frame_px")
 
 
@@ -70,8 +71,8 @@ def list_comparable(summary: SweepResult) -> list[str]:
 
     On other contacts an error may be less because the contacts are easier.
     """
-    test = _select_test_settings(_find_reference(summary))
-    return [cell.label for cell in summary.cells if _select_test_settings(cell) == test]
+    test = _select_settings(_find_reference(summary), TEST_SETTINGS)
+    return [cell.label for cell in summary.cells if _select_settings(cell, TEST_SETTINGS) == test]
 
 
 def _find_reference(summary: SweepResult) -> CellResult:
@@ -80,11 +81,11 @@ def _find_reference(summary: SweepResult) -> CellResult:
     return next((cell for cell in cells if cell.label == summary.reference), cells[0])
 
 
-def _select_test_settings(cell: CellResult) -> dict[str, str]:
+def _select_settings(cell: CellResult, groups: tuple[str, ...]) -> dict[str, str]:
     return {
         name: value
         for name, value in cell.settings.items()
-        if name.startswith(TEST_SETTINGS) and name not in SIZE_SETTINGS
+        if name.startswith(groups) and name not in SIZE_SETTINGS
     }
 
 
@@ -100,20 +101,16 @@ def collect_points(summary: SweepResult, metric: str, cost: str) -> Points:
     for cell in cells:
         if metric.startswith("ms_ssim") and cell.metric["ms_ssim"] != scale:
             continue
-        network = _select_network_settings(cell)
+        network = _select_settings(cell, NETWORK_SETTINGS)
         group = [cell]
         if cost == "ms_per_image":
-            group = [other for other in cells if _select_network_settings(other) == network]
+            group = [each for each in cells if _select_settings(each, NETWORK_SETTINGS) == network]
         values = [value for each in group for value in _list_costs(each, cost)]
         if values:
             labels.append(cell.label)
             costs.append(float(np.mean(values)))
             errors.append(cell.metrics[metric].mean)
     return Points(labels, np.array(costs), np.array(errors))
-
-
-def _select_network_settings(cell: CellResult) -> dict[str, str]:
-    return {name: value for name, value in cell.settings.items() if name.startswith("unshear.")}
 
 
 def _list_costs(cell: CellResult, cost: str) -> list[float]:
@@ -170,20 +167,12 @@ def plot_panel(
     comparable, colour = list_comparable(summary), COLOURS[DISENTANGLED]
     axes.plot(x[frontier], y[frontier], "-", color=colour)
     for index, label in enumerate(labels):
-        best, hollow = index in frontier, label not in comparable
-        text_colour, edge, face = "white", "white", colour if best else FAINT
-        if hollow:
-            text_colour, edge, face = INK, FAINT, "white"
+        text, edge, face = "white", "white", colour if index in frontier else FAINT
+        if label not in comparable:
+            text, edge, face = INK, FAINT, "white"
         circle = {"boxstyle": "circle,pad=0.25", "facecolor": face, "edgecolor": edge}
-        axes.annotate(
-            numbers[label],
-            (x[index], y[index]),
-            ha="center",
-            va="center",
-            fontsize=LABEL,
-            color=text_colour,
-            bbox=circle,
-            zorder=3 + best,
-        )
+        place = x[index], y[index]
+        number = axes.annotate(numbers[label], place, ha="center", va="center", bbox=circle)
+        number.set(fontsize=LABEL, color=text, zorder=3 + (index in frontier))
     axes.plot(x, y, "o", alpha=0)  # extends the axes' limits to the numbers
     axes.margins(x=0.12, y=0.12)

@@ -5,8 +5,13 @@ import warnings
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.errors import Note
 from jaxunshear.files import Json, check_and_remove_checksum
+from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.results.record_files import read_record
+
+RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 
 
 class History(NamedTuple):
@@ -18,16 +23,37 @@ class History(NamedTuple):
     validation: dict[str, list[float]]
 
 
+class Trainings(NamedTuple):
+    """The logs and the summaries of a run's trainings, by network."""
+
+    histories: dict[str, History]
+    summaries: dict[str, TrainingSummary]
+
+
+def read_trainings(run_dir: Path) -> Trainings:
+    """Read the logs and summaries of the networks that have a log. Raises UserError."""
+    trainings = Trainings({}, {})
+    for name in TRAINABLE:
+        history = read_history(run_dir / name / "log.jsonl")
+        if history is not None:
+            trainings.histories[name] = history
+            summary = run_dir / name / "summary.json"
+            if summary.exists():
+                record = read_record(summary, TrainingSummary, RETRAIN_REMEDY)
+                trainings.summaries[name] = record
+    return trainings
+
+
 def read_lines(path: Path) -> list[Json]:
     """Read the lines of a training log that hold a validation; none if there is no log.
 
     Damaged lines are left out, with a note.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8", errors="replace")
+        rows = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return []
-    rows, validations = text.splitlines(), []
+    validations = []
     for row in rows:
         try:
             line = check_and_remove_checksum(json.loads(row))

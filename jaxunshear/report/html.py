@@ -6,7 +6,7 @@ All text is escaped; only `Markup` is taken as HTML.
 import base64
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -24,14 +24,15 @@ _ENVIRONMENT = Environment(
 _MACROS = _ENVIRONMENT.get_template("page.html").module
 
 
-def _get_macro(name: str) -> Callable[..., Markup]:
+def get_macro(name: str) -> Callable[..., Markup]:
+    """Return a macro of page.html."""
     return getattr(_MACROS, name)
 
 
-page, opening, compared = map(_get_macro, ("page", "opening", "compared"))
-section, card, cards, table = map(_get_macro, ("section", "card", "cards", "table"))
-montage, caption, figure = map(_get_macro, ("montage", "caption", "figure"))
-folded, listed, row, soft, code = map(_get_macro, ("folded", "listed", "row", "soft", "code"))
+page, opening, compared = map(get_macro, ("page", "opening", "compared"))
+section, card, cards, table = map(get_macro, ("section", "card", "cards", "table"))
+montage, caption, figure = map(get_macro, ("montage", "caption", "figure"))
+folded, listed, row, soft, code = map(get_macro, ("folded", "listed", "row", "soft", "code"))
 
 
 def embed_svg(svg: str, text: str) -> Markup:
@@ -79,11 +80,11 @@ def format_cells(
     ]
 
 
-def format_paper_cells(values: Scores, names: Sequence[str]) -> list[str]:
+def format_paper_cells(values: Scores, names: Iterable[str]) -> list[str]:
     """Format the cells of a table's row with the paper's figures."""
     return [format_number(values.get(name)) for name in names]
 
 
-def format_paper_heading(heading: str) -> Markup:
-    """Format the heading of a column with the paper's figures."""
-    return Markup("{}<br>paper").format(heading)
+def format_paper_headings(headings: Iterable[str]) -> list[Markup]:
+    """Format the headings of columns with the paper's figures."""
+    return [Markup("{}<br>paper").format(heading) for heading in headings]

@@ -1,17 +1,12 @@
 """A picture of what each code contains, beside reconstructions from exchanged codes."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
 
+from jaxunshear.evaluation.code_exchange import ExchangedCodes
 from jaxunshear.files import Json
 from jaxunshear.style import encode_png
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
-
-    from jaxunshear.evaluation.code_exchange import ExchangedCodes
 
 BARS = {
     "r2": "code",
@@ -28,10 +23,8 @@ IMAGE_TITLE = (
 )
 
 
-def plot_leakage(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
+def plot_leakage(results: Json, exchanged: ExchangedCodes | None) -> bytes:
     """Plot the probes of each code as bars, and exchanged codes if there are any, as a PNG."""
-    from matplotlib.figure import Figure
-
     side = 0 if exchanged is None else len(exchanged.true)
     size = (6 + 1.5 * side, 1.2 + max(3.2, 1.6 * side))
     figure = Figure(figsize=size, layout="constrained", dpi=110)
@@ -44,7 +37,7 @@ def plot_leakage(results: Json, exchanged: "ExchangedCodes | None") -> bytes:
     return encode_png(figure)
 
 
-def _plot_bars(figure: "FigureBase", results: Json) -> None:
+def _plot_bars(figure: FigureBase, results: Json) -> None:
     rows = [row for row in results["summary"] if row["quantities"]]
     axes = figure.subplots()
     names = [name for name in BARS if rows and name in rows[0]]
@@ -68,7 +61,7 @@ def _plot_bars(figure: "FigureBase", results: Json) -> None:
     figure.legend(handles, texts, fontsize=8, loc="outside lower center", ncols=2)
 
 
-def _plot_exchanges(figure: "FigureBase", exchanged: "ExchangedCodes") -> None:
+def _plot_exchanges(figure: FigureBase, exchanged: ExchangedCodes) -> None:
     side, images = len(exchanged.true), exchanged.true.ndim == 5
     panels = figure.subplots(side, side, squeeze=False)
     for (i, j), axes in np.ndenumerate(panels):
@@ -81,7 +74,7 @@ def _plot_exchanges(figure: "FigureBase", exchanged: "ExchangedCodes") -> None:
     figure.suptitle(IMAGE_TITLE if images else PIN_TITLE, fontsize=8)
 
 
-def _plot_pins(axes: "Axes", exchanged: "ExchangedCodes", i: int, j: int) -> None:
+def _plot_pins(axes: Axes, exchanged: ExchangedCodes, i: int, j: int) -> None:
     centre = exchanged.true.mean(axis=(0, 1, 2))
     reach = 1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2
     true, decoded = exchanged.true[i, j], exchanged.decoded[i, j]
@@ -94,7 +87,7 @@ def _plot_pins(axes: "Axes", exchanged: "ExchangedCodes", i: int, j: int) -> Non
     axes.set_title(f"{rms:.2f} px", fontsize=7, pad=2)
 
 
-def _plot_image(axes: "Axes", exchanged: "ExchangedCodes", i: int, j: int) -> None:
+def _plot_image(axes: Axes, exchanged: ExchangedCodes, i: int, j: int) -> None:
     """Plot in white where both images are bright, in red or blue where only one is."""
     true, decoded = exchanged.true[i, j, ..., 0], exchanged.decoded[i, j, ..., 0]
     colours = np.stack([decoded, np.minimum(decoded, true), true], axis=-1)

@@ -1,6 +1,4 @@
-"""Sections of a recorded run's page: its recordings, pairs of contacts and error bounds."""
-
-from collections.abc import Sequence
+"""Sections of a page on recordings: what they are, pairs of contacts and error bounds."""
 
 from markupsafe import Markup
 
@@ -8,64 +6,34 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Target
 from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
 from jaxunshear.evaluation.recorded_descriptions import describe_test
-from jaxunshear.report import html, labels
+from jaxunshear.report import html, wording
 from jaxunshear.report.html import format_number
-from jaxunshear.results.run import Results, Scores
-
-PAIRING_TEXTS = {
-    "rendered": (
-        "A slide's partner is what a renderer, a network that learnt from the taps, draws at the "
-        "slide's pose: no tap need be recorded there, and the two poses are equal. How true the "
-        "drawings are, the errors of pose on partners show."
-    ),
-    "nearest": (
-        "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' "
-        "ranges. In training, a pair counts the less the further the two poses are apart."
-    ),
-    "pose_id": (
-        "A slide's partner is the tap that was recorded at the same pose, under the same pose_id."
-    ),
-    "simulated": (
-        "No recorded slide teaches: training slides are recorded taps whose pins are dragged as "
-        "the contact simulator says, each paired with its tap. Recorded slides are for the test "
-        "alone; there a slide's partner is what a renderer draws at its pose."
-    ),
-    "file": "A slide's partner is the tap that a table of pairs names.",
-}
+from jaxunshear.report.wording import TEXTS, Wording
+from jaxunshear.results.run import Recordings, Results, Scores
 
 
-def build_sections(results: Results) -> list[Markup]:
-    """Build the sections in the order of the page."""
-    return [
-        _build_recordings_section(results),
-        _build_pairing_section(results),
-        _build_intervals_section(results),
-    ]
-
-
-def _build_recordings_section(results: Results) -> Markup:
-    recordings, _ = results.recorded_facts
+def build_recordings_section(results: Results) -> Markup:
+    """Build the section on the recordings; nothing if there are none."""
+    recordings = results.recordings
+    if recordings is None:
+        return Markup()
     rows = []
     for kind, counts in (("taps", recordings.taps), ("slides", recordings.slides)):
         if any(counts.values()):
             rows.append([kind, *(str(counts[split]) for split in SPLITS)])
-    lead = (
-        "Frames of a real sensor: networks learn from train, their best step is chosen on "
-        f"validation, all figures are of test ({describe_test(results)})."
-    )
-    dropped, notes = recordings.dropped, recordings.notes
-    return html.section(
-        "The recordings",
-        lead,
-        html.table(["contacts", *SPLITS], rows),
-        *map(html.soft, _describe_recordings(results)),
-        _fold_list(f"Frames left out ({dropped})", recordings.dropped_frames, dropped),
-        _fold_list("Notes from reading them", notes, len(notes)),
-    )
+    folded = Markup()
+    for heading, lines, count in (
+        (f"Frames left out ({recordings.dropped})", recordings.dropped_frames, recordings.dropped),
+        ("Notes from reading them", recordings.notes, 0),
+    ):
+        if lines:
+            folded += html.folded(heading, html.listed(lines, count - len(lines)))
+    facts = map(html.soft, _describe_recordings(results, recordings))
+    body = [html.table(["contacts", *SPLITS], rows), *facts, folded]
+    return wording.section("recordings", *body, test=describe_test(results))
 
 
-def _describe_recordings(results: Results) -> list[str]:
-    recordings, _ = results.recorded_facts
+def _describe_recordings(results: Results, recordings: Recordings) -> list[str]:
     paired = results.settings["paired"]
     folders = dict.fromkeys((paired["tap_folder"], paired["slide_folder"]))
     codes = [Markup("<code>{}</code>").format(folder) for folder in folders if folder]
@@ -91,32 +59,26 @@ def _describe_recordings(results: Results) -> list[str]:
 
 
 def _describe_range(target: Target) -> str:
-    name = labels.name_quantity(target.name)
+    name = wording.name_quantity(target.name)
     if target.is_circular:
         return f"{name} over the full circle"
     low, high = target.centre - target.half_range, target.centre + target.half_range
-    return f"{name} {low:.2f} to {high:.2f} {labels.get_unit(target.name)}"
+    return f"{name} {low:.2f} to {high:.2f} {wording.get_unit(target.name)}"
 
 
-def _fold_list(heading: str, lines: Sequence[str], count: int) -> Markup:
-    """Fold the first lines of `count` away under a heading; nothing if there are none."""
-    if not lines:
-        return Markup()
-    return html.folded(heading, html.listed(lines, count - len(lines)))
-
-
-def _build_pairing_section(results: Results) -> Markup:
+def build_pairing_section(results: Results, words: Wording) -> Markup:
     """Build the section on partners of slides; nothing if there are no pairs."""
-    if results.pairing is None or results.pairing.way not in PAIRING_TEXTS:
+    if results.pairing is None or results.pairing.way not in TEXTS["pairing"]:
         return Markup()
-    names, rows = labels.list_targets(results), []
+    rows = []
     for split, gaps in results.pairing.gaps.items():
-        cells = [_format_gap(gaps[name]) for name in names]
-        rows.append([split, str(gaps["pairs"]), *cells])
-    head = ["pose of the partner off by", "pairs", *map(labels.format_heading, names)]
-    note = html.soft("Median, and in brackets the 95th percentile.")
-    lead = PAIRING_TEXTS[results.pairing.way]
-    return html.section("How slides are paired", lead, html.table(head, rows), note)
+        rows.append(
+            [split, str(gaps["pairs"]), *(_format_gap(gaps[name]) for name in words.digits)]
+        )
+    head = ["pose of the partner off by", "pairs", *map(wording.format_heading, words.digits)]
+    note = html.soft(TEXTS["sections"]["pairing"]["note"])
+    pairing = TEXTS["pairing"][results.pairing.way]
+    return wording.section("pairing", html.table(head, rows), note, pairing=pairing)
 
 
 def _format_gap(gap: Scores | int) -> str:
@@ -124,25 +86,18 @@ def _format_gap(gap: Scores | int) -> str:
     return f"{format_number(gap['median'])} ({format_number(gap['p95'])})"
 
 
-def _build_intervals_section(results: Results) -> Markup:
-    """Build the section on error bounds.
-
-    There is none for runs of an earlier version, or with few validation contacts.
-    """
+def build_bounds_section(results: Results, words: Wording) -> Markup:
+    """Build the section on error bounds; nothing if validation contacts were too few for them."""
     widths, coverage = results.half_width or {}, results.coverage or {}
     bounded = {name for shares in coverage.values() for name in shares}
-    names = [name for name in labels.list_targets(results) if name in bounded]
+    names = [name for name in words.digits if name in bounded]
     rows = []
     for kind, shares in coverage.items():
         if kind in widths:
             cells = [f"{format_number(widths[kind][name])} ({shares[name]:.1%})" for name in names]
-            rows.append([labels.name_kind(results, kind), *cells])
+            rows.append([words.kinds[kind], *cells])
     if not rows:
         return Markup()
-    lead = (
-        "Half-widths that hold 95 % of the errors on validation contacts of the same session; in "
-        f"brackets the share of test contacts that they hold ({describe_test(results)}). "
-        f"{ELSEWHERE_NOTE}. For yours: jaxunshear evaluate RUN --recordings DIR."
-    )
-    head = ["pose read from", *map(labels.format_heading, names)]
-    return html.section("How far an answer may be off", lead, html.table(head, rows))
+    table = html.table(["pose read from", *map(wording.format_heading, names)], rows)
+    test = describe_test(results)
+    return wording.section("bounds", table, test=test, elsewhere=ELSEWHERE_NOTE)

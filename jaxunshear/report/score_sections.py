@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 from markupsafe import Markup
 
-from jaxunshear.report import html, labels
-from jaxunshear.report.html import format_cells, format_number, format_paper_heading
-from jaxunshear.results.run import FurtherTest, Results, Table
+from jaxunshear.report import html, wording
+from jaxunshear.report.html import format_cells, format_number
+from jaxunshear.report.wording import TEXTS, Wording
+from jaxunshear.results.run import FurtherTest, Results, Span
 
 ESTIMATORS = {"pixels": "kernel ridge on pixels", "pins": "kernel ridge on pins"}
 PIN_HEADINGS = {
@@ -19,34 +20,30 @@ PIN_DIGITS = {"rms_px": 2, "rms_mm": 3, "missed_per_image": 1, "extra_per_image"
 WIDE_RANGES = {"twist_deg": "slides that twist", "tilt_deg": "sensors that lean"}
 
 
-def build_similarity_section(results: Results) -> Markup:
+def build_similarity_section(results: Results, words: Wording) -> Markup:
     """Build the section on likeness; nothing if no network unshears."""
-    likeness, spread, paper = results.ms_ssim, results.spread.ms_ssim, results.paper["ms_ssim"]
-    if not likeness:
+    if not results.ms_ssim:
         return Markup()
-    groups = list(next(iter(likeness.values())))
-    paper_groups = []
-    if labels.is_comparable(results):
-        paper_groups = [group for group in groups if group in paper["sheared"]]
-    target = labels.name_target(results)
-    paper_headings = map(format_paper_heading, paper_groups)
-    head = [f"image compared with its {target}", *groups, *paper_headings]
+    groups = list(next(iter(results.ms_ssim.values())))
+    paper = words.paper.get("ms_ssim", {})
+    paper_groups = [group for group in groups if group in paper.get("sheared", ())]
     rows = []
-    for kind, values in likeness.items():
-        cells = format_cells(values, spread[kind], dict.fromkeys(groups, 3))
+    for kind, values in results.ms_ssim.items():
+        cells = format_cells(values, results.spread.ms_ssim[kind], dict.fromkeys(groups, 3))
         paper_cells = html.format_paper_cells(paper.get(kind, {}), paper_groups)
-        rows.append([labels.name_kind(results, kind), *cells, *paper_cells])
+        rows.append([words.kinds[kind], *cells, *paper_cells])
     name, size = results.metric["ms_ssim"], results.metric["image_px"]
-    images = " of drawn pins" if labels.uses_pins(results) else ""
-    lead = f"{name}{images} at {size} px, 1 is equal; {labels.describe_intervals(results)}"
-    if paper_groups and name != "ms_ssim":
-        lead += " The paper's has five scales at 256 px: near, but not the same quantity."
-    paper_columns = range(1 + len(groups), len(head))
-    return html.section(
-        "How alike the images are",
-        lead,
-        html.table(head, rows, paper_columns, [len(rows) - 1]),
+    has_other_scales = bool(paper_groups) and name != "ms_ssim"
+    paper_headings = html.format_paper_headings(paper_groups)
+    head = [f"image compared with its {words.target}", *groups, *paper_headings]
+    return wording.section(
+        "similarity",
+        html.table(head, rows, range(1 + len(groups), len(head)), [len(rows) - 1]),
         describe_differences(results, "ms_ssim", "likeness", 4, 1),
+        quantity=f"{name} {words.modality.drawn}".rstrip(),
+        size=size,
+        intervals=wording.describe_intervals(results),
+        note=TEXTS["sections"]["similarity"]["note"] if has_other_scales else "",
     )
 
 
@@ -63,10 +60,8 @@ def describe_differences(
         if value is None or interval is None:
             continue
         low, high = interval
-        verdict = "better" if low * better > 0 else "worse"
-        if low <= 0 <= high:
-            verdict = "not distinguishable"
-        name = labels.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
+        verdict = judge_difference(interval, better) or "not distinguishable"
+        name = wording.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         form = f"+.{digits}f"
         parts.append(f"{name} {value:{form}} [{low:{form}}, {high:{form}}] ({verdict})")
     if not parts:
@@ -75,149 +70,126 @@ def describe_differences(
     return html.soft(f"Contact by contact, disentangled less other networks, {subject}: {others}.")
 
 
-def build_further_tests(results: Results) -> Markup:
+def judge_difference(interval: Span, better: int) -> str:
+    """Say whether a difference is "better" or "worse"; empty if its interval includes zero."""
+    low, high = interval or (0.0, 0.0)
+    if low <= 0 <= high:
+        return ""
+    return "better" if low * better > 0 else "worse"
+
+
+def build_further_tests(results: Results, words: Wording) -> Markup:
     """Build a section for each further test, such as other shapes or taps at other depths."""
-    sections = [_build_further_test(results, name, test) for name, test in results.tests.items()]
+    sections = []
+    for name, test in results.tests.items():
+        sections.append(_build_further_test(name, test, words))
     return Markup().join(sections)
 
 
-def _build_further_test(results: Results, name: str, test: FurtherTest) -> Markup:
-    likeness, pose, spread = test.ms_ssim, test.pose_mae, test.spread
-    groups = dict.fromkeys(next(iter(likeness.values())), 3)
-    quantities = dict.fromkeys(labels.list_targets(results), 2)
-    pose_headings = map(labels.format_heading, quantities if pose else ())
+def _build_further_test(name: str, test: FurtherTest, words: Wording) -> Markup:
+    groups = dict.fromkeys(next(iter(test.ms_ssim.values())), 3)
+    quantities = dict.fromkeys(words.digits, 2) if test.pose_mae else {}
     rows = []
-    for kind, title in labels.KINDS.items():
-        if kind not in pose and kind not in likeness:
+    for kind, title in words.kinds.items():
+        likeness, errors = test.ms_ssim.get(kind, {}), test.pose_mae.get(kind)
+        if not likeness and errors is None:
             continue
-        cells = format_cells(likeness.get(kind, {}), spread.ms_ssim.get(kind, {}), groups)
-        if kind in pose:
-            cells += format_cells(pose[kind], spread.pose_mae[kind], quantities)
+        cells = format_cells(likeness, test.spread.ms_ssim.get(kind, {}), groups)
+        if errors is not None:
+            cells += format_cells(errors, test.spread.pose_mae[kind], quantities)
         rows.append([title, *cells])
-    shapes = "shapes that no network has seen" if name == "unseen" else "the shapes trained on"
-    lead = (
-        f"{test.contacts} slides over {shapes}, {_describe_contacts(test)}: likeness of the "
-        f"images, then errors of pose; {labels.describe_intervals(test)}"
+    head = ["image", *groups, *map(wording.format_heading, quantities)]
+    return wording.section(
+        "further_test",
+        html.table(head, rows, (), [len(rows) - 1]),
+        test=name,
+        contacts=test.contacts,
+        shapes="shapes that no network has seen" if name == "unseen" else "the shapes trained on",
+        settings=_describe_contacts(test),
+        intervals=wording.describe_intervals(test),
     )
-    table = html.table(["image", *groups, *pose_headings], rows, (), [len(rows) - 1])
-    return html.section(f"Test of its own: {name}", lead, table)
 
 
 def _describe_contacts(test: FurtherTest) -> str:
     text = "taps as deep as the slide"
     if jitter := test.tap_depth_jitter_mm:
         text += f", but for up to {jitter:g} mm either way"
-    if test.followed:
-        text += f", their pins found in the images ({_describe_tracking(test.followed)})"
+    if pins := test.followed:
+        parts = [
+            f"{pins[kind]['followed']:.1%} of {name} followed, {pins[kind]['rms_px']:.2f} px off"
+            for kind, name in (("tap", "taps"), ("sheared", "slides"))
+        ]
+        text += f", their pins found in the images ({'; '.join(parts)})"
     for field, contacts in WIDE_RANGES.items():
         if size := (test.ranges or {}).get(field):
             text += f", {contacts} by up to {size:g} deg"
     return text
 
 
-def _describe_tracking(pins: Table) -> str:
-    parts = [
-        f"{pins[kind]['followed']:.1%} of {name} followed, {pins[kind]['rms_px']:.2f} px off"
-        for kind, name in (("tap", "taps"), ("sheared", "slides"))
-    ]
-    return "; ".join(parts)
-
-
-def build_pin_section(results: Results) -> Markup:
+def build_pin_section(results: Results, words: Wording) -> Markup:
     """Build the section on errors of pins; nothing if there are no pairs.
 
-    A column of which a recorded run has no value is left out.
+    Pins of recordings are compared in px, and pins that networks give are neither missed nor extra:
+    these columns are left out.
     """
     errors = results.pin_error
     if not errors:
         return Markup()
-    digits = {"rms_px": PIN_DIGITS["rms_px"]}
+    digits = {}
     for name, count in PIN_DIGITS.items():
-        if results.simulated or any(row.get(name) is not None for row in errors.values()):
+        if name == "rms_px" or any(row.get(name) is not None for row in errors.values()):
             digits[name] = count
+    titles = {**words.kinds, "tap": words.pin_row}
     rows = [
-        [_name_pin_kind(results, kind), *format_cells(errors[kind], {}, digits)]
-        for kind in labels.KINDS
-        if kind in errors
+        [titles[kind], *format_cells(errors[kind], {}, digits)] for kind in titles if kind in errors
     ]
-    truth = "tap's true pins" if results.simulated else f"{labels.name_target(results)}'s pins"
-    lead = (
-        f"Centroids found in each image, matched one to one with the {truth} within half a pitch. "
-        "The first row is what finding pins costs by itself; the last is how far the slide really "
-        "moved them."
-    )
-    if labels.uses_pins(results) and not results.simulated:
-        lead = (
-            f"How far each pin, known by name, is from the {truth}; the last row is how far the "
-            "slide moved them."
-        )
     head = ["image", *(PIN_HEADINGS[name] for name in digits)]
-    return html.section("Where the pins are", lead, html.table(head, rows))
+    kind = "found_pins" if "missed_per_image" in digits else "known_pins"
+    return wording.section(kind, html.table(head, rows), truth=words.pin_truth)
 
 
-def _name_pin_kind(results: Results, kind: str) -> str:
-    if kind == "tap" and not results.simulated:
-        return labels.name_target(results)
-    return labels.name_kind(results, kind)
-
-
-def build_swap_section(results: Results) -> Markup:
+def build_swap_section(results: Results, words: Wording) -> Markup:
     """Build the section on swapped codes; nothing for networks without two codes."""
-    paper, name = results.paper["swap"], results.metric["ms_ssim"]
     if not results.swap:
         return Markup()
-    paper_metrics = {"mse": "MSE", "ms_ssim": "MS-SSIM"} if labels.is_comparable(results) else {}
+    paper = words.paper.get("swap")
+    paper_metrics = {"mse": "MSE", "ms_ssim": "MS-SSIM"} if paper else {}
     rows = []
     for cell, score in results.swap.items():
-        target = labels.name_target(results) if score.target == "tap" else score.target
-        values = (score.mse, score.ssim, score.ms_ssim, *(paper[cell][m] for m in paper_metrics))
+        target = words.target if score.target == "tap" else score.target
+        values = [score.mse, score.ssim, score.ms_ssim]
+        if paper:
+            values += [paper[cell][metric] for metric in paper_metrics]
         rows.append([cell, target, *(format_number(value, 3) for value in values)])
-    title = "The two decoders"
-    lead = (
-        "Each decoder fed the codes it was trained on (z_p: pose code, z_s: shear code), its pins "
-        "drawn."
-    )
-    if len(rows) > 2:  # codes of pin networks have two widths and cannot be swapped
-        title = "Swapped codes"
-        lead = (
-            "Each decoder fed the code it was trained on, and the wrong one (z_p: pose code, z_s: "
-            "shear code). A bad image from the wrong code shows that the decoder uses its code, "
-            "not that the code is free of the other factor."
-        )
-    paper_headings = map(format_paper_heading, paper_metrics.values())
-    head = ["decoder(codes)", "should draw", "MSE", "SSIM", name, *paper_headings]
-    return html.section(title, lead, html.table(head, rows, (5, 6)))
+    paper_headings = html.format_paper_headings(paper_metrics.values())
+    metrics = ["MSE", "SSIM", str(results.metric["ms_ssim"])]
+    head = ["decoder(codes)", "should draw", *metrics, *paper_headings]
+    name = "swap" if len(rows) > 2 else "decoders"  # codes of two widths cannot be swapped
+    return wording.section(name, html.table(head, rows, (5, 6)))
 
 
-def build_estimators_section(results: Results) -> Markup:
+def build_estimators_section(results: Results, words: Wording) -> Markup:
     """Build the section on pose estimators that are no neural networks; nothing without them."""
     if not results.readers:
         return Markup()
-    spread, digits = results.spread.readers, labels.choose_target_digits(results)
+    digits = words.digits
     rows = []
     for estimator, kinds in results.readers.items():
         title = ESTIMATORS[estimator]
         for kind, errors in kinds.items():
             count = _format_image_count(results.reader_images[estimator][kind])
-            cells = format_cells(errors, spread[estimator][kind], digits)
-            rows.append([title, labels.name_kind(results, kind), count, *cells])
+            cells = format_cells(errors, results.spread.readers[estimator][kind], digits)
+            rows.append([title, words.kinds[kind], count, *cells])
             title = ""  # only the first row of an estimator bears its name
     taps = results.counts.reader_taps or {}
     learnt = "; ".join(f"{ESTIMATORS[name]}: {count} taps" for name, count in taps.items())
-    lead = (
-        "A network may please readers of the make that taught it. These are no neural networks: "
-        f"kernel ridges that learnt from PoseNet's training taps alone{learnt and f' ({learnt})'}. "
-        f"Mean absolute errors; {labels.describe_intervals(results)}"
-    )
     note = Markup()
-    if "pins" in results.readers and results.simulated and not labels.uses_pins(results):
-        note = html.soft(
-            "Kernel ridge on pins learnt from the taps' true pins. It reads the pins that are "
-            "found in a part of the test images; those whose pins are not known by name for sure "
-            "are left out and counted."
-        )
-    head = ["reader", "given", "images", *map(labels.format_heading, digits)]
-    return html.section("Read by readers of another make", lead, html.table(head, rows), note)
+    if results.readers.keys() == ESTIMATORS.keys():  # pins are those that are found in the images
+        note = html.soft(TEXTS["sections"]["estimators"]["note"])
+    head = ["reader", "given", "images", *map(wording.format_heading, digits)]
+    intervals = wording.describe_intervals(results)
+    body = html.table(head, rows), note
+    return wording.section("estimators", *body, taps=learnt and f" ({learnt})", intervals=intervals)
 
 
 def _format_image_count(images: Mapping[str, int]) -> str:

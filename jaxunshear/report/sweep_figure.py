@@ -1,8 +1,6 @@
 """The picture of a sweep over one or two axes: lines or heat maps, a panel per metric."""
 
 import fnmatch
-import textwrap
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +8,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 
 from jaxunshear.report.figures import make_panels
-from jaxunshear.results.sweep import CellResult, Failure, Figures, SweepResult
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, encode_png
+from jaxunshear.results.sweep import CellResult, Figures, SweepResult
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE, encode_png
 
 SHOWN_METRICS = (  # in this order; a metric that is equal in all cells is left out
     "ms_ssim/*",
@@ -37,6 +35,7 @@ class PlacedCell(NamedTuple):
 
     place: tuple[int, ...]
     cell: CellResult
+    figures: Figures
 
 
 def plot_sweep(summary: SweepResult) -> bytes | None:
@@ -62,63 +61,49 @@ def plot_sweep(summary: SweepResult) -> bytes | None:
 def select_metrics(summary: SweepResult) -> list[str]:
     """Select the metrics that differ between cells, in the order of `SHOWN_METRICS`."""
     means: dict[str, set[float]] = {}
-    cells = [cell for cell in summary.cells if cell.seeds and cell.point is not None]
-    for cell in cells:
-        for name, figure in _collect_figures(cell).items():
+    placed = [each for each in _place_cells(summary) if each.cell.seeds]
+    for each in placed:
+        for name, figure in each.figures.items():
             means.setdefault(name, set()).add(figure.mean)
-    differing = [name for name in means if len(means[name]) > 1 or len(cells) == 1]
-    selected: list[str] = []
+    differing = [name for name in means if len(means[name]) > 1 or len(placed) == 1]
+    selected: dict[str, None] = {}
     for pattern in SHOWN_METRICS:
-        selected += [name for name in differing if fnmatch.fnmatchcase(name, pattern)]
-    return list(dict.fromkeys(selected))
+        selected |= dict.fromkeys(fnmatch.filter(differing, pattern))
+    return list(selected)
 
 
 def collect_grid_values(summary: SweepResult, name: str) -> np.ndarray:
     """Collect the means of a metric over the axes' values; NaN if a cell has none."""
     values = np.full([len(axis.values) for axis in summary.axes], np.nan)
-    for place, cell in _place_cells(summary):
-        if name in _collect_figures(cell):
-            values[place] = _collect_figures(cell)[name].mean
+    for place, _, figures in _place_cells(summary):
+        if name in figures:
+            values[place] = figures[name].mean
     return values
 
 
-def _collect_figures(cell: CellResult) -> Figures:
-    return {**cell.metrics, **{f"ablation/{name}": f for name, f in cell.ablation.items()}}
-
-
 def _place_cells(summary: SweepResult) -> list[PlacedCell]:
-    orders = [list(axis.values) for axis in summary.axes]
     placed = []
     for cell in summary.cells:
         if cell.point is not None:
-            pairs = zip(orders, cell.point, strict=True)
-            placed.append(PlacedCell(tuple(order.index(value) for order, value in pairs), cell))
-    return placed
+            pairs = zip(summary.axes, cell.point, strict=True)
+            place = tuple(list(axis.values).index(value) for axis, value in pairs)
+            ablation = {f"ablation/{name}": figure for name, figure in cell.ablation.items()}
+            placed.append(PlacedCell(place, cell, {**cell.metrics, **ablation}))
+    return sorted(placed, key=lambda each: each.place)
 
 
 def _plot_heat_map(axes: Axes, summary: SweepResult, name: str) -> None:
-    """Plot the first axis downwards and the second to the right; failed cells are hatched."""
+    """Plot the first axis downwards and the second to the right."""
     values = collect_grid_values(summary, name)
     image = axes.imshow(np.ma.masked_invalid(values), cmap="viridis", aspect="auto")
-    for (row, column), cell in _place_cells(summary):
-        value, seeds = values[row, column], len(cell.seeds)
-        if np.isfinite(value):
-            dark = float(np.asarray(image.norm(value))) < 0.6
-            count = f"\n{seeds} of {len(summary.seeds)}" if cell.failures else ""
-            _write(axes, column, row, f"{value:.3g}{count}", "white" if dark else INK, 9)
-        elif seeds:
-            _write(axes, column, row, "none", FAINT, 8)  # not a metric of this cell's networks
-        else:
-            axes.fill_between(
-                [column - 0.5, column + 0.5],
-                row - 0.5,
-                row + 0.5,
-                facecolor="white",
-                edgecolor=FAINT,
-                hatch="///",
-                linewidth=0,
-            )
-            _write(axes, column, row, _shorten_reason(cell.failures), INK, LABEL)
+    for (row, column), cell, figures in _place_cells(summary):
+        colour, text = FAINT, "none" if cell.seeds else "failed"
+        if name in figures:
+            dark = float(np.asarray(image.norm(values[row, column]))) < 0.6
+            colour, text = "white" if dark else INK, f"{values[row, column]:.3g}"
+            if cell.failures:
+                text += f"\n{len(cell.seeds)} of {len(summary.seeds)}"
+        axes.text(column, row, text, color=colour, fontsize=9, ha="center", va="center")
     down, across = summary.axes
     axes.set(xlabel=across.name, ylabel=down.name)
     axes.set_xticks(range(len(across.values)), across.values)
@@ -129,48 +114,20 @@ def _plot_heat_map(axes: Axes, summary: SweepResult, name: str) -> None:
 def _plot_lines(axes: Axes, summary: SweepResult, name: str) -> None:
     """Plot the mean, its interval and each seed over the axis; failed cells have a cross."""
     (axis,) = summary.axes
-    placed = sorted(_place_cells(summary), key=lambda each: each.place)
-    figures = {
-        place: _collect_figures(cell)[name]
-        for (place,), cell in placed
-        if name in _collect_figures(cell)
-    }
+    placed = _place_cells(summary)
+    figures = {place: figures[name] for (place,), _, figures in placed if name in figures}
     means = np.array([figure.mean for figure in figures.values()])
     ends = np.array([figure.interval or [figure.mean] * 2 for figure in figures.values()]).T
     colour = next((colour for network, colour in COLOURS.items() if f"/{network}" in name), INK)
     axes.errorbar(
-        list(figures),
-        means,
-        np.abs(ends - means),
-        fmt="o-",
-        color=colour,
-        markersize=4,
-        linewidth=1.5,
-        capsize=3,
+        list(figures), means, np.abs(ends - means), fmt="o-", color=colour, markersize=4, capsize=3
     )
     for place, figure in figures.items():
         seeds = [mean for mean in (figure.per_seed or {}).values() if mean is not None]
         axes.plot([place] * len(seeds), seeds, ".", color=colour, alpha=0.45, markersize=5)
-    for (place,), cell in _place_cells(summary):
-        if cell.failures:
-            below = axes.get_xaxis_transform()
-            axes.plot(place, 0.03, "x", color=INK, transform=below, clip_on=False)
-            reason = _shorten_reason(cell.failures)
-            axes.text(
-                place, 0.07, reason, transform=below, fontsize=LABEL, ha="center", va="bottom"
-            )
+    failed = [place for (place,), cell, _ in placed if cell.failures]
+    below = axes.get_xaxis_transform()
+    axes.plot(failed, [0.03] * len(failed), "x", color=INK, transform=below, clip_on=False)
     axes.set_xlabel(axis.name)
     axes.set_xticks(range(len(axis.values)), axis.values)
     axes.margins(x=0.1)
-
-
-def _write(axes: Axes, x: float, y: float, text: str, colour: str, size: float) -> None:
-    on_hatching = colour == INK and size <= LABEL
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 1} if on_hatching else None
-    axes.text(x, y, text, color=colour, fontsize=size, ha="center", va="center", bbox=box)
-
-
-def _shorten_reason(failures: Sequence[Failure]) -> str:
-    """Shorten the first failure's reason to a few short lines, without what led up to it."""
-    reason = str(failures[0].reason).rpartition("stopped: ")[2]
-    return "\n".join(textwrap.wrap(reason, 15, max_lines=4, placeholder=" ..."))

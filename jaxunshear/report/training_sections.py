@@ -5,19 +5,17 @@ from collections.abc import Mapping
 
 from markupsafe import Markup
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.progress import format_duration
-from jaxunshear.report import html, labels
+from jaxunshear.report import html, wording
 from jaxunshear.report.figures import encode_svg, make_panels
-from jaxunshear.report.history import History
-from jaxunshear.results.measurement import TrainingSummary
+from jaxunshear.report.history import History, Trainings
+from jaxunshear.report.wording import Wording
 from jaxunshear.results.run import Results
 from jaxunshear.serialization import to_builtins
 from jaxunshear.style import ABREAST, COLOURS, INK, STYLE
 
-RETRAIN_REMEDY = "delete it, then run the same experiment again, which goes on from the checkpoint"
 DASHES = ("-", "--", ":")
 CONTACT_TITLES = {
     "residual_mm": "solver residual, mm",
@@ -28,12 +26,10 @@ CONTACT_TITLES = {
 }
 
 
-def build_training_section(
-    histories: Mapping[str, History], summaries: Mapping[str, TrainingSummary]
-) -> Markup:
+def build_training_section(trainings: Trainings) -> Markup:
     """Build the section with the loss curves and the summary of each training."""
-    if not histories:
-        return html.section("Training", "This run has no training logs.")
+    if not trainings.histories:
+        return wording.section("no_training")
     rows = [
         [
             name,
@@ -43,64 +39,59 @@ def build_training_section(
             format_duration(summary.train_seconds),
             str(summary.best_step),
         ]
-        for name, summary in summaries.items()
+        for name, summary in trainings.summaries.items()
     ]
     head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
-    text = "loss over epochs of " + ", ".join(histories)
-    lead = (
-        "Losses at each validation, in training (thin) and on poses kept out of it (thick). The "
-        "best step is used."
-    )
-    curves = html.embed_svg(plot_losses(histories), text)
-    return html.section("Training", lead, curves, html.table(head, rows))
+    text = "loss over epochs of " + ", ".join(trainings.histories)
+    curves = html.embed_svg(_plot_losses(trainings.histories), text)
+    return wording.section("training", curves, html.table(head, rows))
 
 
-def build_times_section(results: Results, histories: Mapping[str, History]) -> Markup:
+def build_times_section(results: Results, words: Wording, trainings: Trainings) -> Markup:
     """Build the section on the time of each stage, and on errors over seconds of training."""
     stages = {name: value for name, value in results.time_s.items() if value is not None}
     figures = []
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
-        figures.append(html.embed_svg(plot_stage_times(stages), text))
-    for name, label in _list_validation_errors(results).items():
-        curves = {key: history for key, history in histories.items() if name in history.validation}
+        figures.append(html.embed_svg(_plot_stage_times(stages), text))
+    for name, label in _list_validation_errors(words).items():
+        curves = {
+            key: history
+            for key, history in trainings.histories.items()
+            if name in history.validation
+        }
         if curves:
             text = f"{label} over seconds of training"
-            figures.append(html.embed_svg(plot_error(curves, name, label), text))
-    lead = (
-        "Wall clock of each stage, summed over the runs that it was stopped and continued in (what "
-        "one had spent that was killed outright is lost), and what the seconds of training bought "
-        "on poses kept out of it."
-    )
+            figures.append(html.embed_svg(_plot_error(curves, name, label), text))
     waits = []
     for name, times in results.ms_per_image.items():
         median, p95 = _format_ms(times["median"]), _format_ms(times["p95"])
         waits.append(f"{name} {median} ms (95th percentile {p95})")
     text = f"One image at a time, compilation apart: {'; '.join(waits)}."
     note = html.soft(text) if waits else ""
-    return html.section("Error against run time", lead, html.row(*figures), note)
+    return wording.section("times", html.row(*figures), note)
 
 
 def _format_ms(milliseconds: float) -> str:
     return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
 
 
-def _list_validation_errors(results: Results) -> dict[str, str]:
+def _list_validation_errors(words: Wording) -> dict[str, str]:
     """Give the label of each validation figure that is plotted over seconds of training."""
-    output = "pins" if labels.uses_pins(results) else "image"
-    form = "{} of taps, {}" if results.simulated else "error in {}, {}"
-    titles = {"supervised": f"unsheared {output}, MSE"}
-    for name in labels.list_main_targets(results):
-        titles[name] = form.format(labels.name_quantity(name), labels.get_unit(name))
+    titles = {"supervised": f"unsheared {words.modality.output}, MSE"}
+    for name in words.main_targets:
+        titles[name] = words.validation_error.format(
+            quantity=wording.name_quantity(name), unit=wording.get_unit(name)
+        )
     return titles
 
 
 def build_contacts_section(results: Results) -> Markup:
-    """Build the section on the solver's convergence; nothing for recorded contacts."""
-    if not results.simulated:
+    """Build the section on the solver's convergence; nothing if no contacts were simulated."""
+    if not results.contact:
         return Markup()
     rows = []
-    for field, entry in (results.contact or {}).items():
+    for field, entry in results.contact.items():
         values = [f"{entry[name]:.3g}" for name in ("mean", "median", "p95", "max")]
         rows.append([CONTACT_TITLES.get(field, field), *values])
     counts, retried, pairs = results.counts, "", ""
@@ -115,9 +106,8 @@ def build_contacts_section(results: Results) -> Markup:
             f"{counts.test} to test"
         )
     poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
-    return html.section(
-        "Contact quality",
-        "How well the simulated contacts behind the test images were solved.",
+    return wording.section(
+        "contacts",
         html.table(["sheared test contacts", "mean", "median", "95th percentile", "largest"], rows),
         html.soft(f"{retried} {pairs}; {poses}"),
     )
@@ -128,22 +118,26 @@ def build_provenance_section(results: Results) -> Markup:
     source = to_builtins(results.source) if results.source else {}
     facts = (results.seeds, to_builtins(results.machine), results.versions, source)
     tables = (html.table(("", ""), list(fact.items())) for fact in facts if fact)
-    return html.section(
-        "How to get this again",
-        "The same command, seeds and versions on the same machine give the same numbers.",
+    return wording.section(
+        "provenance",
         html.code(results.command),
         html.row(*tables),
         html.folded("All settings", html.code(json.dumps(results.settings, indent=2))),
     )
 
 
-def plot_losses(histories: Mapping[str, History]) -> str:
+def _plot_losses(histories: Mapping[str, History]) -> str:
     """Plot the losses of training and validation over epochs, a panel per network."""
     columns = min(ABREAST, len(histories))
     with rc_context(STYLE):
         figure, panels = make_panels(len(histories), columns, (3.4, 2.8))
         for axes, (network, history) in zip(panels, histories.items(), strict=True):
-            _plot_network_losses(axes, history, COLOURS.get(network, INK))
+            colour, epoch = COLOURS.get(network, INK), history.epoch
+            names = [name for name in history.validation if name in history.training]
+            for name, dash in zip(names, DASHES, strict=False):
+                training, validation = history.training[name], history.validation[name]
+                axes.plot(epoch, training, dash, color=colour, linewidth=1, alpha=0.45)
+                axes.plot(epoch, validation, dash, color=colour, linewidth=2, label=name)
             axes.set(title=network, xlabel="epoch", yscale="log")
             axes.legend()
         for axes in panels[::columns]:
@@ -151,33 +145,22 @@ def plot_losses(histories: Mapping[str, History]) -> str:
         return encode_svg(figure)
 
 
-def _plot_network_losses(axes: Axes, history: History, colour: str) -> None:
-    names = [name for name in history.validation if name in history.training]
-    for name, dash in zip(names, DASHES, strict=False):
-        training, validation = history.training[name], history.validation[name]
-        axes.plot(history.epoch, training, dash, color=colour, linewidth=1, alpha=0.45)
-        axes.plot(history.epoch, validation, dash, color=colour, linewidth=2, label=name)
-
-
-def plot_error(histories: Mapping[str, History], name: str, label: str) -> str:
+def _plot_error(histories: Mapping[str, History], name: str, label: str) -> str:
     """Plot the validation figure `name` of each network over seconds of training."""
     with rc_context(STYLE):
         figure = Figure(figsize=(3.4, 2.6), layout="constrained")
         axes = figure.subplots()
         for network, history in histories.items():
-            x, y, colour = (
-                history.train_seconds,
-                history.validation[name],
-                COLOURS.get(network, INK),
-            )
-            axes.plot(x, y, "o-", color=colour, markersize=3, label=network)
+            colour, seconds = COLOURS.get(network, INK), history.train_seconds
+            errors = history.validation[name]
+            axes.plot(seconds, errors, "o-", color=colour, markersize=3, label=network)
         axes.set(xlabel="seconds of training", ylabel=label, yscale="log")
         axes.set_xlim(left=0)
         axes.legend()
         return encode_svg(figure)
 
 
-def plot_stage_times(seconds: Mapping[str, float]) -> str:
+def _plot_stage_times(seconds: Mapping[str, float]) -> str:
     """Plot the wall clock of each stage as bars, in order."""
     with rc_context(STYLE):
         figure = Figure(figsize=(6.6, 0.6 + 0.3 * len(seconds)), layout="constrained")

@@ -157,8 +157,14 @@ class Pairing:
 class ResultBar:
     """The bar that a figure should clear."""
 
-    sense: str
+    sense: str  # ">=" or "<="
     bar: float
+
+    def is_met(self, value: float | None) -> bool:
+        """Say whether a figure clears the bar."""
+        if value is None:
+            return False
+        return value >= self.bar if self.sense == ">=" else value <= self.bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,10 +206,3 @@ class Results(Tables):
         if self.source is None or self.trained_on.keys() - self.trained_by.keys():
             return []
         return [self.source, *self.trained_by.values()]
-
-    @property
-    def recorded_facts(self) -> tuple[Recordings, Pairing]:
-        """Return the recordings and the pairing of a recorded run. Raises KeyError."""
-        if self.recordings is None or self.pairing is None:
-            raise KeyError("recordings")
-        return self.recordings, self.pairing

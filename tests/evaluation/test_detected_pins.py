@@ -25,7 +25,7 @@ from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
-from jaxunshear.report import score_sections
+from jaxunshear.report import score_sections, wording
 from tests.report.conftest import made_up_gathered
 
 SETTINGS = PairedData()
@@ -124,5 +124,5 @@ def test_the_page_gives_how_many_were_followed():
     results = replace(
         results, tests={DETECTED: replace(results.tests[DETECTED], followed=followed)}
     )
-    page = score_sections.build_further_tests(results)
+    page = score_sections.build_further_tests(results, wording.describe(results))
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

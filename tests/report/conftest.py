@@ -1,5 +1,6 @@
 """A finished run made up of formulas: every file that the report reads, none of the work."""
 
+import itertools
 import json
 import shutil
 from html.parser import HTMLParser
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.evaluation.score import CELLS
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS
 from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.evaluation.simulated_results import build_results
@@ -27,12 +28,8 @@ def dots(slide, soft=False, lost=0.0):
     Returns the image and the centres (P, 2) in px.
     """
     rings = [(0.0, 1)] + [(ring * 5.4, 6 * ring) for ring in range(1, 11)]
-    pins = [
-        (radius * np.cos(2 * np.pi * k / count), radius * np.sin(2 * np.pi * k / count))
-        for radius, count in rings
-        for k in range(count)
-    ]
-    pins = np.array(pins)
+    turns = [radius * np.exp(2j * np.pi * np.arange(count) / count) for radius, count in rings]
+    pins = np.concatenate(turns).view(float).reshape(-1, 2)
     near = np.exp(-((pins[:, :1] - 8) ** 2 + pins[:, 1:] ** 2) / 900)
     pins = 63.5 + pins * (1 + 0.12 * near) + near * np.asarray(slide)
     rows, columns = np.mgrid[:SIZE, :SIZE]
@@ -49,36 +46,23 @@ def made_up_gathered():
         drawn = mean + size * generator.normal(size=COUNT)
         return np.clip(drawn, 0, None).astype(np.float32)
 
-    scores = {
-        f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()
-    }
-    for kind in POSE:
-        scores |= {
-            f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name])
-            for name in SCALE
-        }
-        scores |= {
-            f"read/pixels/{kind}/{name}": 2 * scores[f"pose/{kind}/{name}"] for name in SCALE
-        }
-    for cell in CELLS:
-        scores |= {
-            f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")
-        }
     kept = np.arange(0, COUNT, 4)
-    tap, slide = dots((0, 0)), dots((6, 4))
-    pictures = {
-        "tap": tap[0],
-        "sheared": slide[0],
-        "entangled": dots((1.2, 0), soft=True, lost=0.3)[0],
-        "disentangled": dots((0.4, 0), soft=True)[0],
-    }
-    read = {
-        f"read/pins/{kind}/{name}": 3 * scores[f"pose/{kind}/{name}"][kept]
-        for kind in POSE
-        for name in SCALE
-    }
+    scores, read = {}, {}
+    for kind, mean in LIKENESS.items():
+        scores[f"ms_ssim/{kind}"] = np.minimum(spread(mean, 0.04), 1)
+    for kind, name in itertools.product(POSE, SCALE):
+        error = spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name])
+        scores |= {f"pose/{kind}/{name}": error, f"read/pixels/{kind}/{name}": 2 * error}
+        read[f"read/pins/{kind}/{name}"] = 3 * error[kept]
     for name in SCALE:
         read[f"read/pins/sheared/{name}"][1] = np.nan
+    for cell, metric in itertools.product(CELLS, CELL_METRICS):
+        scores[f"swap/{cell}/{metric}"] = spread(0.2, 0.05)
+    tap, slide = dots((0, 0)), dots((6, 4))
+    pictures = {"tap": tap[0], "sheared": slide[0]}
+    pictures["entangled"] = dots((1.2, 0), soft=True, lost=0.3)[0]
+    pictures["disentangled"] = dots((0.4, 0), soft=True)[0]
+    pins = {"canonical_pins": tap, "sheared_pins": slide}
     labels = {
         "stimulus": stimulus,
         "pose_id": pose_id,
@@ -86,20 +70,15 @@ def made_up_gathered():
         "edge": generator.uniform(-5, 5, (COUNT, 2)).astype(np.float32),
         "move": generator.uniform(-2.5, 2.5, (COUNT, 2)).astype(np.float32),
         "residual_mm": generator.uniform(0, 1e-3, COUNT),
-        **{
-            name: generator.integers(5, 90, COUNT)
-            for name in ("iterations", "stuck", "slipping", "free")
-        },
     }
+    for name in ("iterations", "stuck", "slipping", "free"):
+        labels[name] = generator.integers(5, 90, COUNT)
     return CollectedScores(
         scores,
         labels,
         kept,
         {kind: np.stack([image] * len(kept)) for kind, image in pictures.items()},
-        {
-            "canonical_pins": np.stack([tap[1]] * len(kept)),
-            "sheared_pins": np.stack([slide[1]] * len(kept)),
-        },
+        {name: np.stack([drawn[1]] * len(kept)) for name, drawn in pins.items()},
         read,
     )
 
@@ -109,35 +88,17 @@ def make_run(folder):
     gathered = made_up_gathered()
     experiment = Experiment(
         name="made up",
-        claim=(
-            "Nothing here was measured: <b>numbers & images</b> from formulas, to look at the "
-            "report."
-        ),
+        claim="Nothing was measured: <b>numbers & images</b> are from formulas.",
     )
     results = to_builtins(build_results(experiment, gathered)) | {
-        "ms_per_image": {
-            "disentangled": {"median": 4.2, "p95": 5.1},
-            "posenet": {"median": 1.1, "p95": 1.3},
-        },
+        "ms_per_image": {"disentangled": {"median": 4.2, "p95": 5.1}},
         "time_s": {"data": 131.2, "disentangled": 182.9},
-        "machine": {
-            "processor": "none",
-            "cores": 2,
-            "memory_gib": 24,
-            "system": "Linux x86_64",
-            "device": "cpu: cpu",
-        },
+        "machine": {"processor": "none", "cores": 2, "device": "cpu: cpu"},
         "versions": {"python": "3.11.7", "jax": "0.10.1"},
         "command": "jaxunshear run experiments/demo.py",
     }
-    results["counts"] |= {
-        "train": 2160,
-        "validation": 720,
-        "test": 720,
-        "contacts": 5400,
-        "retried": 3,
-        "dropped": 1,
-    }
+    results["counts"] |= {"train": 2160, "validation": 720, "test": 720}
+    results["counts"] |= {"contacts": 5400, "retried": 3, "dropped": 1}
     results["counts"]["reader_taps"] = {"pixels": 3000, "pins": 2999}
     (folder / "results.json").write_text(json.dumps(results))
     (folder / "montage.npz").write_bytes(encode_montage(experiment.paired.stimuli, gathered))
@@ -151,27 +112,14 @@ def make_run(folder):
         (folder / network).mkdir()
         lines = []
         for step in range(100, 900, 100):
-            fall = {
-                name: (1 + index) * 0.15 * (100 / step) ** 0.8 for index, name in enumerate(terms)
-            }
-            train = {
-                name: value * 0.9 for name, value in fall.items() if not name.startswith("edge")
-            } | {"gradient": 1}
-            counts = {
-                "step": step,
-                "epoch": step / 135,
-                "images": step * 16,
-                "train_seconds": step * 0.21,
-            }
-            lines.append(json.dumps(counts | {"train": train, "validation": fall}))
+            line = {"epoch": step / 135, "train_seconds": step * 0.21}
+            loss = 0.15 * (100 / step) ** 0.8
+            line["validation"] = {name: (1 + i) * loss for i, name in enumerate(terms)}
+            line["train"] = {terms[0]: 0.9 * loss, "gradient": 1}
+            lines.append(json.dumps(line))
         (folder / network / "log.jsonl").write_text("\n".join(lines) + "\n")
-        summary = {
-            "parameters": 415000,
-            "steps": 800,
-            "images_per_second": 76.2,
-            "train_seconds": 168.0,
-            "best_step": 800,
-        }
+        summary = {"parameters": 415000, "steps": 800, "best_step": 800}
+        summary |= {"images_per_second": 76.2, "train_seconds": 168.0}
         (folder / network / "summary.json").write_text(json.dumps(summary))
     return results
 

@@ -1,18 +1,16 @@
 """Files of results: there and back, earlier and later forms, what is wrong in them."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json, write_json
 from jaxunshear.results.measurement import Machine
 from jaxunshear.results.record_files import SCHEMA, read_record, write_record
-from jaxunshear.results.run import Results, Tables
-from jaxunshear.results.sweep import Figure, SweepResult
+from jaxunshear.results.run import Results
+from jaxunshear.results.sweep import SweepResult
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Results(
@@ -33,16 +31,6 @@ def test_what_is_written_is_read(tmp_path):
     assert (
         "recordings" not in held and "kernels" not in held["machine"]
     )  # None is left out where that is the default
-
-
-def test_what_is_not_finite_is_null(tmp_path):
-    write_record(
-        tmp_path / "a.json",
-        replace(RESULTS, pose_mae={"tap": {"x_mm": np.float32("nan"), "y_mm": np.float64(2)}}),
-    )
-    assert read_record(tmp_path / "a.json", Results, "again").pose_mae == {
-        "tap": {"x_mm": None, "y_mm": 2.0}
-    }
 
 
 def test_a_file_without_a_form_is_of_the_first(tmp_path):
@@ -72,16 +60,6 @@ def test_what_does_not_fit_is_refused_by_name(tmp_path, held, line):
     (tmp_path / "a.json").write_text(json.dumps(held))
     with pytest.raises(UserError, match=line):
         read_record(tmp_path / "a.json", Results, "run it again")
-
-
-def test_tables_are_those_that_readers_name():
-    with pytest.raises(TypeError):
-        Tables(pose_mea={})
-
-
-def test_a_figure_without_an_interval_says_so(tmp_path):
-    write_record(tmp_path / "figure.json", Figure(1.0, None))
-    assert read_json(tmp_path / "figure.json") == {"schema": SCHEMA, "mean": 1.0, "interval": None}
 
 
 @pytest.mark.parametrize("name", ["standard", "demo", "frontier", "recorded_pins", "parted"])
