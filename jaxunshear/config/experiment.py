@@ -1,9 +1,8 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 from jaxunshear.config.data import (
     RENDERED_PAIRINGS,
@@ -23,7 +22,6 @@ from jaxunshear.config.registry import (
     TAP_NETWORKS,
     TEACHER,
     UNSHEARING,
-    Network,
 )
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
@@ -59,7 +57,7 @@ class Experiment:
     name: str  # also of the folder of its results
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
-    networks: tuple[Network, ...] = NETWORKS  # to train and evaluate, of ALL_NETWORKS
+    networks: tuple[str, ...] = NETWORKS  # to train and evaluate
     # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
     # one further test for each: taps miss the slide's depth by up to this
@@ -94,11 +92,19 @@ class Experiment:
         yield Rule(
             len(set(self.networks)) == len(self.networks), "networks", "name each network once"
         )
+        yield make_network_rule(self.networks)
         yield Rule(
             len(set(list_stimulus_names(self.unseen))) == len(self.unseen),
             "unseen",
             "name each stimulus once",
         )
+
+
+def make_network_rule(networks: Sequence[str]) -> Rule:
+    """Make the rule that networks are known."""
+    unknown = ", ".join(name for name in networks if name not in ALL_NETWORKS)
+    remedy = f"{unknown} is unknown: use one of {', '.join(ALL_NETWORKS)}"
+    return Rule(not unknown, "networks", f"{remedy}, or name the experiment file that registers it")
 
 
 def get_recorded(experiment: Experiment) -> Recorded | None:
@@ -153,7 +159,7 @@ def _needs_renderer(recorded: Recorded, networks: Collection[str], pins: bool) -
 
 def list_required_networks(experiment: Experiment, network: str) -> tuple[str, ...]:
     """List the networks that must be trained in a folder, in this order, to have `network`."""
-    return list_trained_networks(replace(experiment, networks=(cast(Network, network),)))
+    return list_trained_networks(replace(experiment, networks=(network,)))
 
 
 def get_training_data(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:

@@ -171,12 +171,6 @@ def _is_reloaded(registered: Callable[..., Any] | str, compute: Callable[..., An
     )
 
 
-def list_registering_files() -> list[str]:
-    """List the experiment files that have registered losses; processes of a sweep run them."""
-    functions = (spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str))
-    return sorted({function.__code__.co_filename for function in functions})
-
-
 def get_loss(name: str) -> LossSpec:
     """Return the entry of a loss. Raises UserError for an unknown one."""
     if name not in LOSSES:

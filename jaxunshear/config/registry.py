@@ -1,14 +1,14 @@
 """The networks that an experiment can train, in one table that all other modules read.
 
-CONTRIBUTING.md lists the files that a new network touches.
+An experiment file can add one of its own, see docs/extending.md.
 """
 
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Network = Literal[
-    "entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"
-]
+from jaxunshear.config.losses import InputKind
+from jaxunshear.errors import UserError
+
 ENTANGLED: Final = "entangled"
 DISENTANGLED: Final = "disentangled"
 POSENET: Final = "posenet"
@@ -34,16 +34,17 @@ class NetworkSpec:
     unused_groups: tuple[str, ...]
     title: str = ""  # of its images in tables and figures
     has_codes: bool = False  # whether it depends on the sizes of the codes
-    supports_pins: bool = True  # whether it may read pins instead of images
+    modalities: tuple[InputKind, ...] = ("images", "pins")  # that it may read
     # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
+    file: str = ""  # the experiment file that has registered it, if any
 
 
-_UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
+UNUSED_BY_PAIRS = ("pose", "posenet", "train_posenet", "train_teacher")
 REGISTRY = {
     spec.name: spec
     for spec in (
-        NetworkSpec(RENDERER, "renders", "taps", _UNSHEARS),
+        NetworkSpec(RENDERER, "renders", "taps", UNUSED_BY_PAIRS),
         NetworkSpec(
             TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")
         ),
@@ -51,7 +52,7 @@ REGISTRY = {
             ENTANGLED,
             "unshears",
             "pairs",
-            _UNSHEARS,
+            UNUSED_BY_PAIRS,
             "entangled",
             released_parts=("E", "DC", *PIN_CONSTANTS),
         ),
@@ -59,7 +60,7 @@ REGISTRY = {
             DISENTANGLED,
             "unshears",
             "pairs",
-            _UNSHEARS,
+            UNUSED_BY_PAIRS,
             "disentangled",
             has_codes=True,
             released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
@@ -75,12 +76,12 @@ REGISTRY = {
             ENTANGLED_LARGE,
             "unshears",
             "pairs",
-            _UNSHEARS,
+            UNUSED_BY_PAIRS,
             "entangled, as many parameters",
             has_codes=True,
-            supports_pins=False,
+            modalities=("images",),
         ),
-        NetworkSpec(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", supports_pins=False),
+        NetworkSpec(UNET, "unshears", "pairs", UNUSED_BY_PAIRS, "U-Net", modalities=("images",)),
         NetworkSpec(
             POSENET_SHEARED,
             "reads poses",
@@ -90,12 +91,27 @@ REGISTRY = {
         ),
     )
 }
-TRAINABLE = tuple(REGISTRY)
-NETWORKS: tuple[Network, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
-# with rivals
-ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)
+TRAINABLE = REGISTRY.keys()  # with those that are registered later
+NETWORKS: tuple[str, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
+# with rivals, and those that are registered later
+ALL_NETWORKS = [*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED]
 # the main network of a run is the last of these that it has
-UNSHEARING = (ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED)
+UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
 POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
 TAP_NETWORKS = tuple(name for name, spec in REGISTRY.items() if spec.learns_from == "taps")
-PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].supports_pins)
+
+
+def add_network(spec: NetworkSpec) -> None:
+    """Add a network that unshears. Raises UserError if another one has its name."""
+    registered = REGISTRY.get(spec.name)
+    if registered is None:
+        ALL_NETWORKS.append(spec.name)
+        UNSHEARING.insert(0, spec.name)
+    elif registered.file != spec.file:  # else the file is read twice
+        raise UserError(f"network '{spec.name}' is there already: choose another name")
+    REGISTRY[spec.name] = spec
+
+
+def list_modality_networks(modality: InputKind) -> list[str]:
+    """List the networks that may read inputs of a modality."""
+    return [name for name in ALL_NETWORKS if modality in REGISTRY[name].modalities]

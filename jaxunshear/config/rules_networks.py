@@ -11,7 +11,12 @@ from jaxunshear.config.experiment import (
 )
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
-from jaxunshear.config.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER
+from jaxunshear.config.registry import (
+    POSENET_SHEARED,
+    RENDERER,
+    TEACHER,
+    list_modality_networks,
+)
 from jaxunshear.config.targets import parse_target
 from jaxunshear.config.training import Training, uses_code_exchange
 from jaxunshear.config.types import Rule
@@ -88,12 +93,13 @@ def _list_pin_rules(experiment: Experiment) -> Iterator[Rule]:
         "pins.direct_convolved",
         "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
     )
-    image_networks = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
+    modality = experiment.unshear.input
+    possible = list_modality_networks(modality)
+    others = ", ".join(name for name in experiment.networks if name not in possible)
     yield Rule(
-        not pins or not image_networks,
+        not others,
         "networks",
-        f"{image_networks} reads images alone: "
-        f"with unshear.input pins use {', '.join(PIN_NETWORKS)}",
+        f"{others} does not read {modality}: use {', '.join(possible)}",
     )
 
 

@@ -16,7 +16,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import InputKind
 from jaxunshear.data.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.files import Json
-from jaxunshear.models import distances
+from jaxunshear.models import distances, pin_networks
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.perception.pin_drawing import draw_dots
 
@@ -37,6 +37,7 @@ class Modality:
     needs_identified_pins: bool  # contacts without them cannot be given to these networks
     scale: Callable[[Any], Any]  # what a data set stores -> what a network takes
     to_output: Callable[[Array], Array]  # what a decoder returns -> images in [0, 1], or pins px
+    add_noise: Callable[[Net, Array, Array], Array]  # that of training; settings, inputs, key
     # what a decoder returns, what it should be, variables -> (B,)
     measure_distance: Callable[[Array, Array, Variables], Array]
     # outputs of a PoseNet (B, K), what they should be (B, K), weights (K,) -> (B,)
@@ -80,6 +81,7 @@ IMAGES = Modality(
     needs_identified_pins=False,
     scale=_scale_images,
     to_output=jax.nn.sigmoid,
+    add_noise=lambda net, images, key: images,
     measure_distance=lambda logits, target, variables: distances.compute_supervised_loss(
         jax.nn.sigmoid(logits), target
     ),
@@ -99,6 +101,7 @@ PINS = Modality(
     needs_identified_pins=True,
     scale=lambda pins: pins,
     to_output=lambda pins: pins,
+    add_noise=pin_networks.add_noise,
     measure_distance=distances.compute_pin_distance,
     compute_pose_loss=distances.compute_absolute_pose_loss,
     compute_squared_errors=lambda decoded, true: np.square(decoded - true).sum(-1).mean(axis=1),

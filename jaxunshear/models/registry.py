@@ -2,10 +2,12 @@
 
 >>> canonical = unshear(net, variables, sheared)  # images in [0, 1], or pins px
 >>> outputs = predict(pose_net, pose_variables, canonical)  # (B, K), see `posenet`
+
+A network of your own is added by `register_network`, see docs/extending.md.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,17 +15,26 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxunshear.config import registry as names
+from jaxunshear.config.experiment import Experiment, get_recorded
 from jaxunshear.config.networks import (
+    PinNet,
     PinPoseNet,
     PinRenderer,
     PinUnshear,
     PoseNet,
     UNet,
     UnshearNet,
+    drop_codes,
+    drop_direct,
+    drop_pin_codes,
+    drop_rotation,
 )
+from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
-from jaxunshear.models.weights import Net, Variables
+from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models.weights import Net, Tree, Variables
 
 
 class DataFacts(NamedTuple):
@@ -34,30 +45,87 @@ class DataFacts(NamedTuple):
     spread: Any = 1.0  # how far pins move, root mean square in px
 
 
+class Partners(NamedTuple):
+    """Further inputs of a network that learns by exchanging codes, or None."""
+
+    # taps at the same poses, or contacts there after other slides: their pose codes should agree
+    same_pose: Array | None = None
+    same_slide: Array | None = None  # contacts at other poses after these other slides
+
+
 @dataclass(frozen=True)
 class NetworkFunctions:
     """How the networks with settings of one class are built and run.
 
-    A network that unshears has `unshear`; one with codes also `encode` and the decoders. One that
-    reads poses has `predict`.
+    All are pure functions of settings, variables {"params", "batch_stats"} and arrays; inputs are
+    images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px. A network that unshears has `reconstruct`,
+    one with codes also `encode` and the decoders; one that reads poses has `predict` and
+    `predict_training`.
     """
 
     kind: str  # its name in model.json
-    settings: type  # a frozen dataclass
+    settings: type  # a frozen dataclass; over images it has the field `size`, px
     modality: Modality
     init: Callable[[Net, DataFacts, Array], Variables]
     check: Callable[[Net], None] = lambda net: None  # raises UserError, which names the field
+    # sheared inputs, partners, key (None but in training) -> outputs and new running statistics
+    reconstruct: (
+        Callable[[Net, Variables, Array, Partners, Array | None], tuple[Reconstruction, Tree]]
+        | None
+    ) = None
+    # for weights without what only training needs; else `reconstruct` unshears
     unshear: Callable[[Net, Variables, Array], Array] | None = None
-    # inputs (B, ...) -> (z_p, z_s)
     encode: Callable[[Net, Variables, Array], tuple[Array, Array | None]] | None = None
     decode_canonical: Callable[[Net, Variables, Array], Array] | None = None
     decode_sheared: Callable[[Net, Variables, Array, Array], Array] | None = None
-    predict: Callable[[Net, Variables, Array], Array] | None = None
     has_shear_code: Callable[[Net], bool] = lambda net: False
+    # numbers of the shear code that the slide can be taught to; 0 for codes that have places, which
+    # are not exchanged between slides either
+    count_slide_numbers: Callable[[Net], int] = lambda net: 0
+    predict: Callable[[Net, Variables, Array], Array] | None = None
+    # inputs, angle by which they were turned (rad) -> outputs (B, K) and new running statistics
+    predict_training: Callable[[Net, Variables, Array, ArrayLike], tuple[Array, Tree]] | None = None
 
 
-def _init_pin_network(net: Net, facts: DataFacts, key: Array) -> Variables:
+def _validate_unshearnet(net: UnshearNet, variables: Variables, images: Array) -> Reconstruction:
+    z_p, z_s = unshearnet.encode(net, variables, images)
+    sheared = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
+    canonical = unshearnet.decode_canonical(net, variables, z_p)
+    return Reconstruction(canonical, z_p, sheared, z_s=z_s)
+
+
+def _reconstruct_by_unshearnet(
+    net: UnshearNet, variables: Variables, images: Array, partners: Partners, key: Array | None
+) -> tuple[Reconstruction, Tree]:
+    if key is None:
+        return _validate_unshearnet(net, variables, images), variables["batch_stats"]
+    return unshearnet.reconstruct(net, variables, images, *partners)
+
+
+def _reconstruct_by_unet(
+    net: UNet, variables: Variables, images: Array, partners: Partners, key: Array | None
+) -> tuple[Reconstruction, Tree]:
+    if key is None:
+        logits = unet.compute_logits(net, variables, images)
+        return Reconstruction(logits), variables["batch_stats"]
+    return unet.reconstruct(net, variables, images)
+
+
+def _reconstruct_pins(
+    net: PinUnshear, variables: Variables, pins: Array, partners: Partners, key: Array | None
+) -> tuple[Reconstruction, Tree]:
+    outputs = pin_networks.reconstruct(net, variables, pins, key, *partners)
+    return outputs, variables["batch_stats"]
+
+
+def _init_pin_network(net: PinNet, facts: DataFacts, key: Array) -> Variables:
     return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs)
+
+
+def _predict_from_turned_pins(
+    net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLike
+) -> tuple[Array, Tree]:
+    return pin_networks.predict(net, variables, pins, radians), variables["batch_stats"]
 
 
 _FUNCTIONS: dict[type, NetworkFunctions] = {
@@ -69,11 +137,13 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             IMAGES,
             lambda net, facts, key: unshearnet.init(net, key),
             unshearnet.check_net,
-            unshearnet.unshear,
-            unshearnet.encode,
-            unshearnet.decode_canonical,
-            unshearnet.decode_sheared,
+            reconstruct=_reconstruct_by_unshearnet,
+            unshear=unshearnet.unshear,
+            encode=unshearnet.encode,
+            decode_canonical=unshearnet.decode_canonical,
+            decode_sheared=unshearnet.decode_sheared,
             has_shear_code=lambda net: net.disentangled and net.shear_channels > 0,
+            count_slide_numbers=lambda net: net.shear_channels if net.apart else 0,
         ),
         NetworkFunctions(
             "unet",
@@ -81,7 +151,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             IMAGES,
             lambda net, facts, key: unet.init(net, key),
             unet.check_net,
-            unet.unshear,
+            reconstruct=_reconstruct_by_unet,
         ),
         NetworkFunctions(
             "posenet",
@@ -90,29 +160,133 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             lambda net, facts, key: posenet.init(net, facts.outputs, key),
             posenet.check_net,
             predict=posenet.predict,
+            predict_training=lambda net, variables, images, radians: posenet.predict_training(
+                net, variables, images
+            ),
         ),
         NetworkFunctions(
             "pin_unshear",
             PinUnshear,
             PINS,
             _init_pin_network,
+            reconstruct=_reconstruct_pins,
             unshear=pin_networks.unshear,
             encode=pin_networks.encode,
             decode_canonical=pin_networks.decode_canonical,
             decode_sheared=pin_networks.decode_sheared,
             has_shear_code=lambda net: net.shear_code > 0,
+            count_slide_numbers=lambda net: net.shear_code,
         ),
         NetworkFunctions(
-            "pin_posenet", PinPoseNet, PINS, _init_pin_network, predict=pin_networks.predict
+            "pin_posenet",
+            PinPoseNet,
+            PINS,
+            _init_pin_network,
+            predict=pin_networks.predict,
+            predict_training=_predict_from_turned_pins,
         ),
         NetworkFunctions("renderer", PinRenderer, PINS, _init_pin_network),
     )
 }
 
 
+def _list_plain_settings(pins: PinNet) -> dict[str, Any]:
+    """List the settings of networks over pins that have neither codes nor rotations."""
+    return asdict(drop_pin_codes(drop_direct(drop_rotation(pins))))
+
+
+def _make_pin_unshear(experiment: Experiment, **changes: Any) -> PinUnshear:
+    return PinUnshear(**asdict(drop_direct(drop_rotation(experiment.pins))) | changes)
+
+
+def _make_pin_posenet(experiment: Experiment, **changes: Any) -> PinPoseNet:
+    return PinPoseNet(**_list_plain_settings(experiment.pins) | changes)
+
+
+def _make_direct_pin_posenet(experiment: Experiment) -> PinPoseNet:
+    pins = experiment.pins
+    # simulated pins are turned before any network sees them
+    turned = pins.turned if get_recorded(experiment) else 0.0
+    return _make_pin_posenet(experiment, turned=turned, convolved=pins.direct_convolved)
+
+
+def _make_renderer(experiment: Experiment) -> PinRenderer:
+    return PinRenderer(**_list_plain_settings(experiment.pins))
+
+
+# settings of the networks of an experiment, by modality of its networks and by name
+_NETS: dict[str, dict[str, Callable[[Experiment], Net]]] = {
+    IMAGES.name: {
+        names.DISENTANGLED: lambda experiment: experiment.unshear,
+        names.ENTANGLED: lambda experiment: replace(
+            drop_codes(experiment.unshear), disentangled=False
+        ),
+        names.ENTANGLED_LARGE: lambda experiment: unshearnet.match_entangled_size(
+            experiment.unshear
+        ),
+        names.UNET: lambda experiment: UNet(experiment.unshear.size, experiment.unshear.widths),
+        **dict.fromkeys(names.POSENETS, lambda experiment: experiment.posenet),
+        names.RENDERER: _make_renderer,
+    },
+    PINS.name: {
+        names.DISENTANGLED: _make_pin_unshear,
+        names.ENTANGLED: lambda experiment: _make_pin_unshear(experiment, shear_code=0),
+        names.POSENET: _make_pin_posenet,
+        names.TEACHER: _make_pin_posenet,
+        names.POSENET_SHEARED: _make_direct_pin_posenet,
+        names.RENDERER: _make_renderer,
+    },
+}
+
+
+def make_net(experiment: Experiment, network: str) -> Net:
+    """Make the settings of a network of an experiment."""
+    return _NETS[experiment.unshear.input][network](experiment)
+
+
+def register_network(
+    name: str,
+    functions: NetworkFunctions,
+    make_settings: Callable[[Experiment], Net],
+    title: str = "",
+) -> None:
+    """Register a network that unshears, which `networks` of an experiment can then name.
+
+    `title` is that of its images in tables and figures. Raises UserError if another network has
+    this name.
+    """
+    modality = functions.modality.name
+    file = make_settings.__code__.co_filename
+    names.add_network(
+        names.NetworkSpec(
+            name,
+            "unshears",
+            "pairs",
+            names.UNUSED_BY_PAIRS,
+            title or name,
+            has_codes=True,  # it may depend on any setting
+            modalities=(modality,),
+            file=file,
+        )
+    )
+    _NETS[modality][name] = make_settings
+    _FUNCTIONS[functions.settings] = functions
+
+
 def get_functions(net: Net) -> NetworkFunctions:
     """Return the functions of a network by its settings."""
     return _FUNCTIONS[type(net)]
+
+
+def get_settings_class(kind: str) -> type:
+    """Return the class of settings that model.json calls `kind`. Raises UserError."""
+    # the latest: an experiment file may be read twice
+    for functions in reversed(_FUNCTIONS.values()):
+        if functions.kind == kind:
+            return functions.settings
+    raise UserError(
+        f"kind '{kind}' of a network is unknown: name the experiment file that registers it"
+    )
 
 
 def get_net_modality(net: Net) -> Modality:
@@ -122,7 +296,12 @@ def get_net_modality(net: Net) -> Modality:
 
 def unshear(net: Net, variables: Variables, inputs: Float[Array, "*B"]) -> Float[Array, "*B"]:
     """Unshear images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px."""
-    return _require(get_functions(net).unshear)(net, variables, inputs)
+    functions = get_functions(net)
+    if functions.unshear is not None:
+        return functions.unshear(net, variables, inputs)
+    variables = {"batch_stats": {}} | variables
+    outputs, _ = _require(functions.reconstruct)(net, variables, inputs, Partners(), None)
+    return functions.modality.to_output(outputs.canonical)
 
 
 def predict(net: Net, variables: Variables, inputs: Float[Array, "B *S"]) -> Float[Array, "B K"]:

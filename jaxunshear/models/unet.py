@@ -1,7 +1,7 @@
 """U-Net, a rival of UnshearNet, behind the same kind of pure functions.
 
 >>> variables = init(net, jax.random.key(0))
->>> canonical = unshear(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> the same shape
+>>> logits = compute_logits(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> the same shape
 
 It is the network that image-to-image work would try first (Ronneberger et al. 2015). Every decoder
 layer also takes the encoder's array of its own size, so there is no code that could hold a pose or
@@ -9,7 +9,6 @@ be swapped.
 """
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -54,13 +53,6 @@ def init(net: networks.UNet, key: Array) -> Variables:
 def check_net(net: networks.UNet) -> None:
     """Raise UserError, which names the field, if no network of these settings can be built."""
     unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
-
-
-def unshear(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B S S 1"]:
-    """Unshear images in [0, 1]."""
-    return jax.nn.sigmoid(compute_logits(net, variables, images))
 
 
 def compute_logits(

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment, list_required_networks, list_trained_networks
-from jaxunshear.config.losses import list_registering_files
+from jaxunshear.config.load import list_registering_files
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.config.training import uses_teacher

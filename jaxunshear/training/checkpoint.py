@@ -24,31 +24,16 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import files
-from jaxunshear.config.networks import (
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    PoseNet,
-    UNet,
-    UnshearNet,
-)
 from jaxunshear.config.serialization import OLD_FILES, add_version, remove_version
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
+from jaxunshear.models.registry import get_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
-NETS = {
-    "unshear": UnshearNet,
-    "unet": UNet,
-    "posenet": PoseNet,
-    "pin_unshear": PinUnshear,
-    "pin_posenet": PinPoseNet,
-    "renderer": PinRenderer,
-}
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:
@@ -236,7 +221,7 @@ def read_net(folder: Path) -> Net:
         )
     try:
         stored = _read_model(path)
-        net_class = NETS[stored["kind"]]
+        net_class = get_settings_class(stored["kind"])
         settings = {}
         for field in dataclasses.fields(net_class):
             value = stored["net"][field.name]

@@ -6,11 +6,12 @@
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
+import jax
 from jax import Array
 
 from jaxunshear.config.targets import Targets
 from jaxunshear.config.training import Training
-from jaxunshear.models import distances, posenet
+from jaxunshear.models import distances, pin_networks, posenet
 from jaxunshear.models.modality import Batch, Modality
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Net, Variables
@@ -33,7 +34,6 @@ class PairInputs(NamedTuple):
     slide_targets: Targets  # of z_s
     teacher: Callable[[Array], Array] | None  # images or pins -> outputs (B, K)
     key: Array | None  # None in validation
-    unshear_noisy: Callable[[Array, int], Array] | None  # pins, a number of their noise -> pins
 
     @property
     def tap(self) -> Array:
@@ -105,15 +105,21 @@ def compute_slide_term(inputs: PairInputs) -> Array:
 def compute_tap_identity_term(inputs: PairInputs) -> Array:
     """Compare taps without a slide with what unshearing makes of them."""
     taps = inputs.batch[TAPS]
-    unsheared = _get(inputs.unshear_noisy)(taps, 2)
+    unsheared = _unshear_noisy(inputs, taps, 2)
     return inputs.modality.measure_distance(unsheared, taps, inputs.variables)
 
 
 def compute_consistency_term(inputs: PairInputs) -> Array:
     """Compare what unshearing makes of two slides to one pose."""
-    unshear = _get(inputs.unshear_noisy)
-    one, another = unshear(inputs.batch[ONE], 3), unshear(inputs.batch[ANOTHER], 4)
+    one = _unshear_noisy(inputs, inputs.batch[ONE], 3)
+    another = _unshear_noisy(inputs, inputs.batch[ANOTHER], 4)
     return inputs.modality.measure_distance(one, another, inputs.variables)
+
+
+def _unshear_noisy(inputs: PairInputs, pins: Array, number: int) -> Array:
+    """Unshear pins with noise, which differs by its number."""
+    noisy = pin_networks.add_noise(inputs.net, pins, jax.random.fold_in(_get(inputs.key), number))
+    return pin_networks.unshear(inputs.net, inputs.variables, noisy)
 
 
 def _get(value: T | None) -> T:

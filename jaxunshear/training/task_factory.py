@@ -2,52 +2,38 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import jax
 from jax import Array
 
-from jaxunshear.config.data import PairedData
-from jaxunshear.config.experiment import Experiment, get_recorded, get_training, uses_pins
+from jaxunshear.config.experiment import Experiment, get_recorded, get_training
 from jaxunshear.config.losses import get_loss
-from jaxunshear.config.networks import (
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    UNet,
-    UnshearNet,
-    drop_codes,
-    drop_direct,
-    drop_pin_codes,
-    drop_rotation,
-)
-from jaxunshear.config.registry import (
-    DISENTANGLED,
-    ENTANGLED,
-    ENTANGLED_LARGE,
-    POSENETS,
-    RENDERER,
-    TAP_NETWORKS,
-    TEACHER,
-    UNET,
-)
-from jaxunshear.config.targets import Targets, list_label_fields
+from jaxunshear.config.registry import REGISTRY, RENDERER, TAP_NETWORKS, TEACHER
+from jaxunshear.config.targets import list_label_fields
 from jaxunshear.config.training import Training, uses_teacher
+from jaxunshear.data.factorial import FactorialReader
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.models import pin_networks, posenet
-from jaxunshear.models.modality import IMAGES, PINS, Modality
-from jaxunshear.models.unshearnet import match_entangled_size
+from jaxunshear.models import pin_networks
+from jaxunshear.models.modality import IMAGES, PINS, Batch
+from jaxunshear.models.registry import DataFacts, get_functions, make_net, predict
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import Examples, measure_pin_spread, read_all_training
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
-from jaxunshear.training.tasks import Batch, Supervision, Task, Tree
+from jaxunshear.training.tasks import (
+    PinSupport,
+    Supervision,
+    Task,
+    Tree,
+    make_posenet_task,
+    make_renderer_task,
+    make_unshear_task,
+)
 
 VALIDATION_BATCH = 64
 
@@ -56,125 +42,79 @@ def make_task(
     experiment: Experiment, network: str, examples: Examples, folder: Path
 ) -> tuple[Task, tuple[str, ...]]:
     """Make the task of `network`, and list the fields of a batch that it takes."""
-    training, targets = get_training(experiment, network), examples.targets
-    labels = tuple(list_label_fields(targets))
-    if network == RENDERER or uses_pins(experiment):
-        task, fields = _make_pin_task(experiment, network, examples, folder)
-        share = 0.0 if get_recorded(experiment) else experiment.pins.turned
-        return _augment_task(task, examples, share) if share else task, fields
-    if network in POSENETS:
-        image = "image" if network in TAP_NETWORKS else "sheared"
-        return tasks.make_posenet_task(experiment.posenet, training, targets), (image, *labels)
-    net = make_unshear_net(experiment.unshear, network)
-    size = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
-    supervision = _make_supervision(experiment, training, examples, folder, size)
-    task = tasks.make_unshear_task(net, training, supervision)
-    fields = _list_pair_fields(experiment, training, supervision, IMAGES, has_codes=size > 0)
+    training, net = get_training(experiment, network), make_net(experiment, network)
+    modality, role = get_functions(net).modality, REGISTRY[network].role
+    field = modality.single if network in TAP_NETWORKS else modality.sheared
+    facts = DataFacts()
+    if modality is PINS:
+        rest = examples.pins.rest
+        facts = DataFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
+    fields: tuple[str, ...] = (field, *list_label_fields(examples.targets))
+    if role == "renders":
+        task = make_renderer_task(net, training, examples.targets, facts)
+    elif role == "reads poses":
+        support = _make_pin_support(experiment, net, training, examples, folder)
+        task = make_posenet_task(net, training, examples.targets, facts, support)
+    else:
+        supervision = _make_supervision(experiment, net, training, examples, folder)
+        task = make_unshear_task(net, training, supervision, facts)
+        fields = _list_pair_fields(net, training, supervision, examples)
+    if get_recorded(experiment):
+        weights = ("weight",) if role == "unshears" else ()
+        # simulated pins are all known
+        return task, (*fields, *weights, *(("sure",) if modality is PINS else ()))
+    if modality is PINS and experiment.pins.turned:
+        task = _augment_task(task, examples, experiment.pins.turned)
     return task, fields
 
 
-def _make_pin_task(
-    experiment: Experiment, network: str, examples: Examples, folder: Path
-) -> tuple[Task, tuple[str, ...]]:
-    training, targets = get_training(experiment, network), examples.targets
-    labels = tuple(list_label_fields(targets))
-    field = "pins" if network in TAP_NETWORKS else "sheared_pins"
-    rest = examples.pins.rest
-    spread = measure_pin_spread(examples.reader, field, rest)
-    sure = ("sure",) if get_recorded(experiment) else ()  # simulated pins are all known
-    if network == RENDERER:
-        renderer = PinRenderer(**_list_plain_settings(experiment))
-        task = pin_tasks.make_renderer_task(renderer, training, targets, rest, spread)
-        return task, ("pins", *sure, *labels)
-    if network in POSENETS:
-        task = _make_pin_posenet_task(experiment, network, examples, spread, folder)
-        return task, (field, *sure, *labels)
-    pins, has_codes = drop_direct(drop_rotation(experiment.pins)), network == DISENTANGLED
-    net = PinUnshear(**asdict(pins) if has_codes else asdict(pins) | {"shear_code": 0})
-    size = net.shear_code if "slide" in training.losses else 0
-    supervision = _make_supervision(experiment, training, examples, folder, size)
-    task = pin_tasks.make_pin_unshear_task(net, training, rest, spread, supervision)
-    return task, _list_pair_fields(experiment, training, supervision, PINS, has_codes, sure)
-
-
-def _make_pin_posenet_task(
-    experiment: Experiment, network: str, examples: Examples, spread: float, folder: Path
-) -> Task:
-    training, pins = get_training(experiment, network), experiment.pins
-    reads_slides = network not in TAP_NETWORKS
-    turned = pins.turned if reads_slides and get_recorded(experiment) else 0.0
-    convolved = pins.direct_convolved if reads_slides else ()
-    settings = _list_plain_settings(experiment) | {"turned": turned, "convolved": convolved}
-    rotations = _make_rotations(examples) if turned else None
-    render = None
+def _make_pin_support(
+    experiment: Experiment, net: Net, training: Training, examples: Examples, folder: Path
+) -> PinSupport:
+    rotations = render = None
+    if getattr(net, "turned", 0):
+        rotations = _make_rotations(examples)
     if "rendered_pose" in training.losses:
         renderer = _load_tap_network(experiment, RENDERER, folder)
         render = partial(pin_networks.render_pins, *renderer)
-    return pin_tasks.make_pin_posenet_task(
-        PinPoseNet(**settings),
-        training,
-        examples.targets,
-        examples.pins.rest,
-        spread,
-        rotations,
-        render,
-    )
-
-
-def _list_plain_settings(experiment: Experiment) -> Json:
-    """List the settings of networks over pins that have neither codes nor rotations."""
-    return asdict(drop_pin_codes(drop_direct(drop_rotation(experiment.pins))))
+    return PinSupport(rotations, render)
 
 
 def _make_supervision(
-    experiment: Experiment, training: Training, examples: Examples, folder: Path, shear_size: int
+    experiment: Experiment, net: Net, training: Training, examples: Examples, folder: Path
 ) -> Supervision:
-    """Make the supervision of a network whose shear code has `shear_size` numbers."""
+    """Make the supervision of a network that unshears.
+
+    Its shear code learns as many slide targets as it has numbers, shifts before rotations. Raises
+    UserError if no slide of the data differs from others.
+    """
     teacher = None
     if uses_teacher(training):
-        predict = pin_networks.predict if uses_pins(experiment) else posenet.predict
         teacher = partial(predict, *_load_tap_network(experiment, TEACHER, folder))
-    slides = _choose_slide_targets(examples, shear_size) if shear_size else ()
-    return Supervision(examples.targets, slides, teacher)
+    count = get_functions(net).count_slide_numbers(net) if "slide" in training.losses else 0
+    if count and not examples.slides:
+        raise UserError(
+            "losses.slide: no slide of this data set is known to differ from others: leave it out"
+        )
+    return Supervision(examples.targets, examples.slides[:count], teacher)
 
 
 def _list_pair_fields(
-    experiment: Experiment,
-    training: Training,
-    supervision: Supervision,
-    modality: Modality,
-    has_codes: bool,
-    more: tuple[str, ...] = (),
+    net: Net, training: Training, supervision: Supervision, examples: Examples
 ) -> tuple[str, ...]:
-    """List the fields of a batch that a network that unshears takes, `more` among them."""
-    shares_slides = (
-        isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
-    )
+    """List the fields of a batch that a network that unshears takes."""
+    functions = get_functions(net)
+    modality = functions.modality
     partners = {"other": modality.other, "swapped": modality.swapped}
     loss_fields = {name for loss in training.losses for name in get_loss(loss).fields}
-    fields = [modality.canonical, modality.sheared]
-    if shares_slides and has_codes:
+    fields = [*modality.pair]
+    if isinstance(examples.reader, FactorialReader) and functions.count_slide_numbers(net):
         fields += [field for name, field in partners.items() if name in loss_fields]
-    fields += more
-    if get_recorded(experiment):
-        fields.append("weight")
     if "labels" in loss_fields:
         fields += list_label_fields(supervision.targets)
     fields += list_label_fields(supervision.slides)
     fields += sorted(loss_fields - {*partners, "labels", "slide_labels"})
     return tuple(dict.fromkeys(fields))
-
-
-def _choose_slide_targets(examples: Examples, size: int) -> Targets:
-    """Choose the slide targets of a shear code of `size` numbers, shifts before rotations.
-
-    Raises UserError if no slide of the data differs from others.
-    """
-    if not examples.slides:
-        raise UserError(
-            "losses.slide: no slide of this data set is known to differ from others: leave it out"
-        )
-    return examples.slides[:size]
 
 
 def _augment_task(task: Task, examples: Examples, share: float) -> Task:
@@ -187,25 +127,10 @@ def _augment_task(task: Task, examples: Examples, share: float) -> Task:
     return dataclasses.replace(task, terms=terms)
 
 
-def make_unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
-    """Make the settings of a network that unshears, all derived from `net`."""
-    return _NETS[network](dataclasses.replace(net, disentangled=True))
-
-
-_NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
-    DISENTANGLED: lambda net: net,
-    ENTANGLED: lambda net: dataclasses.replace(drop_codes(net), disentangled=False),
-    ENTANGLED_LARGE: match_entangled_size,
-    UNET: lambda net: UNet(net.size, net.widths),
-}
-
-
 def rename_inputs(batch: Json) -> Json:
-    """Rename the slides of a batch without taps to "image" or "pins", the inputs of a PoseNet."""
-    if "canonical" in batch or "canonical_pins" in batch:
-        return batch
-    new_names = {"sheared": "image", "sheared_pins": "pins"}
-    return {new_names.get(name, name): values for name, values in batch.items()}
+    """Rename the slides of a batch without taps as the inputs of a PoseNet."""
+    names = {each.sheared: each.single for each in (IMAGES, PINS) if each.canonical not in batch}
+    return {names.get(name, name): values for name, values in batch.items()}
 
 
 def take_first(
@@ -230,11 +155,11 @@ def _make_rotations(examples: Examples) -> Rotations:
 
     Raises UserError if the recorded taps do not turn with their labels.
     """
-    reader, field = examples.reader, "sheared_pins"
+    reader, modality_field = examples.reader, PINS.sheared
     if examples.taps:
-        reader, field = examples.taps, "pins"
-    batch, rest = read_all_training(reader, field, "pose"), examples.pins.rest
-    sense = find_rotation_sense(rest, batch[field], batch["pose"], examples.targets)
+        reader, modality_field = examples.taps, PINS.single
+    batch, rest = read_all_training(reader, modality_field, "pose"), examples.pins.rest
+    sense = find_rotation_sense(rest, batch[modality_field], batch["pose"], examples.targets)
     return make_rotations(rest, sense)
 
 

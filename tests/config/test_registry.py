@@ -2,13 +2,13 @@
 
 import ast
 from pathlib import Path
-from typing import get_args
 
 import jaxunshear
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.registry import (
     ALL_NETWORKS,
-    PIN_NETWORKS,
+    NETWORKS,
     POSENETS,
     REGISTRY,
     RENDERER,
@@ -16,27 +16,27 @@ from jaxunshear.config.registry import (
     TEACHER,
     TRAINABLE,
     UNSHEARING,
-    Network,
+    list_modality_networks,
 )
+from jaxunshear.models.registry import make_net
 from jaxunshear.style import COLOURS
-from jaxunshear.training.task_factory import make_unshear_net
 
 PACKAGE = Path(jaxunshear.__file__).parent
-ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # `training.checkpoint.NETS`
+ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # of model.json
 
 
 def test_every_network_is_in_the_table():
-    assert set(get_args(Network)) == set(ALL_NETWORKS) == set(COLOURS)
+    assert set(ALL_NETWORKS) == set(COLOURS)
     assert set(TRAINABLE) == {RENDERER, TEACHER, *ALL_NETWORKS}
     assert {*UNSHEARING, *POSENETS, RENDERER} == set(TRAINABLE)
     assert set(TAP_NETWORKS) == {"posenet", TEACHER, RENDERER}
-    assert set(PIN_NETWORKS) == {"entangled", "disentangled", "posenet", "posenet_sheared"}
+    assert set(list_modality_networks("images")) == set(ALL_NETWORKS)
+    assert set(list_modality_networks("pins")) == {*NETWORKS, "posenet_sheared"}
 
 
 def test_those_that_unshear_are_built_and_titled():
-    assert len({make_unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(
-        UNSHEARING
-    )
+    experiment = Experiment("built", "each", unshear=UnshearNet(widths=(16, 16)))
+    assert len({make_net(experiment, name) for name in UNSHEARING}) == len(UNSHEARING)
     assert all(
         REGISTRY[name].title and REGISTRY[name].learns_from == "pairs" for name in UNSHEARING
     )

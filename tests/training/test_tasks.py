@@ -14,7 +14,7 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import UNet
 from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.errors import UserError
-from jaxunshear.models import distances, posenet, unet, unshearnet
+from jaxunshear.models import distances, posenet, unshearnet
 from jaxunshear.models.registry import unshear
 from jaxunshear.training.tasks import Supervision, make_unshear_task
 
@@ -122,7 +122,7 @@ def test_a_u_net_can_be_taught_too(teacher):
         small.pair(3, 4),
     )
     variables, read = jax.jit(task.init)(jax.random.key(0)), jax.jit(teacher)
-    unsheared = jax.jit(unet.unshear, static_argnums=0)
+    unsheared = jax.jit(unshear, static_argnums=0)
     image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     expected = distances.compute_pose_loss(read(image), read(canonical), WEIGHTS)
