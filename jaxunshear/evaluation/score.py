@@ -27,9 +27,8 @@ class Outputs(NamedTuple):
     images: dict[str, Array]  # (B, S, S, 1) in [0, 1] by kind, see `list_kinds`
     # (B, S, S, 1) by CELLS, or fewer without a shear code or with codes of two widths
     cells: dict[str, Array]
-    poses: Mapping[
-        str, Mapping[str, np.ndarray | Array]
-    ]  # (B,) by kind, see `list_pose_kinds`, and target
+    # (B,) by kind, see `list_pose_kinds`, and target
+    poses: Mapping[str, Mapping[str, np.ndarray | Array]]
     pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
-from jaxunshear.training import losses
+from jaxunshear.models.weights import Variables, list_leaves
 from jaxunshear.training.muon import muon
 from jaxunshear.training.tasks import Batch, Task, Tree
 
@@ -75,7 +75,7 @@ def make_step(
             {"params": params, "batch_stats": batch_stats}, batch, step_key
         )
         metrics = {name: jnp.mean(values) for name, values in terms.items()}
-        kernels = losses.compute_regularisation(params, training.l1, training.l2, training.kernels)
+        kernels = compute_regularisation(params, training.l1, training.l2, training.kernels)
         total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
         return total, (metrics | {"regularisation": kernels}, batch_stats)
 
@@ -95,3 +95,33 @@ def make_step(
         return State(state.step + 1, params, batch_stats, moments, average), metrics
 
     return step
+
+
+def compute_regularisation(
+    params: Variables, l1: float, l2: float, kernels: str = "sum"
+) -> Float[Array, ""]:
+    """Compute l1 sum |w| + l2 sum w^2 of each kernel, and add these up.
+
+    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A
+    weight of zero computes nothing.
+    """
+    reduce = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
+    total = jnp.zeros(())
+    for kernel in list_kernels(params).values():
+        total += l1 * reduce(jnp.abs(kernel)) if l1 else 0.0
+        total += l2 * reduce(kernel**2) if l2 else 0.0
+    return total
+
+
+def measure_kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
+    """Measure the root mean square of each kernel, by dotted name: 0.02 in fresh networks."""
+    return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in list_kernels(params).items()}
+
+
+def list_kernels(params: Variables) -> dict[str, Array]:
+    """List the kernels of convolution and dense layers, by dotted name."""
+    return {
+        name.removesuffix(".kernel"): leaf
+        for name, leaf in list_leaves(params).items()
+        if name.endswith(".kernel")
+    }

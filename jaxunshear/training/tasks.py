@@ -25,8 +25,7 @@ from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.registry import DataFacts, NetworkFunctions, Partners, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
-from jaxunshear.training.pair_losses import PairInputs
-from jaxunshear.training.pose_losses import PoseInputs
+from jaxunshear.training.losses import PairInputs, PoseInputs
 from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 
 Terms = dict[str, Array]  # losses per example (B,), by name

@@ -39,9 +39,15 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms
 from jaxunshear.training.initial_weights import InitialWeights, replace_weights
-from jaxunshear.training.losses import measure_kernel_sizes
 from jaxunshear.training.prefetch import prefetch
-from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
+from jaxunshear.training.step import (
+    State,
+    init_state,
+    make_optimiser,
+    make_schedule,
+    make_step,
+    measure_kernel_sizes,
+)
 from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.tensorboard import open_events
 

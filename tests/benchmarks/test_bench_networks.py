@@ -14,7 +14,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet, unshearnet
-from jaxunshear.training.losses import compute_regularisation
+from jaxunshear.training.step import compute_regularisation
 from jaxunshear.training.tasks import make_unshear_task
 
 POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.models import distances
-from jaxunshear.training import losses
+from jaxunshear.training import step
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,8 @@ def test_regularisation_takes_kernels_only():
         "E": {"kernel": jnp.array([1.0, -2.0]), "bias": jnp.array([9.0])},
         "norm": {"scale": jnp.array([7.0])},
     }
-    np.testing.assert_allclose(losses.compute_regularisation(params, 0.5, 0.0), 1.5)
-    np.testing.assert_allclose(losses.compute_regularisation(params, 0.0, 0.1), 0.5)
+    np.testing.assert_allclose(step.compute_regularisation(params, 0.5, 0.0), 1.5)
+    np.testing.assert_allclose(step.compute_regularisation(params, 0.0, 0.1), 0.5)
 
 
 def test_regularisation_over_a_kernels_mean_does_not_grow_with_its_size():
@@ -70,13 +70,13 @@ def test_regularisation_over_a_kernels_mean_does_not_grow_with_its_size():
         for name, shape in (("a", (4, 4, 64, 64)), ("b", (3, 2)))
     }
     np.testing.assert_allclose(
-        losses.compute_regularisation(params, 0.5, 0.0, "mean"), 2 * 0.5 * 0.02, rtol=1e-5
+        step.compute_regularisation(params, 0.5, 0.0, "mean"), 2 * 0.5 * 0.02, rtol=1e-5
     )
     np.testing.assert_allclose(
-        losses.compute_regularisation(params, 0.0, 0.1, "mean"), 2 * 0.1 * 0.0004, rtol=1e-5
+        step.compute_regularisation(params, 0.0, 0.1, "mean"), 2 * 0.1 * 0.0004, rtol=1e-5
     )
     np.testing.assert_allclose(
-        losses.compute_regularisation(params, 0.5, 0.0), 0.5 * 0.02 * (65536 + 6), rtol=1e-4
+        step.compute_regularisation(params, 0.5, 0.0), 0.5 * 0.02 * (65536 + 6), rtol=1e-4
     )
 
 
@@ -84,7 +84,7 @@ def test_regularisation_over_a_kernels_mean_does_not_grow_with_its_size():
 def test_the_slope_of_l1_is_the_same_for_every_weight(kernels, slope):
     kernel = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3, 4)), jnp.float32)
     found = jax.grad(
-        lambda w: losses.compute_regularisation({"a": {"kernel": w}}, 1e-3, 0.0, kernels)
+        lambda w: step.compute_regularisation({"a": {"kernel": w}}, 1e-3, 0.0, kernels)
     )(kernel)
     np.testing.assert_allclose(found, slope * np.sign(kernel), rtol=1e-5)
 
@@ -96,6 +96,6 @@ def test_sizes_of_kernels_are_roots_of_mean_squares():
             "scale": jnp.ones(2),
         }
     }
-    sizes = losses.measure_kernel_sizes(params)
+    sizes = step.measure_kernel_sizes(params)
     assert list(sizes) == ["E.Down_0"]
     np.testing.assert_allclose(sizes["E.Down_0"], np.sqrt(12.5), rtol=1e-6)

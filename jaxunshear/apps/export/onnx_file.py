@@ -37,14 +37,14 @@ def build_onnx(
         inputs = graph.add("Unsqueeze", inputs, np.array([1]))
     unsheared = inputs
     if parts.unshear_network is not None:
-        unsheared = networks.add_unshear(graph, *parts.unshear_network, inputs)
+        unsheared = networks.add_network(graph, *parts.unshear_network, inputs)
         flat = graph.add("Squeeze", unsheared, np.array([1])) if images else unsheared
         graph.add_output("unsheared", flat, (count, *parts.shape))
         if images:
             graph.add_output("confidence", _add_confidence(graph, flat), (count,))
     if parts.pose_network is not None:
         pose_inputs = unsheared if parts.method == UNSHEARED else inputs
-        outputs = networks.add_pose_network(graph, *parts.pose_network, pose_inputs)
+        outputs = networks.add_network(graph, *parts.pose_network, pose_inputs)
         pose = networks.add_pose(graph, parts.targets, outputs)
         graph.add_output("pose", pose, (count, len(parts.targets)))
     model = graph.build(name, (count, *shape), BYTE if images else FLOAT, metadata)

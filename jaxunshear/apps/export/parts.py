@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.errors import UserError
@@ -77,10 +77,8 @@ def load_exported_model(model: Path, experiment: Experiment) -> ExportedModel:
         method = LEARNT
     elif posenet_name:
         method = UNSHEARED if unshears else AS_RECORDED
-    rest = None
-    if uses_pins(experiment):
-        first = next(iter(networks.values()))
-        rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32)
+    constants = next(iter(networks.values())).variables["batch_stats"]
+    rest = np.asarray(constants["rest"], np.float32) if "rest" in constants else None
     return ExportedModel(
         networks.get(DISENTANGLED),
         networks.get(posenet_name),
