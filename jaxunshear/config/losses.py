@@ -144,7 +144,8 @@ def register_loss(
     """Register a function as a loss that a training can name.
 
     The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
-    and returns a loss per example (B,). `LossSpec` explains the other arguments. Raises UserError if another loss has this name.
+    and returns a loss per example (B,). `LossSpec` explains the other arguments. Raises UserError
+    if another loss has this name.
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:

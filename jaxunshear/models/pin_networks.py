@@ -153,8 +153,8 @@ def reconstruct(
     key: Array | None = None,
     same_pose: Float[Array, "B P 2"] | None = None,
     same_slide: Float[Array, "B P 2"] | None = None,
-) -> Reconstruction:
-    """Run both decoders over sheared pins px.
+) -> tuple[Reconstruction, Variables]:
+    """Run both decoders over sheared pins px; also return the constants.
 
     Args:
         key: of the noise in training.
@@ -176,9 +176,10 @@ def reconstruct(
         disagreement = measure_disagreement(z_p, partner_z_p)
         same_pose_canonical = decode_canonical(net, variables, partner_z_p)
     if z_s is None:
-        return Reconstruction(
+        outputs = Reconstruction(
             canonical, z_p, disagreement=disagreement, same_pose=same_pose_canonical
         )
+        return outputs, variables["batch_stats"]
     pose_codes, shear_codes = [code for code, _ in codes], [code for _, code in codes]
     if net.apart:  # DS does not teach the codes
         pose_codes, shear_codes = jax.lax.stop_gradient((pose_codes, shear_codes))
@@ -186,9 +187,10 @@ def reconstruct(
     counterfactual = None
     if same_slide is not None:
         counterfactual = decode_sheared(net, variables, pose_codes[0], shear_codes[1])
-    return Reconstruction(
+    outputs = Reconstruction(
         canonical, z_p, sheared, counterfactual, disagreement, z_s, same_pose_canonical
     )
+    return outputs, variables["batch_stats"]
 
 
 def predict(
@@ -203,6 +205,13 @@ def predict(
         turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
         motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (motions.shape[0], 2))], -1)
     return _apply_dense(net, variables, motions, *grid)
+
+
+def predict_training(
+    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike
+) -> tuple[Float[Array, "B K"], Variables]:
+    """Predict outputs as `predict`; also return the constants."""
+    return predict(net, variables, pins, radians), variables["batch_stats"]
 
 
 def render_pins(

@@ -81,9 +81,15 @@ def predict(
 
 
 def predict_training(
-    net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
+    net: networks.PoseNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    radians: ArrayLike = 0.0,
 ) -> tuple[Float[Array, "B K"], Variables]:
-    """Predict outputs with the statistics of the batch, and return the updated running ones."""
+    """Predict outputs with the statistics of the batch, and return the updated running ones.
+
+    Images are not turned, and `radians` is for networks over pins.
+    """
     network = _make_network_for(net, variables)
     outputs, updates = network.apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]

@@ -45,14 +45,6 @@ class DataFacts(NamedTuple):
     spread: Any = 1.0  # how far pins move, root mean square in px
 
 
-class Partners(NamedTuple):
-    """Further inputs of a network that learns by exchanging codes, or None."""
-
-    # taps at the same poses, or contacts there after other slides: their pose codes should agree
-    same_pose: Array | None = None
-    same_slide: Array | None = None  # contacts at other poses after these other slides
-
-
 @dataclass(frozen=True)
 class NetworkFunctions:
     """How the networks with settings of one class are built and run.
@@ -68,11 +60,9 @@ class NetworkFunctions:
     modality: Modality
     init: Callable[[Net, DataFacts, Array], Variables]
     check: Callable[[Net], None] = lambda net: None  # raises UserError, which names the field
-    # sheared inputs, partners, key (None but in training) -> outputs and new running statistics
-    reconstruct: (
-        Callable[[Net, Variables, Array, Partners, Array | None], tuple[Reconstruction, Tree]]
-        | None
-    ) = None
+    # settings, variables, sheared inputs, key (None but in training), inputs at the same poses and
+    # after the same slides, or None -> outputs and new running statistics
+    reconstruct: Callable[..., tuple[Reconstruction, Tree]] | None = None
     # for weights without what only training needs; else `reconstruct` unshears
     unshear: Callable[[Net, Variables, Array], Array] | None = None
     encode: Callable[[Net, Variables, Array], tuple[Array, Array | None]] | None = None
@@ -87,45 +77,8 @@ class NetworkFunctions:
     predict_training: Callable[[Net, Variables, Array, ArrayLike], tuple[Array, Tree]] | None = None
 
 
-def _validate_unshearnet(net: UnshearNet, variables: Variables, images: Array) -> Reconstruction:
-    z_p, z_s = unshearnet.encode(net, variables, images)
-    sheared = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
-    canonical = unshearnet.decode_canonical(net, variables, z_p)
-    return Reconstruction(canonical, z_p, sheared, z_s=z_s)
-
-
-def _reconstruct_by_unshearnet(
-    net: UnshearNet, variables: Variables, images: Array, partners: Partners, key: Array | None
-) -> tuple[Reconstruction, Tree]:
-    if key is None:
-        return _validate_unshearnet(net, variables, images), variables["batch_stats"]
-    return unshearnet.reconstruct(net, variables, images, *partners)
-
-
-def _reconstruct_by_unet(
-    net: UNet, variables: Variables, images: Array, partners: Partners, key: Array | None
-) -> tuple[Reconstruction, Tree]:
-    if key is None:
-        logits = unet.compute_logits(net, variables, images)
-        return Reconstruction(logits), variables["batch_stats"]
-    return unet.reconstruct(net, variables, images)
-
-
-def _reconstruct_pins(
-    net: PinUnshear, variables: Variables, pins: Array, partners: Partners, key: Array | None
-) -> tuple[Reconstruction, Tree]:
-    outputs = pin_networks.reconstruct(net, variables, pins, key, *partners)
-    return outputs, variables["batch_stats"]
-
-
 def _init_pin_network(net: PinNet, facts: DataFacts, key: Array) -> Variables:
     return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs)
-
-
-def _predict_from_turned_pins(
-    net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLike
-) -> tuple[Array, Tree]:
-    return pin_networks.predict(net, variables, pins, radians), variables["batch_stats"]
 
 
 _FUNCTIONS: dict[type, NetworkFunctions] = {
@@ -137,7 +90,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             IMAGES,
             lambda net, facts, key: unshearnet.init(net, key),
             unshearnet.check_net,
-            reconstruct=_reconstruct_by_unshearnet,
+            reconstruct=unshearnet.reconstruct,
             unshear=unshearnet.unshear,
             encode=unshearnet.encode,
             decode_canonical=unshearnet.decode_canonical,
@@ -151,7 +104,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             IMAGES,
             lambda net, facts, key: unet.init(net, key),
             unet.check_net,
-            reconstruct=_reconstruct_by_unet,
+            reconstruct=unet.reconstruct,
         ),
         NetworkFunctions(
             "posenet",
@@ -160,16 +113,14 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             lambda net, facts, key: posenet.init(net, facts.outputs, key),
             posenet.check_net,
             predict=posenet.predict,
-            predict_training=lambda net, variables, images, radians: posenet.predict_training(
-                net, variables, images
-            ),
+            predict_training=posenet.predict_training,
         ),
         NetworkFunctions(
             "pin_unshear",
             PinUnshear,
             PINS,
             _init_pin_network,
-            reconstruct=_reconstruct_pins,
+            reconstruct=pin_networks.reconstruct,
             unshear=pin_networks.unshear,
             encode=pin_networks.encode,
             decode_canonical=pin_networks.decode_canonical,
@@ -183,7 +134,7 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             PINS,
             _init_pin_network,
             predict=pin_networks.predict,
-            predict_training=_predict_from_turned_pins,
+            predict_training=pin_networks.predict_training,
         ),
         NetworkFunctions("renderer", PinRenderer, PINS, _init_pin_network),
     )
@@ -300,7 +251,7 @@ def unshear(net: Net, variables: Variables, inputs: Float[Array, "*B"]) -> Float
     if functions.unshear is not None:
         return functions.unshear(net, variables, inputs)
     variables = {"batch_stats": {}} | variables
-    outputs, _ = _require(functions.reconstruct)(net, variables, inputs, Partners(), None)
+    outputs, _ = _require(functions.reconstruct)(net, variables, inputs, None, None, None)
     return functions.modality.to_output(outputs.canonical)
 
 

@@ -1,7 +1,8 @@
 """U-Net, a rival of UnshearNet, behind the same kind of pure functions.
 
 >>> variables = init(net, jax.random.key(0))
->>> logits = compute_logits(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> the same shape
+>>> outputs, _ = reconstruct(net, variables, sheared)  # of images (B, S, S, 1) in [0, 1]
+>>> canonical = jax.nn.sigmoid(outputs.canonical)
 
 It is the network that image-to-image work would try first (Ronneberger et al. 2015). Every decoder
 layer also takes the encoder's array of its own size, so there is no code that could hold a pose or
@@ -55,17 +56,20 @@ def check_net(net: networks.UNet) -> None:
     unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
 
 
-def compute_logits(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B S S 1"]:
-    """Compute the logits of the canonical images of sheared ones in [0, 1]."""
-    logits: Array = _make_network(net).apply(variables, images, False)  # type: ignore[assignment]
-    return logits
-
-
 def reconstruct(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+    net: networks.UNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    key: Array | None = None,
+    *_: Array | None,
 ) -> tuple[Reconstruction, Variables]:
-    """Compute the logits of canonical images in training, and the updated running statistics."""
-    canonical, updates = _make_network(net).apply(variables, images, True, mutable=["batch_stats"])
+    """Compute the logits of canonical images of sheared ones in [0, 1].
+
+    In training, with any key, return the updated running statistics.
+    """
+    network = _make_network(net)
+    if key is None:
+        logits: Array = network.apply(variables, images, False)  # type: ignore[assignment]
+        return Reconstruction(logits), variables["batch_stats"]
+    canonical, updates = network.apply(variables, images, True, mutable=["batch_stats"])
     return Reconstruction(canonical), updates["batch_stats"]

@@ -237,19 +237,26 @@ def reconstruct(
     net: UnshearNet,
     variables: Variables,
     images: Float[Array, "B S S 1"],
+    key: Array | None = None,
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
 ) -> tuple[Reconstruction, Variables]:
-    """Run both decoders over sheared images in training; return the updated running statistics.
+    """Run both decoders over sheared images; return the running statistics, updated in training.
 
     Codes that are `apart`, which DS does not teach, take partners.
 
     Args:
+        key: any key in training; else None, and partners are not used.
         same_pose: taps at the same poses, or contacts there after other slides: their pose codes
             should agree.
         same_slide: contacts at other poses after these other slides: DS also decodes their shear
             code.
     """
+    if key is None:
+        z_p, z_s = encode(net, variables, images)
+        sheared = None if z_s is None else decode_sheared(net, variables, z_p, z_s)
+        canonical = decode_canonical(net, variables, z_p)
+        return Reconstruction(canonical, z_p, sheared, z_s=z_s), variables["batch_stats"]
     reconstruction, updates = Network(net).apply(
         variables, images, same_pose, same_slide, mutable=["batch_stats"]
     )

@@ -23,7 +23,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.reconstruction import Reconstruction
-from jaxunshear.models.registry import DataFacts, NetworkFunctions, Partners, get_functions
+from jaxunshear.models.registry import DataFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.losses import PairInputs, PoseInputs
 from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
@@ -91,7 +91,7 @@ def make_unshear_task(
     def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:
         batch = modality.prepare(batch)
         partners = _choose_partners(functions, net, training, batch)
-        outputs, statistics = reconstruct(net, variables, batch[modality.sheared], partners, key)
+        outputs, statistics = reconstruct(net, variables, batch[modality.sheared], key, *partners)
         inputs = PairInputs(
             batch,
             outputs,
@@ -123,16 +123,17 @@ def make_unshear_task(
 
 def _choose_partners(
     functions: NetworkFunctions, net: Net, training: Training, batch: Batch
-) -> Partners:
+) -> tuple[Array | None, Array | None]:
+    """Choose inputs at the same poses and after the same slides, if codes are exchanged."""
     if not functions.count_slide_numbers(net):
-        return Partners()
+        return None, None
     same_pose = same_slide = None
     if "code_agreement" in training.losses:
         modality = functions.modality
         same_pose = batch.get(modality.swapped, batch[modality.canonical])
     if "counterfactual" in training.losses:
         same_slide = batch.get(functions.modality.other)
-    return Partners(same_pose, same_slide)
+    return same_pose, same_slide
 
 
 def _check_teacher(supervision: Supervision) -> None:

@@ -29,7 +29,9 @@ def training_pass(net, variables, images):
     """Outputs, and the new running statistics."""
     if isinstance(net, PoseNet):
         return posenet.predict_training(net, variables, images)
-    return (unet if isinstance(net, UNet) else unshearnet).reconstruct(net, variables, images)
+    return (unet if isinstance(net, UNet) else unshearnet).reconstruct(
+        net, variables, images, jax.random.key(0)
+    )
 
 
 def put_to_use(net, variables, images):

@@ -160,7 +160,7 @@ def test_spoiling_adds_its_noise():
 
 def test_both_decoders_draw_from_the_codes():
     net, variables = made(PinUnshear)
-    decoded = pin_networks.reconstruct(net, variables, moved())
+    decoded, _ = pin_networks.reconstruct(net, variables, moved())
     z_p, z_s = pin_networks.encode(net, variables, moved())
     np.testing.assert_array_equal(
         decoded.canonical, pin_networks.decode_canonical(net, variables, z_p)
@@ -178,7 +178,7 @@ def test_apart_the_sheared_pins_teach_no_code():
 
         def total(params, net=net, variables=variables):
             partners = moved(2), moved(3)
-            decoded = pin_networks.reconstruct(
+            decoded, _ = pin_networks.reconstruct(
                 net, variables | {"params": params}, moved(), jax.random.key(0), *partners
             )
             return decoded.sheared.sum() + decoded.counterfactual.sum()
@@ -195,13 +195,15 @@ def test_apart_the_sheared_pins_teach_no_code():
 def test_exchanged_codes_are_those_they_are_called():
     net, variables = made(PinUnshear, apart=True)
     own, same_pose, same_slide = moved(1), moved(2), moved(3)
-    decoded = pin_networks.reconstruct(net, variables, own, None, same_pose, same_slide)
+    decoded, _ = pin_networks.reconstruct(net, variables, own, None, same_pose, same_slide)
     (z_p, _), (_, z_s) = (pin_networks.encode(net, variables, pins) for pins in (own, same_slide))
     np.testing.assert_allclose(
         decoded.counterfactual, pin_networks.decode_sheared(net, variables, z_p, z_s), rtol=1e-5
     )
-    assert np.all(pin_networks.reconstruct(net, variables, own, None, own).disagreement == 0)
-    assert np.all(pin_networks.reconstruct(net, variables, own, None, own, own).disagreement == 0)
+    assert np.all(pin_networks.reconstruct(net, variables, own, None, own)[0].disagreement == 0)
+    assert np.all(
+        pin_networks.reconstruct(net, variables, own, None, own, own)[0].disagreement == 0
+    )
     assert np.all(decoded.disagreement > 0)
     z_p, _ = pin_networks.encode(net, variables, same_pose)
     again = pin_networks.decode_canonical(net, variables, z_p)

@@ -20,8 +20,8 @@ from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.models import unshearnet
 from jaxunshear.report.history import read_lines
-from jaxunshear.training import checkpoint, step, trainer
-from jaxunshear.training.step import make_schedule
+from jaxunshear.training import checkpoint, trainer
+from jaxunshear.training.step import list_kernels, make_schedule
 from jaxunshear.training.tasks import make_posenet_task, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -89,7 +89,7 @@ def test_summary_log_and_settings(straight):
         "gradient",
     }
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
-    kernels = step.list_kernels(checkpoint.load_best(folder)["params"])
+    kernels = list_kernels(checkpoint.load_best(folder)["params"])
     assert set(log[0]["kernels"]) == set(kernels) and all(
         size > 0 for size in log[0]["kernels"].values()
     )
