@@ -10,6 +10,7 @@ not moved. `rest` and `spread` scale inputs and outputs. They are constants that
 carry, as is the grid of `pin_grid`.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import flax.linen as nn
@@ -89,6 +90,17 @@ class PinUnshearModule(nn.Module):
         return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
+# settings, size of the motions (2 P), outputs of the pose targets -> module, width of its input
+_MODULES: dict[type, Callable[[Any, int, int], tuple[nn.Module, int]]] = {
+    PinUnshear: lambda net, motions, outputs: (PinUnshearModule(net, motions), motions),
+    PinPoseNet: lambda net, motions, outputs: (
+        Dense(net, outputs),
+        motions + (2 if net.turned else 0),  # cosine and sine of a rotation
+    ),
+    PinRenderer: lambda net, motions, outputs: (Dense(net, motions), outputs),
+}
+
+
 def init(
     net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0
 ) -> Variables:
@@ -98,14 +110,13 @@ def init(
         spread: how far pins move, root mean square in px.
         outputs: how many the pose targets have together, for all but PinUnshear.
     """
-    motions = int(np.size(rest))
-    width = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
+    module, width = _MODULES[type(net)](net, int(np.size(rest)), outputs)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     inputs = [jnp.zeros((1, width))]
-    if net.convolved and not isinstance(net, PinRenderer):
+    if net.convolved:
         constants["grid"] = jnp.asarray(make_grid(rest))
         inputs.append(constants["grid"])
-    params = _make_module(net, motions, outputs).init(key, *inputs)["params"]
+    params = module.init(key, *inputs)["params"]
     return {"params": params, "batch_stats": constants}
 
 
@@ -224,12 +235,6 @@ def render_pins(
 def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
-
-
-def _make_module(net: PinNet, motions: int, outputs: int) -> nn.Module:
-    if isinstance(net, PinUnshear):
-        return PinUnshearModule(net, motions)
-    return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
 
 
 def _apply_dense(net: PinNet, variables: Variables, *inputs: Array) -> Array:

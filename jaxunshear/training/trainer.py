@@ -96,9 +96,8 @@ class TrainingProgress:
         return self.history[-1]["step"] if self.history else 0
 
     def find_best_loss(self, rank: str) -> float:
-        return min(
-            (_rank_loss(line["validation"][rank]) for line in self.history), default=math.inf
-        )
+        losses = [_rank_loss(line["validation"][rank]) for line in self.history]
+        return min(losses, default=math.inf)
 
 
 class FinishedStep(NamedTuple):
@@ -198,9 +197,8 @@ def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress
     if not step:
         return state, TrainingProgress()
     state, record = checkpoint.restore(folder, step, state)
-    return state, TrainingProgress(
-        **{each.name: record[each.name] for each in fields(TrainingProgress)}
-    )
+    kept = ("history", "best_step", "train_seconds", "compile_seconds")
+    return state, TrainingProgress(**{name: record[name] for name in kept})
 
 
 def _make_measurement(
