@@ -6,7 +6,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
@@ -17,7 +16,7 @@ from jaxunshear.config.losses import InputKind
 from jaxunshear.data.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.files import Json
 from jaxunshear.models import distances, pin_networks
-from jaxunshear.models.weights import Net, Variables
+from jaxunshear.models.weights import AnyArray, Net, Variables
 from jaxunshear.perception.pin_drawing import draw_dots
 
 Batch = Json
@@ -35,7 +34,7 @@ class Modality:
     swapped: str  # the slides' own poses after these other slides
     unit: str  # of errors of reconstructions
     needs_identified_pins: bool  # contacts without them cannot be given to these networks
-    scale: Callable[[Any], Any]  # what a data set stores -> what a network takes
+    scale: Callable[[AnyArray], AnyArray]  # what a data set stores -> what a network takes
     to_output: Callable[[Array], Array]  # what a decoder returns -> images in [0, 1], or pins px
     add_noise: Callable[[Net, Array, Array], Array]  # that of training; settings, inputs, key
     # what a decoder returns, what it should be, variables -> (B,)
@@ -59,7 +58,7 @@ class Modality:
         return batch | {field: self.scale(batch[field]) for field in fields if field in batch}
 
 
-def _scale_images(stored: Any) -> Any:
+def _scale_images(stored: AnyArray) -> AnyArray:
     """Turn uint8 {0, 255} into float32 {0, 1}; floats are taken as they are."""
     is_stored = np.issubdtype(stored.dtype, np.integer)
     return stored.astype(np.float32) / 255.0 if is_stored else stored

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from jaxunshear.config.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.models.pin_grid import GridTrunk, make_grid
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.weights import Variables, check_has_sheared_decoder, has_part
+from jaxunshear.models.weights import Net, Variables, check_has_sheared_decoder, has_part
 
 
 class Trunk(nn.Module):
@@ -91,7 +91,7 @@ class PinUnshearModule(nn.Module):
 
 
 # settings, size of the motions (2 P), outputs of the pose targets -> module, width of its input
-_MODULES: dict[type, Callable[[Any, int, int], tuple[nn.Module, int]]] = {
+_MODULES: dict[type, Callable[[Net, int, int], tuple[nn.Module, int]]] = {
     PinUnshear: lambda net, motions, outputs: (PinUnshearModule(net, motions), motions),
     PinPoseNet: lambda net, motions, outputs: (
         Dense(net, outputs),
@@ -102,7 +102,7 @@ _MODULES: dict[type, Callable[[Any, int, int], tuple[nn.Module, int]]] = {
 
 
 def init(
-    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0
+    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float | Array, key: Array, outputs: int = 0
 ) -> Variables:
     """Make fresh variables for pins that rest at `rest` px.
 

@@ -8,7 +8,7 @@ A network of your own is added by `register_network`, see docs/extending.md.
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jax import Array
@@ -31,6 +31,7 @@ from jaxunshear.config.networks import (
     drop_rotation,
 )
 from jaxunshear.errors import UserError
+from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.reconstruction import Reconstruction
@@ -42,7 +43,7 @@ class DataFacts(NamedTuple):
 
     outputs: int = 0  # of all pose targets together, K
     rest: ArrayLike = np.zeros((0, 2), np.float32)  # (P, 2) px: the untouched pins
-    spread: Any = 1.0  # how far pins move, root mean square in px
+    spread: float | Array = 1.0  # how far pins move, root mean square in px
 
 
 @dataclass(frozen=True)
@@ -141,16 +142,16 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
 }
 
 
-def _list_plain_settings(pins: PinNet) -> dict[str, Any]:
+def _list_plain_settings(pins: PinNet) -> Json:
     """List the settings of networks over pins that have neither codes nor rotations."""
     return asdict(drop_pin_codes(drop_direct(drop_rotation(pins))))
 
 
-def _make_pin_unshear(experiment: Experiment, **changes: Any) -> PinUnshear:
+def _make_pin_unshear(experiment: Experiment, **changes: float | tuple[int, ...]) -> PinUnshear:
     return PinUnshear(**asdict(drop_direct(drop_rotation(experiment.pins))) | changes)
 
 
-def _make_pin_posenet(experiment: Experiment, **changes: Any) -> PinPoseNet:
+def _make_pin_posenet(experiment: Experiment, **changes: float | tuple[int, ...]) -> PinPoseNet:
     return PinPoseNet(**_list_plain_settings(experiment.pins) | changes)
 
 
@@ -294,6 +295,6 @@ def init_like(net: Net, variables: Variables, key: Array) -> Variables:
     return get_functions(net).init(net, DataFacts(**facts), key)
 
 
-def _require(function: Callable[..., Any] | None) -> Callable[..., Any]:
+def _require(function: Callable[..., Tree] | None) -> Callable[..., Tree]:
     assert function is not None  # the name of a network says what it does
     return function

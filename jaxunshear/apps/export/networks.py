@@ -6,7 +6,6 @@ network is a scale and a shift, which go into the convolution before it.
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,7 +80,7 @@ def _add_pin_posenet(graph: OnnxGraph, net: PinPoseNet, variables: Variables, pi
     return _add_dense(graph, params["Dense_0"], trunk)
 
 
-_FORMS: dict[type, Callable[[OnnxGraph, Any, Variables, str], str]] = {
+_FORMS: dict[type, Callable[[OnnxGraph, Net, Variables, str], str]] = {
     UnshearNet: _add_unshearnet,
     PinUnshear: _add_pin_unshear,
     PoseNet: _add_posenet,
