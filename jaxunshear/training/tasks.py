@@ -5,10 +5,10 @@ contact after another its field `single`. A field {"weight"} (B,) weighs the exa
 for those whose pins are not sure. The losses that need labels need their fields.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,6 @@ from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
-from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.registry import DataFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.losses import PairInputs, PoseInputs
@@ -79,7 +78,7 @@ def make_unshear_task(
     Raises UserError where the network cannot be built, a loss lacks its teacher, or a crop does not
     fit.
     """
-    functions, specs = get_functions(net), list_losses(training, "unshears")
+    functions = get_functions(net)
     functions.check(net)
     if "patch" in training.losses:
         _check_crops(net, training)
@@ -88,37 +87,18 @@ def make_unshear_task(
     modality, reconstruct = functions.modality, functions.reconstruct
     assert reconstruct is not None  # of every network that unshears
 
-    def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PairInputs, Tree]:
         batch = modality.prepare(batch)
         partners = _choose_partners(functions, net, training, batch)
         outputs, statistics = reconstruct(net, variables, batch[modality.sheared], key, *partners)
+        canonical = modality.to_output(outputs.canonical)
         inputs = PairInputs(
-            batch,
-            outputs,
-            modality.to_output(outputs.canonical),
-            net,
-            variables,
-            training,
-            modality,
-            supervision.targets,
-            supervision.slides,
-            supervision.teacher,
-            key,
+            batch, outputs, canonical, net, variables, training, modality, *supervision, key
         )
-        possible = (spec for spec in specs if _has_parts(outputs, spec))
-        return weight_terms(run_losses(possible, inputs, key), batch), statistics
+        return inputs, statistics
 
-    return Task(
-        functions.kind,
-        net,
-        supervision.targets,
-        partial(functions.init, net, facts),
-        compute_terms,
-        dict(training.losses),
-        lambda variables, batch: compute_terms(variables, batch, None)[0],
-        choose_rank(specs),
-        supervision.slides,
-    )
+    task = _make_task(net, "unshears", training, supervision.targets, facts, run)
+    return replace(task, slide_targets=supervision.slides)
 
 
 def _choose_partners(
@@ -159,10 +139,6 @@ def _check_crops(net: Net, training: Training) -> None:
         )
 
 
-def _has_parts(outputs: Reconstruction, spec: LossSpec) -> bool:
-    return all(getattr(outputs, part) is not None for part in spec.parts)
-
-
 def make_posenet_task(
     net: Net,
     training: Training,
@@ -176,71 +152,84 @@ def make_posenet_task(
     """
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
-    functions, specs = get_functions(net), list_losses(training, "reads poses")
+    functions = get_functions(net)
     functions.check(net)
     modality, rotations = functions.modality, support.rotations
     predict, predict_training = functions.predict, functions.predict_training
     assert predict is not None and predict_training is not None  # of every PoseNet
 
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        inputs = modality.add_noise(net, modality.scale(batch[modality.single]), key)
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PoseInputs, Tree]:
+        contacts = modality.scale(batch[modality.single])
         poses, radians = posenet.scale_poses(batch, targets), jnp.zeros(())
-        if rotations is not None:
-            k = sample_rotation(net.turned, jax.random.fold_in(key, 1))
-            inputs = rotate_pins(rotations, k, inputs)
-            poses = rotate_outputs(rotations, k, poses, targets)
-            radians = rotations.radians[k]
-        outputs, statistics = predict_training(net, variables, inputs, radians)
-        given = PoseInputs(
+        if key is None:
+            outputs, statistics = predict(net, variables, contacts), variables["batch_stats"]
+        else:
+            contacts = modality.add_noise(net, contacts, key)
+            if rotations is not None:
+                k = sample_rotation(net.turned, jax.random.fold_in(key, 1))
+                contacts = rotate_pins(rotations, k, contacts)
+                poses = rotate_outputs(rotations, k, poses, targets)
+                radians = rotations.radians[k]
+            outputs, statistics = predict_training(net, variables, contacts, radians)
+        inputs = PoseInputs(
             batch, outputs, poses, net, variables, modality, targets, key, support.render
         )
-        return _weight_recordings(run_losses(specs, given, key), batch), statistics
+        return inputs, statistics
 
-    def validate(variables: Tree, batch: Batch) -> Terms:
-        outputs = predict(net, variables, modality.scale(batch[modality.single]))
-        poses = posenet.scale_poses(batch, targets)
-        given = PoseInputs(batch, outputs, poses, net, variables, modality, targets, None)
-        computed = run_losses(specs, given, None)
-        errors = compute_pose_error_terms(outputs, batch, targets)
-        return weight_terms(computed | errors, batch)
-
-    init = partial(functions.init, net, _count_outputs(facts, targets))
-    rank = choose_rank(specs)
-    return Task(functions.kind, net, targets, init, terms, dict(training.losses), validate, rank)
+    return _make_task(net, "reads poses", training, targets, facts, run)
 
 
 def make_renderer_task(
     net: PinRenderer, training: Training, targets: Targets, facts: DataFacts
 ) -> Task:
     """Make the task of PinRenderer, of batches {"pins"} (B, P, 2) px of taps and their labels."""
-    functions, specs = get_functions(net), list_losses(training, "renders")
 
-    def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> Terms:
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PoseInputs, Tree]:
         poses = posenet.scale_poses(batch, targets)
         pins = pin_networks.render_pins(net, variables, poses)
         inputs = PoseInputs(batch, pins, poses, net, variables, PINS, targets, key)
-        return weight_terms(run_losses(specs, inputs, key), batch)
+        return inputs, variables["batch_stats"]
+
+    return _make_task(net, "renders", training, targets, facts, run)
+
+
+def _make_task(
+    net: Net,
+    role: Role,
+    training: Training,
+    targets: Targets,
+    facts: DataFacts,
+    run: Callable[[Variables, Batch, Array | None], tuple[PairInputs | PoseInputs, Tree]],
+) -> Task:
+    """Make the task of a network that `run` runs, without a key in validation."""
+    functions, specs = get_functions(net), _list_losses(training, role)
+    facts = facts._replace(outputs=posenet.count_outputs(targets))
+
+    def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:
+        inputs, statistics = run(variables, batch, key)
+        terms = {}
+        for spec in specs:
+            has_parts = all(getattr(inputs.outputs, part) is not None for part in spec.parts)
+            if has_parts and (key is not None or spec.is_validated):
+                terms[spec.name] = spec.load()(inputs)
+        if role == "reads poses" and key is None:
+            assert isinstance(inputs.outputs, Array)
+            terms |= compute_pose_error_terms(inputs.outputs, batch, targets)
+        return _weight_terms(terms, batch), statistics
 
     return Task(
         functions.kind,
         net,
         targets,
-        partial(functions.init, net, _count_outputs(facts, targets)),
-        lambda variables, batch, key: (
-            compute_terms(variables, batch, key),
-            variables["batch_stats"],
-        ),
+        partial(functions.init, net, facts),
+        compute_terms,
         dict(training.losses),
-        lambda variables, batch: compute_terms(variables, batch, None),
-        choose_rank(specs),
+        lambda variables, batch: compute_terms(variables, batch, None)[0],
+        _choose_rank(specs),
     )
 
 
-def _count_outputs(facts: DataFacts, targets: Targets) -> DataFacts:
-    return facts._replace(outputs=posenet.count_outputs(targets))
-
-
-def list_losses(training: Training, role: Role) -> list[LossSpec]:
+def _list_losses(training: Training, role: Role) -> list[LossSpec]:
     """Return the losses that a training names, in the order of the registry.
 
     Raises UserError for one that is unknown, or for networks of another role.
@@ -253,7 +242,7 @@ def list_losses(training: Training, role: Role) -> list[LossSpec]:
     return sorted(specs, key=lambda spec: order.index(spec.name))
 
 
-def choose_rank(specs: list[LossSpec]) -> str:
+def _choose_rank(specs: list[LossSpec]) -> str:
     """Return the loss that the best model is chosen by: the first that validation computes.
 
     Raises UserError where there is none.
@@ -263,13 +252,6 @@ def choose_rank(specs: list[LossSpec]) -> str:
             return spec.name
     names = ", ".join(spec.name for spec in specs)
     raise UserError(f"losses = {names}: none is computed in validation: name another, too")
-
-
-def run_losses(specs: Iterable[LossSpec], inputs: Any, key: Array | None) -> Terms:
-    """Compute losses by name; without a key, only those of validation."""
-    return {
-        spec.name: spec.load()(inputs) for spec in specs if key is not None or spec.is_validated
-    }
 
 
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> Terms:
@@ -282,17 +264,15 @@ def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> 
     }
 
 
-def weight_terms(terms: Terms, batch: Batch) -> Terms:
-    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins."""
+def _weight_terms(terms: Terms, batch: Batch) -> Terms:
+    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins.
+
+    Rendered taps, which are no examples, are all sure.
+    """
     for field in ("weight", "sure"):
         if field in batch:
-            terms = {name: term * batch[field] for name, term in terms.items()}
+            terms = {
+                name: term if name == "rendered_pose" else term * batch[field]
+                for name, term in terms.items()
+            }
     return terms
-
-
-def _weight_recordings(terms: Terms, batch: Batch) -> Terms:
-    """Weigh terms by their examples, other than those of rendered taps, which are all sure."""
-    return {
-        name: term if name == "rendered_pose" else weight_terms({name: term}, batch)[name]
-        for name, term in terms.items()
-    }
