@@ -27,6 +27,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET
 from jaxunshear.config.targets import list_target_names
 from jaxunshear.config.training import Training
+from jaxunshear.config.types import check_rules
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import UNSHEARED
@@ -113,7 +114,7 @@ def _make_network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
-    unshearnet.check_net(net)
+    check_rules(net, "UnshearNet")
     return net
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from jaxunshear.config import networks
 from jaxunshear.config.targets import Targets
-from jaxunshear.errors import UserError
+from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import INIT, Down, Same
@@ -57,18 +57,10 @@ def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
 
     Raises UserError if `size` and `widths` do not fit the network.
     """
-    check_net(net)
+    check_rules(net, "PoseNet")
     images = jnp.zeros((1, net.size, net.size, 1))
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net, outputs).init(key, images, True))
-
-
-def check_net(net: networks.PoseNet) -> None:
-    """Raise UserError, which names the field, if no network of these settings can be built."""
-    if len(net.widths) != 5:
-        raise UserError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
-    if net.size % 16:
-        raise UserError(f"size: {net.size} px is no multiple of 16")
 
 
 def predict(

@@ -57,10 +57,10 @@ class NetworkFunctions:
     """
 
     kind: str  # its name in model.json
-    settings: type  # a frozen dataclass; over images it has the field `size`, px
+    # a frozen dataclass, which may declare `rules`; over images it has the field `size`, px
+    settings: type
     modality: Modality
     init: Callable[[Net, DataFacts, Array], Variables]
-    check: Callable[[Net], None] = lambda net: None  # raises UserError, which names the field
     # settings, variables, sheared inputs, key (None but in training), inputs at the same poses and
     # after the same slides, or None -> outputs and new running statistics
     reconstruct: Callable[..., tuple[Reconstruction, Tree]] | None = None
@@ -90,7 +90,6 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             UnshearNet,
             IMAGES,
             lambda net, facts, key: unshearnet.init(net, key),
-            unshearnet.check_net,
             reconstruct=unshearnet.reconstruct,
             unshear=unshearnet.unshear,
             encode=unshearnet.encode,
@@ -104,7 +103,6 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             UNet,
             IMAGES,
             lambda net, facts, key: unet.init(net, key),
-            unet.check_net,
             reconstruct=unet.reconstruct,
         ),
         NetworkFunctions(
@@ -112,7 +110,6 @@ _FUNCTIONS: dict[type, NetworkFunctions] = {
             PoseNet,
             IMAGES,
             lambda net, facts, key: posenet.init(net, facts.outputs, key),
-            posenet.check_net,
             predict=posenet.predict,
             predict_training=posenet.predict_training,
         ),

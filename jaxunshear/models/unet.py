@@ -15,7 +15,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.config import networks
-from jaxunshear.models import layer_choice, unshearnet
+from jaxunshear.config.types import check_rules
+from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import Down, Last, Up
 from jaxunshear.models.reconstruction import Reconstruction
@@ -45,15 +46,10 @@ def _make_network(net: networks.UNet) -> nn.Module:
 
 def init(net: networks.UNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
-    check_net(net)
+    check_rules(net, "U-Net")
     side = 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
-
-
-def check_net(net: networks.UNet) -> None:
-    """Raise UserError, which names the field, if no network of these settings can be built."""
-    unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
 
 
 def reconstruct(

@@ -19,6 +19,7 @@ from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_lo
 from jaxunshear.config.networks import PinRenderer
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
+from jaxunshear.config.types import check_rules
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
@@ -79,7 +80,6 @@ def make_unshear_task(
     fit.
     """
     functions = get_functions(net)
-    functions.check(net)
     if "patch" in training.losses:
         _check_crops(net, training)
     if uses_teacher(training):
@@ -153,7 +153,6 @@ def make_posenet_task(
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
     functions = get_functions(net)
-    functions.check(net)
     modality, rotations = functions.modality, support.rotations
     predict, predict_training = functions.predict, functions.predict_training
     assert predict is not None and predict_training is not None  # of every PoseNet
@@ -203,6 +202,7 @@ def _make_task(
 ) -> Task:
     """Make the task of a network that `run` runs, without a key in validation."""
     functions, specs = get_functions(net), _list_losses(training, role)
+    check_rules(net, functions.kind)
     facts = facts._replace(outputs=posenet.count_outputs(targets))
 
     def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:

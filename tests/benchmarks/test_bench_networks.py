@@ -103,7 +103,7 @@ def test_what_is_not_installed_has_not_failed():
 
 @pytest.mark.parametrize(("size", "batch"), [(100, 1), (128, 0)])
 def test_what_cannot_be_measured_is_refused(size, batch):
-    with pytest.raises(UserError, match=rf"size: {size} px|--batch {batch}:"):
+    with pytest.raises(UserError, match=rf"size = {size}:|--batch {batch}:"):
         bench_networks.bench_train(size, batch)
 
 

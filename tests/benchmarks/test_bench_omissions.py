@@ -31,5 +31,5 @@ def test_rows_hold_both_ways(rows):
 
 
 def test_a_size_that_cannot_be_halved_is_refused():
-    with pytest.raises(UserError, match="100 px"):
+    with pytest.raises(UserError, match="size = 100"):
         bench_omissions.bench_needs(size=100)

@@ -274,8 +274,8 @@ def test_other_settings_in_the_same_folder_are_refused(straight):
     ("net", "training", "word"),
     [
         (dataclasses.replace(small.NET, size=18), small.TRAINING, "size"),
-        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels: 0"),
-        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels: -1"),
+        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels = 0"),
+        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels = -1"),
         (small.NET, dataclasses.replace(small.TRAINING, crop_px=40), "crop_px"),
         (small.NET, dataclasses.replace(small.TRAINING, crops=0), "crops: 0"),
         (small.NET, dataclasses.replace(small.TRAINING, schedule="line"), "schedule"),
