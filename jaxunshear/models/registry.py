@@ -30,7 +30,6 @@ from jaxunshear.config.networks import (
     drop_pin_codes,
     drop_rotation,
 )
-from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet, unet, unshearnet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
@@ -227,15 +226,11 @@ def get_functions(net: Net) -> NetworkFunctions:
     return _FUNCTIONS[type(net)]
 
 
-def get_settings_class(kind: str) -> type:
-    """Return the class of settings that model.json calls `kind`. Raises UserError."""
+def find_settings_class(kind: str) -> type | None:
+    """Find the class of settings that model.json calls `kind`; None if no network has it."""
     # the latest: an experiment file may be read twice
-    for functions in reversed(_FUNCTIONS.values()):
-        if functions.kind == kind:
-            return functions.settings
-    raise UserError(
-        f"kind '{kind}' of a network is unknown: name the experiment file that registers it"
-    )
+    classes = {functions.kind: functions.settings for functions in _FUNCTIONS.values()}
+    return classes.get(kind)
 
 
 def get_net_modality(net: Net) -> Modality:

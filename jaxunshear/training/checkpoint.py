@@ -28,7 +28,7 @@ from jaxunshear.config.serialization import OLD_FILES, add_version, remove_versi
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
-from jaxunshear.models.registry import get_settings_class
+from jaxunshear.models.registry import find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
@@ -218,7 +218,12 @@ def read_net(folder: Path) -> Net:
         )
     try:
         stored = _read_model(path)
-        net_class = get_settings_class(stored["kind"])
+        net_class = find_settings_class(stored["kind"])
+        if net_class is None:
+            raise UserError(
+                f"{path}: kind = {stored['kind']}: no network has it: "
+                "name the experiment file that registers it"
+            )
         settings = {}
         for field in dataclasses.fields(net_class):
             value = stored["net"][field.name]
