@@ -159,11 +159,12 @@ def make_posenet_task(
 
     def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PoseInputs, Tree]:
         contacts = modality.scale(batch[modality.single])
-        poses, radians = posenet.scale_poses(batch, targets), jnp.zeros(())
         if key is None:
             outputs, statistics = predict(net, variables, contacts), variables["batch_stats"]
+            poses = posenet.scale_poses(batch, targets)
         else:
             contacts = modality.add_noise(net, contacts, key)
+            poses, radians = posenet.scale_poses(batch, targets), jnp.zeros(())
             if rotations is not None:
                 k = sample_rotation(net.turned, jax.random.fold_in(key, 1))
                 contacts = rotate_pins(rotations, k, contacts)
