@@ -57,7 +57,8 @@ class Experiment:
     name: str  # also of the folder of its results
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
-    networks: tuple[str, ...] = NETWORKS  # to train and evaluate
+    # to train and evaluate: these, entangled_large, unet, posenet_sheared, and your own
+    networks: tuple[str, ...] = NETWORKS
     # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
     # one further test for each: taps miss the slide's depth by up to this
