@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import numpy as np
 import optax
 from jax import Array
 
@@ -46,10 +45,10 @@ from jaxunshear.training.step import (
     make_optimiser,
     make_schedule,
     make_step,
-    measure_kernel_sizes,
 )
 from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.tensorboard import open_events
+from jaxunshear.training.validation import make_measurement
 
 RESUME_REMEDY = "delete it to go on from the latest checkpoint"
 
@@ -146,7 +145,7 @@ def train(
         contextlib.closing(prefetch(batches, devices.with_batch)) as stream,
         open_events(folder, progress.step, rate) as log,
     ):
-        measure = _make_measurement(task, data.validation)
+        measure = make_measurement(task, data.validation)
         state = _run_steps(run, step, state, progress, stream, measure, log)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _finish(run, progress, parameters)
@@ -199,20 +198,6 @@ def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress
     state, record = checkpoint.restore(folder, step, state)
     kept = ("history", "best_step", "train_seconds", "compile_seconds")
     return state, TrainingProgress(**{name: record[name] for name in kept})
-
-
-def _make_measurement(
-    task: Task, validation: Callable[[], Iterator[Batch]]
-) -> Callable[[State], Json]:
-    """Make the function that measures a state on the validation split."""
-    validate, measure_sizes = jax.jit(task.validate), jax.jit(measure_kernel_sizes)
-
-    def measure(state: State) -> Json:
-        scores = _mean_terms(validate, state.average, validation())
-        sizes = {name: float(size) for name, size in measure_sizes(state.params).items()}
-        return {"validation": scores, "kernels": sizes}
-
-    return measure
 
 
 def _run_steps(
@@ -315,30 +300,6 @@ def get_compile_options() -> dict[str, int] | None:
     step. The bits are the same.
     """
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
-
-
-def _mean_terms(
-    validate: Callable[[Tree, Batch], dict[str, Array]], variables: Tree, batches: Iterator[Batch]
-) -> dict[str, float | None]:
-    """Average terms over all validation examples; None for a mean that is not finite (no JSON).
-
-    A smaller last batch is filled up, so that nothing is compiled twice.
-    """
-    sums: dict[str, float] = {}
-    count, full = 0, 0
-    for batch in batches:
-        size = len(next(iter(batch.values())))
-        full = max(full, size)
-        filled = {
-            name: np.resize(np.asarray(value), (full, *np.shape(value)[1:]))
-            for name, value in batch.items()
-        }
-        for name, values in jax.device_get(validate(variables, filled)).items():
-            sums[name] = sums.get(name, 0.0) + float(np.sum(values[:size], dtype=np.float64))
-        count += size
-    if not count:
-        raise UserError("the validation split is empty: ask for more poses")
-    return {name: total / count if math.isfinite(total) else None for name, total in sums.items()}
 
 
 def _rank_loss(loss: float | None) -> float:
