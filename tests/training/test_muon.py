@@ -10,10 +10,7 @@ import optax
 import pytest
 
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.training import Training
-from jaxunshear.errors import UserError
 from jaxunshear.training.muon import muon, orthogonalise
-from jaxunshear.training.step import make_optimiser
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -154,8 +151,3 @@ def test_updates_are_about_as_large_as_adam_s(params):
     for name in filter(is_inner, named(got)):
         ratio = jnp.sqrt(jnp.mean(named(got)[name] ** 2) / jnp.mean(named(expected)[name] ** 2))
         assert 0.4 < ratio < 2.5, (name, ratio)
-
-
-def test_an_unknown_optimiser_is_refused():
-    with pytest.raises(UserError, match='optimiser: "sgd" is unknown; use "adam" or "muon"'):
-        make_optimiser(Training(optimiser="sgd"), 10, 5)

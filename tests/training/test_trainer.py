@@ -256,7 +256,6 @@ def test_other_settings_in_the_same_folder_are_refused(straight):
         (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels = -1"),
         (small.NET, dataclasses.replace(small.TRAINING, crop_px=40), "crop_px"),
         (small.NET, dataclasses.replace(small.TRAINING, crops=0), "crops: 0"),
-        (small.NET, dataclasses.replace(small.TRAINING, schedule="line"), "schedule"),
     ],
 )
 def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, word):
