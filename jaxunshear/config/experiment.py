@@ -14,7 +14,6 @@ from jaxunshear.config.data import (
 )
 from jaxunshear.config.networks import PinNet, PoseNet, UnshearNet
 from jaxunshear.config.registry import (
-    ALL_NETWORKS,
     NETWORKS,
     POSENET_SHEARED,
     POSENETS,
@@ -22,6 +21,7 @@ from jaxunshear.config.registry import (
     TAP_NETWORKS,
     TEACHER,
     UNSHEARING,
+    list_networks,
 )
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
@@ -88,7 +88,7 @@ class Experiment:
         )
         yield make_seed_rule(self.seed)
         yield Rule(
-            len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
+            len(self.networks) > 0, "networks", f"name at least one of {', '.join(list_networks())}"
         )
         yield Rule(
             len(set(self.networks)) == len(self.networks), "networks", "name each network once"
@@ -103,8 +103,8 @@ class Experiment:
 
 def make_network_rule(networks: Sequence[str]) -> Rule:
     """Make the rule that networks are known."""
-    unknown = ", ".join(name for name in networks if name not in ALL_NETWORKS)
-    remedy = f"{unknown} is unknown: use one of {', '.join(ALL_NETWORKS)}"
+    unknown = ", ".join(name for name in networks if name not in list_networks())
+    remedy = f"{unknown} is unknown: use one of {', '.join(list_networks())}"
     return Rule(not unknown, "networks", f"{remedy}, or name the experiment file that registers it")
 
 

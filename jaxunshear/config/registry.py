@@ -93,9 +93,8 @@ REGISTRY = {
 }
 TRAINABLE = REGISTRY.keys()  # with those that are registered later
 NETWORKS: tuple[str, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
-# with rivals, and those that are registered later
-ALL_NETWORKS = [*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED]
-# the main network of a run is the last of these that it has
+ALL_NETWORKS: tuple[str, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # with rivals
+# with those that are registered later; the main network of a run is the last of these that it has
 UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
 POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
 TAP_NETWORKS = tuple(name for name, spec in REGISTRY.items() if spec.learns_from == "taps")
@@ -105,13 +104,17 @@ def add_network(spec: NetworkSpec) -> None:
     """Add a network that unshears. Raises UserError if another one has its name."""
     registered = REGISTRY.get(spec.name)
     if registered is None:
-        ALL_NETWORKS.append(spec.name)
         UNSHEARING.insert(0, spec.name)
     elif registered.file != spec.file:  # else the file is read twice
         raise UserError(f"network '{spec.name}' is there already: choose another name")
     REGISTRY[spec.name] = spec
 
 
+def list_networks() -> tuple[str, ...]:
+    """List the networks that an experiment can name, with registered ones."""
+    return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))
+
+
 def list_modality_networks(modality: InputKind) -> list[str]:
     """List the networks that may read inputs of a modality."""
-    return [name for name in ALL_NETWORKS if modality in REGISTRY[name].modalities]
+    return [name for name in list_networks() if modality in REGISTRY[name].modalities]

@@ -31,13 +31,13 @@ from jaxunshear.config.networks import (
     drop_rotation,
 )
 from jaxunshear.config.registry import (
-    ALL_NETWORKS,
     DISENTANGLED,
     POSENET_SHEARED,
     POSENETS,
     REGISTRY,
     RENDERER,
     TAP_NETWORKS,
+    list_networks,
 )
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
@@ -109,7 +109,9 @@ def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
     rows: dict[tuple[str, int], Row] = {}
     by_digest: dict[str, Row] = {}
     for cell, seed in itertools.product(cells, sweep.seeds):
-        networks = tuple(network for network in ALL_NETWORKS if network in cell.experiment.networks)
+        networks = tuple(
+            network for network in list_networks() if network in cell.experiment.networks
+        )
         experiment = dataclasses.replace(cell.experiment, seed=seed, networks=networks)
         digest = compute_row_digest(experiment, sweep.ablation)
         words = re.sub(r"[^A-Za-z0-9._]+", "-", cell.label.replace(", ", "_"))
