@@ -25,6 +25,7 @@ from jaxunshear.apps.export.parts import ExportedModel
 from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET
 from jaxunshear.config.training import Training
+from jaxunshear.config.types import check_rules
 from jaxunshear.environment import FAST, PLAIN
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
@@ -112,7 +113,7 @@ def _make_network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
-    unshearnet.check_net(net)
+    check_rules(net, "UnshearNet")
     return net
 
 

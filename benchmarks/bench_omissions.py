@@ -24,6 +24,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
+from jaxunshear.config.types import check_rules
 from jaxunshear.evaluation.network_outputs import make_image_run
 from jaxunshear.files import Json
 from jaxunshear.models import posenet, unshearnet
@@ -80,7 +81,7 @@ def bench_needs(
     """
     keep_freed_memory()
     net = UnshearNet(size=size or SIZE, widths=widths)
-    unshearnet.check_net(net)
+    check_rules(net, "UnshearNet")
     cases = list(_list_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:

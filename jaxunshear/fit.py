@@ -10,7 +10,7 @@ from pathlib import Path
 from jaxunshear.config.data import Recorded, RecordedTaps
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinNet, UnshearNet
-from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
+from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
 from jaxunshear.data.digests import compute_digest
@@ -88,7 +88,7 @@ def set_recordings(
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 
-def select_networks(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Network, ...]:
+def select_networks(networks: tuple[str, ...], taps: bool, slides: bool) -> tuple[str, ...]:
     """Select the networks that can be trained if there are `taps`, `slides`, or both."""
     if taps and slides:
         return networks

@@ -2,8 +2,8 @@
 
 import re
 import shutil
-import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 from jaxunshear.config import losses, sensor
+from jaxunshear.config import registry as names
 from jaxunshear.config.configs import describe_set
 from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields
-from jaxunshear.config.load import load_experiment
+from jaxunshear.config.load import list_registering_files, load_experiment
+from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import from_json, to_json
 from jaxunshear.data.sources import list_source_files
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.network_outputs import load_run
+from jaxunshear.models import registry as networks
 from jaxunshear.perception.lattice import compute_rings
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes
@@ -26,32 +30,46 @@ from jaxunshear.simulator.simulate import simulate
 from jaxunshear.sweep.grid import Row
 from jaxunshear.sweep.plan import make_data_task
 from jaxunshear.sweep.tasks import read_order
+from jaxunshear.training import checkpoint, trainer
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.task_factory import make_task
 from jaxunshear.training.tasks import make_unshear_task
+from tests.helpers.gradients import list_taught_parts
 from tests.training import small
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-LOSS, STIMULUS, FUNCTION, LAYOUT, SOURCE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+LOSS, NETWORK, STIMULUS, FUNCTION, LAYOUT, SOURCE = re.findall(
+    r"```python\n(.*?)```", PAGE, re.DOTALL
+)
+TABLES = (
+    losses.LOSSES,
+    names.REGISTRY,
+    networks._FUNCTIONS,
+    sensor.LAYOUTS,
+    SourceSettings.registered,
+)
+LISTS = (names.UNSHEARING,)
 
 
 @pytest.fixture
 def experiment_file(tmp_path, monkeypatch):
     """Write a file beside tiny.py, and forget afterwards what it registers."""
     shutil.copy(ROOT / "experiments" / "tiny.py", tmp_path)
-    monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
-    monkeypatch.setattr(sensor, "LAYOUTS", dict(sensor.LAYOUTS))
     monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(SourceSettings, "registered", dict(SourceSettings.registered))
-    monkeypatch.setattr(sys.modules["jaxunshear.training.tasks"], "LOSSES", losses.LOSSES)
+    tables, lists = [dict(table) for table in TABLES], [list(items) for items in LISTS]
 
     def write(text):
         path = tmp_path / "mine.py"
         path.write_text(text)
         return path
 
-    return write
+    yield write
+    for table, before in zip(TABLES, tables, strict=True):
+        table.clear()
+        table.update(before)
+    for items, before in zip(LISTS, lists, strict=True):
+        items[:] = before
 
 
 def test_a_loss_of_an_experiment_file_is_a_term_of_the_training(experiment_file):
@@ -59,7 +77,7 @@ def test_a_loss_of_an_experiment_file_is_a_term_of_the_training(experiment_file)
     experiment = load_experiment(path)
     validate(experiment)
     assert experiment.train.losses["smooth"] == 0.1
-    assert losses.list_registering_files() == [str(path)]
+    assert list_registering_files() == [str(path)]
     training = replace(small.TRAINING, losses=experiment.train.losses)
     task = make_unshear_task(small.NET, training)
     variables = jax.jit(task.init)(jax.random.key(0))
@@ -75,8 +93,7 @@ def test_a_loss_of_an_experiment_file_is_a_term_of_the_training(experiment_file)
             )
             return terms[name].sum()
 
-        found = jax.jit(jax.grad(total))(variables["params"])
-        return {part for part, leaves in found.items() if any(map(np.any, jax.tree.leaves(leaves)))}
+        return list_taught_parts(jax.jit(jax.grad(total))(variables["params"]))
 
     assert slope("smooth") == slope("supervised")
     assert "smooth" in task.validate(variables, small.pair(3, 4))
@@ -112,6 +129,43 @@ def test_a_loss_of_images_is_refused_over_pins(experiment_file):
         validate(over_pins)
 
 
+def test_a_network_of_an_experiment_file_is_trained_and_evaluated(experiment_file, tmp_path):
+    path = experiment_file(NETWORK)
+    experiment = load_experiment(path)
+    validate(experiment)
+    assert "residual" in experiment.networks and list_registering_files() == [str(path)]
+    smaller = replace(experiment, unshear=UnshearNet(size=32, widths=(4, 4)))
+    net = networks.make_net(smaller, "residual")
+    training = replace(small.TRAINING, epochs=1)
+    task = make_unshear_task(net, training)
+
+    def make_batch(step, count=4):
+        return small.pair(step, count, 32)
+
+    batches = partial(small.endless, make_batch)
+    data = trainer.TrainingData(batches, lambda: iter([make_batch(1000)]), small.IMAGES)
+    summary = trainer.train(task, training, data, 0, tmp_path / "run" / "residual")
+    assert summary.kind == "residual" and summary.best_loss < 0.3
+    assert checkpoint.read_net(tmp_path / "run" / "residual") == net
+    pair = make_batch(1001, 2)
+    run = load_run(tmp_path / "run", ("residual",))
+    outputs, scores = run(pair["canonical"], pair["sheared"])
+    assert outputs.images["residual"].shape == (2, 32, 32, 1)
+    assert np.isfinite(scores["ms_ssim/residual"]).all()
+    names.REGISTRY.pop("residual")
+    with pytest.raises(UserError, match="residual is unknown"):
+        validate(experiment)
+
+
+def test_the_name_of_a_network_is_taken_once_and_says_what_it_reads(experiment_file):
+    with pytest.raises(UserError, match="network 'unet' is there already"):
+        load_experiment(experiment_file(NETWORK.replace('"residual",\n', '"unet",\n', 1)))
+    experiment = load_experiment(experiment_file(NETWORK))
+    over_pins = replace(experiment, unshear=replace(experiment.unshear, input="pins"))
+    with pytest.raises(UserError, match="residual does not read pins"):
+        validate(replace(over_pins, train_pins=replace(over_pins.train_pins, batch=8)))
+
+
 def test_an_outline_of_an_experiment_file_is_a_stimulus(experiment_file):
     experiment = load_experiment(experiment_file(STIMULUS))
     validate(experiment)
@@ -130,7 +184,7 @@ def test_a_layout_of_an_experiment_file_is_simulated(experiment_file):
     path = experiment_file(LAYOUT)
     experiment = load_experiment(path)
     validate(experiment)
-    assert losses.list_registering_files() == [str(path)]
+    assert list_registering_files() == [str(path)]
     tiny = load_experiment(path.with_name("tiny.py"))
     assert override_fields(tiny, ["--sensor.layout", "square"]).sensor.pins == 317
     small = replace(experiment.sensor, rings=3, dome_radius_mm=8.0)

@@ -20,7 +20,8 @@ from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training, drop_pair_losses
 from jaxunshear.files import Json
-from jaxunshear.models import posenet, unet, unshearnet
+from jaxunshear.models import posenet, unshearnet
+from jaxunshear.models.registry import unshear
 from jaxunshear.models.weights import Variables
 from jaxunshear.training import checkpoint
 from jaxunshear.training.finite_check import check_state, check_terms
@@ -142,7 +143,7 @@ def infer_all(net: Net, variables: Variables, images: jax.Array) -> dict[str, ja
         scaled = posenet.predict(net, variables, images)
         return {"outputs": scaled, **posenet.unscale_outputs(scaled, TARGETS)}
     if isinstance(net, UNet):
-        return {"unsheared": unet.unshear(net, variables, images)}
+        return {"unsheared": unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)
     unsheared = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
     outputs = {"unsheared": unsheared, "z_p": z_p}

@@ -1,12 +1,12 @@
 """What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from jaxunshear.config.data import PairedData, PoseData, RecordedTaps, Seed, SourceSettings
 from jaxunshear.config.networks import PinNet, PoseNet, UnshearNet
-from jaxunshear.config.registry import ALL_NETWORKS, NETWORKS, Network
+from jaxunshear.config.registry import NETWORKS, list_networks
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.stimuli import StimulusSetting, list_stimulus_names
 from jaxunshear.config.training import POSENET_TRAINING, Training
@@ -35,7 +35,8 @@ class Experiment:
     name: str  # also of the folder of its results
     claim: str  # what it is to show
     seed: Seed = 0  # of weights and batches
-    networks: tuple[Network, ...] = NETWORKS  # to train and evaluate, of ALL_NETWORKS
+    # to train and evaluate: these, entangled_large, unet, posenet_sheared, and your own
+    networks: tuple[str, ...] = NETWORKS
     # stimuli of a further test, which no network sees in training
     unseen: tuple[StimulusSetting, ...] = ()
     # one further test for each: taps miss the slide's depth by up to this
@@ -64,16 +65,24 @@ class Experiment:
             "use letters, digits, '-', '_' and '.'; it names the folder of the results",
         )
         yield Rule(
-            len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
+            len(self.networks) > 0, "networks", f"name at least one of {', '.join(list_networks())}"
         )
         yield Rule(
             len(set(self.networks)) == len(self.networks), "networks", "name each network once"
         )
+        yield make_network_rule(self.networks)
         yield Rule(
             len(set(list_stimulus_names(self.unseen))) == len(self.unseen),
             "unseen",
             "name each stimulus once",
         )
+
+
+def make_network_rule(networks: Sequence[str]) -> Rule:
+    """Make the rule that networks are known."""
+    unknown = ", ".join(name for name in networks if name not in list_networks())
+    remedy = f"{unknown} is unknown: use one of {', '.join(list_networks())}"
+    return Rule(not unknown, "networks", f"{remedy}, or name the experiment file that registers it")
 
 
 def uses_pins(experiment: Experiment) -> bool:

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.losses import LOSSES
+from jaxunshear.config.registry import REGISTRY
+from jaxunshear.config.sensor import list_own_layouts
 from jaxunshear.config.types import check_types
 from jaxunshear.errors import UserError
 
@@ -49,7 +52,7 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
 def run_file(path: Path) -> dict[str, Any]:
     """Run an experiment file and return its variables. Raises UserError.
 
-    The losses that it registers stay registered.
+    The losses and networks that it registers stay registered.
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "does not exist"
@@ -59,6 +62,16 @@ def run_file(path: Path) -> dict[str, Any]:
             return runpy.run_path(str(path), run_name="jaxunshear_experiment")
     except (Exception, SystemExit) as error:
         raise UserError(f"experiment file {path} {_describe_failure(path, error)}") from error
+
+
+def list_registering_files() -> list[str]:
+    """List the experiment files that have registered losses, layouts or networks.
+
+    Processes of a sweep run them.
+    """
+    losses = [spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str)]
+    files = {function.__code__.co_filename for function in [*losses, *list_own_layouts()]}
+    return sorted(files | {spec.file for spec in REGISTRY.values() if spec.file})
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ A training computes the losses that it names, and no other. A new loss is one fu
 of LOSSES, or one function with `@register_loss` in an experiment file:
 
     @register_loss("smooth", modalities=("images",))
-    def compute_smooth_loss(inputs):  # see training/pair_losses.py
+    def compute_smooth_loss(inputs):  # see training/losses.py
         return jnp.mean(jnp.square(jnp.diff(inputs.canonical, axis=1)), (1, 2, 3))
 """
 
@@ -15,15 +15,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
-from jaxunshear.config.sensor import list_own_layouts
 from jaxunshear.errors import UserError
 
 Role = Literal["unshears", "reads poses", "renders"]  # what a network of a loss does
 InputKind = Literal["images", "pins"]
 Requirement = Literal["codes", "shared slides", "two slides", "simulated", "still pins"]
 
-PAIR_LOSSES = "jaxunshear.training.pair_losses"
-POSE_LOSSES = "jaxunshear.training.pose_losses"
+MODULE = "jaxunshear.training.losses"
 SUPERVISION = ("pose_label", "pose_tap")  # losses that a teacher computes
 EXCHANGE = ("counterfactual", "code_agreement")  # losses that compare or swap codes of two slides
 
@@ -75,62 +73,60 @@ class LossSpec:
 LOSSES: dict[str, LossSpec] = {
     spec.name: spec
     for spec in (
-        LossSpec("supervised", f"{PAIR_LOSSES}:compute_supervised_term"),
+        LossSpec("supervised", f"{MODULE}:compute_supervised_term"),
         LossSpec(
             "patch",
-            f"{PAIR_LOSSES}:compute_patch_term",
+            f"{MODULE}:compute_patch_term",
             modalities=("images",),
             is_validated=False,
         ),
-        LossSpec("pose_label", f"{PAIR_LOSSES}:compute_pose_label_term", fields=("labels",)),
-        LossSpec("pose_tap", f"{PAIR_LOSSES}:compute_pose_tap_term"),
-        LossSpec(
-            "reconstruction", f"{PAIR_LOSSES}:compute_reconstruction_term", parts=("sheared",)
-        ),
+        LossSpec("pose_label", f"{MODULE}:compute_pose_label_term", fields=("labels",)),
+        LossSpec("pose_tap", f"{MODULE}:compute_pose_tap_term"),
+        LossSpec("reconstruction", f"{MODULE}:compute_reconstruction_term", parts=("sheared",)),
         LossSpec(
             "counterfactual",
-            f"{PAIR_LOSSES}:compute_counterfactual_term",
+            f"{MODULE}:compute_counterfactual_term",
             parts=("counterfactual",),
             fields=("other", "swapped"),
             requires=("codes", "shared slides"),
         ),
         LossSpec(
             "code_agreement",
-            f"{PAIR_LOSSES}:compute_code_agreement_term",
+            f"{MODULE}:compute_code_agreement_term",
             parts=("disagreement",),
             fields=("swapped",),
             requires=("codes",),
         ),
         LossSpec(
             "slide",
-            f"{PAIR_LOSSES}:compute_slide_term",
+            f"{MODULE}:compute_slide_term",
             parts=("z_s",),
             fields=("slide_labels",),
             requires=("codes",),
         ),
         LossSpec(
             "tap_identity",
-            f"{PAIR_LOSSES}:compute_tap_identity_term",
+            f"{MODULE}:compute_tap_identity_term",
             modalities=("pins",),
             requires=("simulated", "still pins"),
             is_validated=False,
         ),
         LossSpec(
             "consistency",
-            f"{PAIR_LOSSES}:compute_consistency_term",
+            f"{MODULE}:compute_consistency_term",
             modalities=("pins",),
             requires=("simulated", "still pins", "two slides"),
             is_validated=False,
         ),
-        LossSpec("pose", f"{POSE_LOSSES}:compute_pose_term", role="reads poses"),
+        LossSpec("pose", f"{MODULE}:compute_pose_term", role="reads poses"),
         LossSpec(
             "rendered_pose",
-            f"{POSE_LOSSES}:compute_rendered_pose_term",
+            f"{MODULE}:compute_rendered_pose_term",
             role="reads poses",
             modalities=("pins",),
             is_validated=False,
         ),
-        LossSpec("pins", f"{POSE_LOSSES}:compute_pin_term", role="renders", modalities=("pins",)),
+        LossSpec("pins", f"{MODULE}:compute_pin_term", role="renders", modalities=("pins",)),
     )
 }
 
@@ -147,9 +143,9 @@ def register_loss(
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a function as a loss that a training can name.
 
-    The function takes the inputs of its role, `PairInputs` of training/pair_losses.py or
-    `PoseInputs` of training/pose_losses.py, and returns a loss per example (B,). `LossSpec`
-    explains the other arguments. Raises UserError if another loss has this name.
+    The function takes the inputs of its role, `PairInputs` or `PoseInputs` of training/losses.py,
+    and returns a loss per example (B,). `LossSpec` explains the other arguments. Raises UserError
+    if another loss has this name.
     """
 
     def register(compute: Callable[..., Any]) -> Callable[..., Any]:
@@ -170,15 +166,6 @@ def _is_reloaded(registered: Callable[..., Any] | str, compute: Callable[..., An
         not isinstance(registered, str)
         and registered.__code__.co_filename == compute.__code__.co_filename
     )
-
-
-def list_registering_files() -> list[str]:
-    """List the experiment files that have registered losses or layouts.
-
-    Processes of a sweep run them.
-    """
-    losses = [spec.compute for spec in LOSSES.values() if not isinstance(spec.compute, str)]
-    return sorted({each.__code__.co_filename for each in [*losses, *list_own_layouts()]})
 
 
 def get_loss(name: str) -> LossSpec:

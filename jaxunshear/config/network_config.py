@@ -145,6 +145,8 @@ def _select_training(experiment: Experiment, spec: NetworkSpec) -> Training:
 
 def _select_net(experiment: Experiment, spec: NetworkSpec) -> NetSettings:
     """Select the settings of a network, derived from those that networks of its kind share."""
+    if spec.make_settings is not None:
+        return cast(NetSettings, spec.make_settings(experiment))
     if spec.role == "renders":
         return PinRenderer(**_list_dense_settings(experiment.pins))
     if experiment.unshear.input == "pins":

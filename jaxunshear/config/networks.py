@@ -57,6 +57,9 @@ class UNet:
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
 
+    def rules(self) -> Iterator[Rule]:
+        yield from UnshearNet(self.size, self.widths).rules()
+
 
 @dataclass(frozen=True)
 class PoseNet:

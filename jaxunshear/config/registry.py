@@ -1,14 +1,15 @@
 """The networks that an experiment can train, in one table that all other modules read.
 
-CONTRIBUTING.md lists the files that a new network touches.
+An experiment file can add one of its own, see docs/extending.md.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
-Network = Literal[
-    "entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"
-]
+from jaxunshear.config.losses import InputKind
+from jaxunshear.errors import UserError
+
 ENTANGLED: Final = "entangled"
 DISENTANGLED: Final = "disentangled"
 POSENET: Final = "posenet"
@@ -32,9 +33,12 @@ class NetworkSpec:
     learns_from: Literal["pairs", "taps", "slides"]
     title: str = ""  # of its images in tables and figures
     has_codes: bool = False  # whether it depends on the sizes of the codes
-    supports_pins: bool = True  # whether it may read pins instead of images
+    modalities: tuple[InputKind, ...] = ("images", "pins")  # that it may read
     # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
+    # of a network that an experiment file has registered: its settings, and that file
+    make_settings: Callable[[Any], Any] | None = None
+    file: str = ""
 
 
 REGISTRY = {
@@ -64,18 +68,36 @@ REGISTRY = {
             "pairs",
             "entangled, as many parameters",
             has_codes=True,
-            supports_pins=False,
+            modalities=("images",),
         ),
-        NetworkSpec(UNET, "unshears", "pairs", "U-Net", supports_pins=False),
+        NetworkSpec(UNET, "unshears", "pairs", "U-Net", modalities=("images",)),
         NetworkSpec(POSENET_SHEARED, "reads poses", "slides", released_parts=()),
     )
 }
-TRAINABLE = tuple(REGISTRY)
-NETWORKS: tuple[Network, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
-# with rivals
-ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)
-# the main network of a run is the last of these that it has
-UNSHEARING = (ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED)
+TRAINABLE = REGISTRY.keys()  # with those that are registered later
+NETWORKS: tuple[str, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
+ALL_NETWORKS: tuple[str, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # with rivals
+# with those that are registered later; the main network of a run is the last of these that it has
+UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
 POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
 TAP_NETWORKS = tuple(name for name, spec in REGISTRY.items() if spec.learns_from == "taps")
-PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].supports_pins)
+
+
+def add_network(spec: NetworkSpec) -> None:
+    """Add a network that unshears. Raises UserError if another one has its name."""
+    registered = REGISTRY.get(spec.name)
+    if registered is None:
+        UNSHEARING.insert(0, spec.name)
+    elif registered.file != spec.file:  # else the file is read twice
+        raise UserError(f"network '{spec.name}' is there already: choose another name")
+    REGISTRY[spec.name] = spec
+
+
+def list_networks() -> tuple[str, ...]:
+    """List the networks that an experiment can name, with registered ones."""
+    return tuple(name for name in REGISTRY if name not in (RENDERER, TEACHER))
+
+
+def list_modality_networks(modality: InputKind) -> list[str]:
+    """List the networks that may read inputs of a modality."""
+    return [name for name in list_networks() if modality in REGISTRY[name].modalities]

@@ -11,7 +11,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
 from jaxunshear.config.network_config import NetworkConfig, list_trained_networks, resolve_network
-from jaxunshear.config.registry import PIN_NETWORKS, RENDERER, TEACHER
+from jaxunshear.config.registry import RENDERER, TEACHER, list_modality_networks
 from jaxunshear.config.rules_recorded import list_recorded_rules
 from jaxunshear.config.rules_simulated import list_simulated_rules
 from jaxunshear.config.types import Rule, Value, check_types, get_value, list_declared_rules
@@ -64,12 +64,12 @@ def list_rules(experiment: Experiment) -> Iterator[Rule]:
         "both networks are trained from these settings: "
         "to train one of them use `--networks entangled`",
     )
-    image_networks = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
+    possible = list_modality_networks(unshear.input)
+    others = ", ".join(name for name in experiment.networks if name not in possible)
     yield Rule(
-        unshear.input == "images" or not image_networks,
+        not others,
         "networks",
-        f"{image_networks} reads images alone: "
-        f"with unshear.input pins use {', '.join(PIN_NETWORKS)}",
+        f"{others} does not read {unshear.input}: use {', '.join(possible)}",
     )
     yield from _list_training_rules(experiment)
     yield from _list_effect_rules(experiment)

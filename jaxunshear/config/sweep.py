@@ -13,7 +13,6 @@ from jaxunshear.config.data import MAX_SEED
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import override_fields, parse_overrides, replace_field
 from jaxunshear.config.load import load_variable
-from jaxunshear.config.registry import Network
 from jaxunshear.config.rules import validate
 from jaxunshear.config.types import Rule, Value, check_types
 from jaxunshear.errors import UserError
@@ -40,7 +39,7 @@ class Sweep:
     rows: tuple[tuple[Change, ...], ...] = ()  # in addition to the grid
     labels: tuple[str, ...] = ()  # of the rows; empty: each is labelled by its changes
     seeds: tuple[int, ...] = (0,)
-    networks: tuple[Network, ...] | None = None  # trained in each row; None: those of the base
+    networks: tuple[str, ...] | None = None  # trained in each row; None: those of the base
     ablation: bool = False  # whether decoders are also tested with corrupted codes
     # label of the cell to compare with; None: that with the values of the base
     reference: str | None = None

@@ -23,8 +23,8 @@ from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation import kernel_ridge
-from jaxunshear.evaluation.modality import ImageModality, PinModality
 from jaxunshear.evaluation.score import Outputs, score_poses
+from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
@@ -34,10 +34,9 @@ from jaxunshear.training.examples import open_examples
 PIXELS, PIN_PLACES = "pixels", "pins"
 MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
-ESTIMATED_KINDS = ("tap", "sheared", *UNSHEARING)  # kinds of contacts
 INPUT_FIELDS = {  # of a tap
-    PIXELS: ImageModality.single_tap,
-    PIN_PLACES: PinModality.single_tap,
+    PIXELS: IMAGES.single,
+    PIN_PLACES: PINS.single,
 }
 
 
@@ -148,7 +147,7 @@ def _estimate_batch(name: str, estimator: RidgeEstimator, outputs: Outputs) -> d
     inputs = outputs.images if name == PIXELS else outputs.pins
     return {
         kind: estimate_poses(estimator, FEATURES[name](np.asarray(inputs[kind])))
-        for kind in ESTIMATED_KINDS
+        for kind in ("tap", "sheared", *UNSHEARING)
         if kind in inputs
     }
 
@@ -165,7 +164,7 @@ def score_detected_pins(
     not be identified.
     """
     errors: dict[str, np.ndarray] = {}
-    for kind in ESTIMATED_KINDS:
+    for kind in ("tap", "sheared", *UNSHEARING):
         if kind not in images:
             continue
         features = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))

@@ -15,7 +15,13 @@ from jaxunshear.evaluation.bootstrap import (
     compute_interval,
     resample_means,
 )
-from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, get_cell_target
+from jaxunshear.evaluation.score import (
+    CELL_METRICS,
+    CELLS,
+    get_cell_target,
+    list_kinds,
+    list_pose_kinds,
+)
 from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
@@ -119,7 +125,7 @@ def _tabulate_similarity(
     overall = groups[OVERALL]
     assert overall is not None
     table: dict[str, dict[str, Figure | None]] = {}
-    for kind in KINDS:
+    for kind in list_kinds():
         name = f"ms_ssim/{kind}"
         if name in overall.scores:
             table[kind] = {
@@ -266,9 +272,9 @@ def _tabulate_poses(part: Resampled) -> PartPoses:
 
 
 def _group_pose_errors(part: Resampled) -> dict[str, _PoseErrors]:
-    """Group pose errors by those of POSE_KINDS that there are."""
+    """Group pose errors by kind."""
     errors = {}
-    for kind in POSE_KINDS:
+    for kind in list_pose_kinds():
         prefix = f"pose/{kind}/"
         names = {name.removeprefix(prefix): name for name in part.scores if name.startswith(prefix)}
         if names:

@@ -16,7 +16,7 @@ from jax import Array
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.targets import Targets
 from jaxunshear.models import posenet
-from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net, read_targets
 

@@ -53,9 +53,9 @@ from jaxunshear.inference.readers import (
     make_pin_reader,
 )
 from jaxunshear.model_folders import find_model_folder, load_settings
-from jaxunshear.models.dispatch import encode
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.posenet import unscale_outputs
+from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.preprocess import View, prepare_frame

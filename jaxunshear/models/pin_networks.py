@@ -10,6 +10,7 @@ not moved. `rest` and `spread` scale inputs and outputs. They are constants that
 carry, as is the grid of `pin_grid`.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import flax.linen as nn
@@ -23,7 +24,7 @@ from jaxtyping import Float
 from jaxunshear.config.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.models.pin_grid import GridTrunk, make_grid
 from jaxunshear.models.reconstruction import Reconstruction, measure_disagreement
-from jaxunshear.models.weights import Variables, check_has_sheared_decoder, has_part
+from jaxunshear.models.weights import Net, Variables, check_has_sheared_decoder, has_part
 
 
 class Trunk(nn.Module):
@@ -89,8 +90,19 @@ class PinUnshearModule(nn.Module):
         return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
+# settings, size of the motions (2 P), outputs of the pose targets -> module, width of its input
+_MODULES: dict[type, Callable[[Net, int, int], tuple[nn.Module, int]]] = {
+    PinUnshear: lambda net, motions, outputs: (PinUnshearModule(net, motions), motions),
+    PinPoseNet: lambda net, motions, outputs: (
+        Dense(net, outputs),
+        motions + (2 if net.turned else 0),  # cosine and sine of a rotation
+    ),
+    PinRenderer: lambda net, motions, outputs: (Dense(net, motions), outputs),
+}
+
+
 def init(
-    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0
+    net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float | Array, key: Array, outputs: int = 0
 ) -> Variables:
     """Make fresh variables for pins that rest at `rest` px.
 
@@ -98,14 +110,13 @@ def init(
         spread: how far pins move, root mean square in px.
         outputs: how many the pose targets have together, for all but PinUnshear.
     """
-    motions = int(np.size(rest))
-    width = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
+    module, width = _MODULES[type(net)](net, int(np.size(rest)), outputs)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     inputs = [jnp.zeros((1, width))]
-    if net.convolved and not isinstance(net, PinRenderer):
+    if net.convolved:
         constants["grid"] = jnp.asarray(make_grid(rest))
         inputs.append(constants["grid"])
-    params = _make_module(net, motions, outputs).init(key, *inputs)["params"]
+    params = module.init(key, *inputs)["params"]
     return {"params": params, "batch_stats": constants}
 
 
@@ -153,8 +164,8 @@ def reconstruct(
     key: Array | None = None,
     same_pose: Float[Array, "B P 2"] | None = None,
     same_slide: Float[Array, "B P 2"] | None = None,
-) -> Reconstruction:
-    """Run both decoders over sheared pins px.
+) -> tuple[Reconstruction, Variables]:
+    """Run both decoders over sheared pins px; also return the constants.
 
     Args:
         key: of the noise in training.
@@ -176,9 +187,10 @@ def reconstruct(
         disagreement = measure_disagreement(z_p, partner_z_p)
         same_pose_canonical = decode_canonical(net, variables, partner_z_p)
     if z_s is None:
-        return Reconstruction(
+        outputs = Reconstruction(
             canonical, z_p, disagreement=disagreement, same_pose=same_pose_canonical
         )
+        return outputs, variables["batch_stats"]
     pose_codes, shear_codes = [code for code, _ in codes], [code for _, code in codes]
     if net.apart:  # DS does not teach the codes
         pose_codes, shear_codes = jax.lax.stop_gradient((pose_codes, shear_codes))
@@ -186,9 +198,10 @@ def reconstruct(
     counterfactual = None
     if same_slide is not None:
         counterfactual = decode_sheared(net, variables, pose_codes[0], shear_codes[1])
-    return Reconstruction(
+    outputs = Reconstruction(
         canonical, z_p, sheared, counterfactual, disagreement, z_s, same_pose_canonical
     )
+    return outputs, variables["batch_stats"]
 
 
 def predict(
@@ -205,6 +218,13 @@ def predict(
     return _apply_dense(net, variables, motions, *grid)
 
 
+def predict_training(
+    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike
+) -> tuple[Float[Array, "B K"], Variables]:
+    """Predict outputs as `predict`; also return the constants."""
+    return predict(net, variables, pins, radians), variables["batch_stats"]
+
+
 def render_pins(
     net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]
 ) -> Float[Array, "B P 2"]:
@@ -212,25 +232,9 @@ def render_pins(
     return _convert_to_pins(variables, _apply_dense(net, variables, 2 * outputs - 1))
 
 
-def compute_pin_distance(
-    pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables
-) -> Float[Array, "B"]:
-    """Compute the mean squared distance of pins in units of `spread`; missing ones do not count."""
-    is_present = jnp.isfinite(target)
-    difference = pins - jnp.where(is_present, target, 0)
-    square = jnp.where(is_present, jnp.square(difference / variables["batch_stats"]["spread"]), 0)
-    return square.sum((1, 2)) / jnp.maximum(is_present.sum((1, 2), dtype=square.dtype), 1)
-
-
 def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
-
-
-def _make_module(net: PinNet, motions: int, outputs: int) -> nn.Module:
-    if isinstance(net, PinUnshear):
-        return PinUnshearModule(net, motions)
-    return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
 
 
 def _apply_dense(net: PinNet, variables: Variables, *inputs: Array) -> Array:

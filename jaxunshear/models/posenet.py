@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from jaxunshear.config import networks
 from jaxunshear.config.targets import Targets
-from jaxunshear.errors import UserError
+from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import INIT, Down, Same
@@ -57,18 +57,10 @@ def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
 
     Raises UserError if `size` and `widths` do not fit the network.
     """
-    check_net(net)
+    check_rules(net, "PoseNet")
     images = jnp.zeros((1, net.size, net.size, 1))
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net, outputs).init(key, images, True))
-
-
-def check_net(net: networks.PoseNet) -> None:
-    """Raise UserError, which names the field, if no network of these settings can be built."""
-    if len(net.widths) != 5:
-        raise UserError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
-    if net.size % 16:
-        raise UserError(f"size: {net.size} px is no multiple of 16")
 
 
 def predict(
@@ -81,9 +73,15 @@ def predict(
 
 
 def predict_training(
-    net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
+    net: networks.PoseNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    radians: ArrayLike = 0.0,
 ) -> tuple[Float[Array, "B K"], Variables]:
-    """Predict outputs with the statistics of the batch, and return the updated running ones."""
+    """Predict outputs with the statistics of the batch, and return the updated running ones.
+
+    Images are not turned, and `radians` is for networks over pins.
+    """
     network = _make_network_for(net, variables)
     outputs, updates = network.apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]

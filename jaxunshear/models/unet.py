@@ -1,7 +1,8 @@
 """U-Net, a rival of UnshearNet, behind the same kind of pure functions.
 
 >>> variables = init(net, jax.random.key(0))
->>> canonical = unshear(net, variables, sheared)  # (B, S, S, 1) in [0, 1] -> the same shape
+>>> outputs, _ = reconstruct(net, variables, sheared)  # of images (B, S, S, 1) in [0, 1]
+>>> canonical = jax.nn.sigmoid(outputs.canonical)
 
 It is the network that image-to-image work would try first (Ronneberger et al. 2015). Every decoder
 layer also takes the encoder's array of its own size, so there is no code that could hold a pose or
@@ -9,13 +10,13 @@ be swapped.
 """
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.config import networks
-from jaxunshear.models import layer_choice, unshearnet
+from jaxunshear.config.types import check_rules
+from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import networks as fast
 from jaxunshear.models.layers import Down, Last, Up
 from jaxunshear.models.reconstruction import Reconstruction
@@ -45,35 +46,26 @@ def _make_network(net: networks.UNet) -> nn.Module:
 
 def init(net: networks.UNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
-    check_net(net)
+    check_rules(net, "U-Net")
     side = 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(_make_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
-def check_net(net: networks.UNet) -> None:
-    """Raise UserError, which names the field, if no network of these settings can be built."""
-    unshearnet.check_net(networks.UnshearNet(net.size, net.widths))
-
-
-def unshear(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B S S 1"]:
-    """Unshear images in [0, 1]."""
-    return jax.nn.sigmoid(compute_logits(net, variables, images))
-
-
-def compute_logits(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> Float[Array, "B S S 1"]:
-    """Compute the logits of the canonical images of sheared ones in [0, 1]."""
-    logits: Array = _make_network(net).apply(variables, images, False)  # type: ignore[assignment]
-    return logits
-
-
 def reconstruct(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+    net: networks.UNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    key: Array | None = None,
+    *_: Array | None,
 ) -> tuple[Reconstruction, Variables]:
-    """Compute the logits of canonical images in training, and the updated running statistics."""
-    canonical, updates = _make_network(net).apply(variables, images, True, mutable=["batch_stats"])
+    """Compute the logits of canonical images of sheared ones in [0, 1].
+
+    In training, with any key, return the updated running statistics.
+    """
+    network = _make_network(net)
+    if key is None:
+        logits: Array = network.apply(variables, images, False)  # type: ignore[assignment]
+        return Reconstruction(logits), variables["batch_stats"]
+    canonical, updates = network.apply(variables, images, True, mutable=["batch_stats"])
     return Reconstruction(canonical), updates["batch_stats"]

@@ -26,7 +26,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.errors import UserError
+from jaxunshear.config.types import check_rules
 from jaxunshear.models import layer_choice
 from jaxunshear.models.fast import layers as fast_layers
 from jaxunshear.models.fast import networks as fast
@@ -137,29 +137,11 @@ class Network(nn.Module):
 
 def init(net: UnshearNet, key: Array) -> Variables:
     """Make fresh variables. Raises UserError if `size` and `widths` do not fit each other."""
-    check_net(net)
+    check_rules(net, "UnshearNet")
     # the shapes of networks whose codes are not apart do not depend on the image's
     side = net.size if net.apart else 2 ** len(net.widths)
     with layer_choice.use_layers(layer_choice.FAST):  # for the same weights with any layers
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
-
-
-def check_net(net: UnshearNet) -> None:
-    """Raise UserError, which names the field, if no network of these settings can be built."""
-    if len(net.widths) < 2:
-        raise UserError(f"widths: at least two layers are needed, got {net.widths}")
-    if net.size % 2 ** len(net.widths):
-        raise UserError(
-            f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)"
-        )
-    if net.disentangled and net.pose_channels < 1:
-        raise UserError(
-            f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1"
-        )
-    if net.disentangled and net.shear_channels < 0:
-        raise UserError(
-            f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS"
-        )
 
 
 def count_parameters(net: UnshearNet) -> int:
@@ -237,19 +219,26 @@ def reconstruct(
     net: UnshearNet,
     variables: Variables,
     images: Float[Array, "B S S 1"],
+    key: Array | None = None,
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
 ) -> tuple[Reconstruction, Variables]:
-    """Run both decoders over sheared images in training; return the updated running statistics.
+    """Run both decoders over sheared images; return the running statistics, updated in training.
 
     Codes that are `apart`, which DS does not teach, take partners.
 
     Args:
+        key: any key in training; else None, and partners are not used.
         same_pose: taps at the same poses, or contacts there after other slides: their pose codes
             should agree.
         same_slide: contacts at other poses after these other slides: DS also decodes their shear
             code.
     """
+    if key is None:
+        z_p, z_s = encode(net, variables, images)
+        sheared = None if z_s is None else decode_sheared(net, variables, z_p, z_s)
+        canonical = decode_canonical(net, variables, z_p)
+        return Reconstruction(canonical, z_p, sheared, z_s=z_s), variables["batch_stats"]
     reconstruction, updates = Network(net).apply(
         variables, images, same_pose, same_slide, mutable=["batch_stats"]
     )

@@ -11,6 +11,7 @@ from jaxunshear.errors import Note, UserError
 # {"params": ..., "batch_stats": ...}, each by module, as E, pose, shear, DC, DS; or one of these
 Variables = dict[str, Any]
 Net = Any  # settings of a network, of whichever kind
+AnyArray = Any  # of JAX or NumPy, as the argument
 Tree = Any  # weights, a state or a part of them
 
 

@@ -16,7 +16,7 @@ from jaxunshear.config.configs import compute_digest
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.network_config import NetworkConfig
-from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED
+from jaxunshear.config.registry import DISENTANGLED, list_networks
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import to_json
 from jaxunshear.config.sweep import (
@@ -93,7 +93,9 @@ def list_rows(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
     rows: dict[tuple[str, int], Row] = {}
     by_digest: dict[str, Row] = {}
     for cell, seed in itertools.product(cells, sweep.seeds):
-        networks = tuple(network for network in ALL_NETWORKS if network in cell.experiment.networks)
+        networks = tuple(
+            network for network in list_networks() if network in cell.experiment.networks
+        )
         experiment = dataclasses.replace(cell.experiment, seed=seed, networks=networks)
         digest = compute_row_digest(experiment, sweep.ablation)
         words = re.sub(r"[^A-Za-z0-9._]+", "-", cell.label.replace(", ", "_"))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.losses import list_registering_files
+from jaxunshear.config.load import list_registering_files
 from jaxunshear.config.network_config import (
     NetworkConfig,
     list_required_networks,

@@ -24,31 +24,16 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import files
-from jaxunshear.config.networks import (
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    PoseNet,
-    UNet,
-    UnshearNet,
-)
 from jaxunshear.config.serialization import OLD_FILES, add_version, remove_version
 from jaxunshear.config.targets import Targets, from_json
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import Json
+from jaxunshear.models.registry import find_settings_class
 from jaxunshear.models.weights import Net, Variables, list_leaves
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
-NETS = {
-    "unshear": UnshearNet,
-    "unet": UNet,
-    "posenet": PoseNet,
-    "pin_unshear": PinUnshear,
-    "pin_posenet": PinPoseNet,
-    "renderer": PinRenderer,
-}
 
 
 def save(folder: Path, step: int, state: object, record: Json) -> None:
@@ -182,17 +167,14 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
     try:
         arrays = files.read_npz(path)
-        is_intact = str(arrays.pop(DIGEST)) == _compute_digest(arrays)
+        if str(arrays.pop(DIGEST)) != _compute_digest(arrays):
+            raise ValueError("its digest differs")
+        return arrays
     except files.BROKEN_NPZ as error:
         files.raise_machine_error(path, error)
         raise UserError(
             f"{path} is damaged ({get_first_line(error)}): install or copy these weights again"
         ) from error
-    if not is_intact:
-        raise UserError(
-            f"{path} is damaged (its digest differs): install or copy these weights again"
-        )
-    return arrays
 
 
 def _nest(arrays: Mapping[str, np.ndarray]) -> Json:
@@ -236,7 +218,12 @@ def read_net(folder: Path) -> Net:
         )
     try:
         stored = _read_model(path)
-        net_class = NETS[stored["kind"]]
+        net_class = find_settings_class(stored["kind"])
+        if net_class is None:
+            raise UserError(
+                f"{path}: kind = {stored['kind']}: no network has it: "
+                "name the experiment file that registers it"
+            )
         settings = {}
         for field in dataclasses.fields(net_class):
             value = stored["net"][field.name]
@@ -279,43 +266,39 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
     path, record = _get_path(folder, step), _read_record(folder, step)
     try:
         # Orbax' threads would report that at length
-        if FILES in record and record[FILES] != _compute_files_digest(path / "state"):
+        if record[FILES] != _compute_files_digest(path / "state"):
             raise ValueError("its files are not those that were written")
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
             arrays = reader.restore((path / "state").absolute())
-        is_intact = _compute_digest(arrays) == record[DIGEST]
+        if _compute_digest(arrays) != record[DIGEST]:
+            raise ValueError("its digest differs")
+        return arrays, record
     except Exception as error:  # a damaged file raises many types
-        files.raise_machine_error(path, error)
-        raise UserError(
-            f"checkpoint {path} is damaged ({get_first_line(error)}): {_get_remedy(folder, path)}"
-        ) from error
-    if not is_intact:
-        raise UserError(
-            f"checkpoint {path} is damaged (its digest differs): {_get_remedy(folder, path)}"
-        )
-    return arrays, record
+        raise _make_damage_error(folder, path, error) from error
 
 
 def _read_record(folder: Path, step: int) -> Json:
     path = _get_path(folder, step)
     try:
         record = files.read_object(path / "record.json")
-        if not {"best_step", DIGEST, "history"} <= record.keys():
+        if not {"best_step", DIGEST, FILES, "history"} <= record.keys():
             raise UserError("its record is incomplete")
         return record
     except (UserError, AttributeError) as error:
-        files.raise_machine_error(path, error)
-        raise UserError(
-            f"checkpoint {path} is damaged ({get_first_line(error)}): {_get_remedy(folder, path)}"
-        ) from error
+        raise _make_damage_error(folder, path, error) from error
 
 
-def _get_remedy(folder: Path, path: Path) -> str:
+def _make_damage_error(folder: Path, path: Path, error: Exception) -> UserError:
+    """Make the error of a damaged checkpoint; raise the error of a machine that fails to read."""
+    files.raise_machine_error(path, error)
     steps = _list_steps(folder)
     # an earlier checkpoint may be the best one, which the record of a later one names
     is_latest = len(steps) > 1 and path == _get_path(folder, max(steps))
     back = f"delete {path} to go on from the one before, or " if is_latest else ""
-    return f"{back}delete {folder} to train from the start"
+    reason = get_first_line(error)
+    return UserError(
+        f"checkpoint {path} is damaged ({reason}): {back}delete {folder} to train from the start"
+    )
 
 
 def _list_steps(folder: Path) -> list[int]:

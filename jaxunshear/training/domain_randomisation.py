@@ -37,16 +37,9 @@ Batch = Json
 
 
 def make_randomisation(
-    rest: Float[np.ndarray, "P 2"],
-    share: float,
-    rotation_std_deg: float = TURNED_DEG,
-    shift_std_spacings: float = SHIFTED,
+    rest: Float[np.ndarray, "P 2"], share: float
 ) -> Callable[[Batch, Array], Batch]:
-    """Make the function that randomises a `share` of all batches; the others stay as they are.
-
-    The camera's place has standard deviations of `rotation_std_deg`, and of `shift_std_spacings`
-    spacings of the pins.
-    """
+    """Make the function that randomises a `share` of all batches; the others stay as they are."""
     rotations, spacing_px = make_rotations(rest, 1), measure_spacing(rest)
 
     def randomise(batch: Batch, key: Array) -> Batch:
@@ -61,11 +54,7 @@ def make_randomisation(
             randomised["sheared_pins"] = tap + jnp.exp(log_factor) * (slide - tap)
         field = "sheared_pins" if "sheared_pins" in randomised else "pins"
         randomised[field] = _randomise_camera(
-            rotations.rest,
-            randomised[field],
-            rotation_std_deg,
-            shift_std_spacings * spacing_px,
-            camera_key,
+            rotations.rest, randomised[field], SHIFTED * spacing_px, camera_key
         )
         is_randomised = jax.random.uniform(chance_key) < share
         return {
@@ -86,12 +75,10 @@ def _rotate_batch(rotations: Rotations, k: Array, batch: Batch) -> Batch:
     return rotated
 
 
-def _randomise_camera(
-    rest: Array, pins: Array, rotation_deg: float, shift_px: float, key: Array
-) -> Array:
+def _randomise_camera(rest: Array, pins: Array, shift_px: float, key: Array) -> Array:
     """Turn and shift the sensor of each example before its camera, pins (B, P, 2) px."""
     angle_key, shift_key = jax.random.split(key)
-    radians = jnp.radians(rotation_deg) * jax.random.normal(angle_key, (len(pins), 1))
+    radians = jnp.radians(TURNED_DEG) * jax.random.normal(angle_key, (len(pins), 1))
     middle = rest.mean(axis=0)
     rotated = rotate_2d(pins - middle[None, None], radians)
     shape = (len(pins), 1, 2)

@@ -1,113 +1,168 @@
-"""Losses of images, poses and weights, which pair_losses.py and pose_losses.py apply to a batch.
+"""The losses, each a function of what a network was given and made of it to numbers (B,).
 
-One sum of the paper's terms (section 3.3) gives every module the gradient that the paper lists for
-it: E sees all terms, DC L_sup and L_patch, DS L_rec, since no other path leads from a term to a
-module.
+Those of networks that unshear take `PairInputs`, those of PoseNets and of the renderer
+`PoseInputs`. `config/losses.py` lists them by the names that trainings use, with what each needs.
 """
 
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
 import jax
-import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Int
 
-from jaxunshear.models.weights import Variables, list_leaves
+from jaxunshear.config.targets import Targets
+from jaxunshear.config.training import Training
+from jaxunshear.models import distances, pin_networks, posenet
+from jaxunshear.models.modality import Batch, Modality
+from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models.weights import Net, Variables
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
+
+T = TypeVar("T")
 
 
-def compute_supervised_loss(
-    canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]
-) -> Float[Array, "B"]:
-    """Compute the mean squared difference of images in [0, 1], for L_sup and L_rec."""
-    return jnp.mean((canonical - target) ** 2, (1, 2, 3))
+class PairInputs(NamedTuple):
+    """What a loss of pairs may read. Images are (B, S, S, 1) in [0, 1], pins (B, P, 2) px."""
+
+    batch: Batch
+    outputs: Reconstruction  # as the decoders return them: logits of images, or pins
+    canonical: Array  # the unsheared images or pins
+    net: Net
+    variables: Variables
+    training: Training
+    modality: Modality
+    targets: Targets  # of poses
+    slide_targets: Targets  # of z_s
+    teacher: Callable[[Array], Array] | None  # images or pins -> outputs (B, K)
+    key: Array | None  # None in validation
+
+    @property
+    def tap(self) -> Array:
+        """The images or pins of the taps."""
+        return self.batch[self.modality.canonical]
+
+    def measure_distance(self, decoded: Array, field: str) -> Array:
+        """Return how far what a decoder returned is from a field of the batch, (B,)."""
+        return self.modality.measure_distance(decoded, self.batch[field], self.variables)
 
 
-def compute_patch_loss(
-    canonical: Float[Array, "B S S 1"],
-    target: Float[Array, "B S S 1"],
-    counts: Float[Array, "B S S"],
-) -> Float[Array, "B"]:
-    """Compute L_patch, the mean absolute difference over all pixels of all crops.
+def compute_supervised_term(inputs: PairInputs) -> Array:
+    """Compute L_sup, averaged with that of a partner at the same pose where codes should agree."""
+    outputs, tap = inputs.outputs, inputs.modality.canonical
+    distance = inputs.measure_distance(outputs.canonical, tap)
+    if outputs.same_pose is None:
+        return distance
+    return 0.5 * (distance + inputs.measure_distance(outputs.same_pose, tap))
 
-    `counts` are the numbers of crops that cover each pixel.
+
+def compute_patch_term(inputs: PairInputs) -> Array:
+    """Compute L_patch over random crops."""
+    assert inputs.key is not None  # it is no loss of validation
+    size, crops, side = inputs.net.size, inputs.training.crops, inputs.training.crop_px
+    image = inputs.canonical
+    corners = distances.sample_corners(inputs.key, len(image), crops, size, side)
+    counts = distances.count_crop_coverage(corners, size, side)
+    return distances.compute_patch_loss(image, inputs.tap, counts)
+
+
+def compute_reconstruction_term(inputs: PairInputs) -> Array:
+    """Compute L_rec, between what DS decodes and the slide."""
+    return inputs.measure_distance(_get(inputs.outputs.sheared), inputs.modality.sheared)
+
+
+def compute_pose_label_term(inputs: PairInputs) -> Array:
+    """Compare the pose that the teacher estimates of the unsheared contact with the true one."""
+    return _compare_pose(inputs, posenet.scale_poses(inputs.batch, inputs.targets))
+
+
+def compute_pose_tap_term(inputs: PairInputs) -> Array:
+    """Compare the poses that the teacher estimates of the unsheared contact and of the tap."""
+    return _compare_pose(inputs, _get(inputs.teacher)(inputs.tap))
+
+
+def _compare_pose(inputs: PairInputs, target: Array) -> Array:
+    weights = posenet.list_output_weights(inputs.targets)
+    outputs = _get(inputs.teacher)(inputs.canonical)
+    return inputs.modality.compute_pose_loss(outputs, target, weights)
+
+
+def compute_counterfactual_term(inputs: PairInputs) -> Array:
+    """Compare what DS decodes from exchanged codes with the contact of that pose and slide."""
+    return inputs.measure_distance(_get(inputs.outputs.counterfactual), inputs.modality.swapped)
+
+
+def compute_code_agreement_term(inputs: PairInputs) -> Array:
+    """Return the difference of the pose codes of two contacts at one pose."""
+    return _get(inputs.outputs.disagreement)
+
+
+def compute_slide_term(inputs: PairInputs) -> Array:
+    """Compare z_s with the slide, shifts before rotations, scaled to [-1, 1] over its range."""
+    target = 2 * posenet.scale_poses(inputs.batch, inputs.slide_targets) - 1
+    z_s = _get(inputs.outputs.z_s)
+    return distances.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)
+
+
+def compute_tap_identity_term(inputs: PairInputs) -> Array:
+    """Compare taps without a slide with what unshearing makes of them."""
+    taps = inputs.batch[TAPS]
+    unsheared = _unshear_noisy(inputs, taps, 2)
+    return inputs.modality.measure_distance(unsheared, taps, inputs.variables)
+
+
+def compute_consistency_term(inputs: PairInputs) -> Array:
+    """Compare what unshearing makes of two slides to one pose."""
+    one = _unshear_noisy(inputs, inputs.batch[ONE], 3)
+    another = _unshear_noisy(inputs, inputs.batch[ANOTHER], 4)
+    return inputs.modality.measure_distance(one, another, inputs.variables)
+
+
+class PoseInputs(NamedTuple):
+    """What a loss of poses may read."""
+
+    batch: Batch
+    outputs: Array  # of a PoseNet (B, K), or the renderer's pins (B, P, 2) px
+    scaled_poses: Array  # (B, K) what a PoseNet's outputs should be
+    net: Net
+    variables: Variables
+    modality: Modality
+    targets: Targets
+    key: Array | None  # None in validation
+    render: Callable[[Array], Array] | None = None  # scaled poses (B, K) -> pins (B, P, 2) px
+
+
+def compute_pose_term(inputs: PoseInputs) -> Array:
+    """Compare a PoseNet's outputs with the true poses."""
+    weights = posenet.list_output_weights(inputs.targets)
+    return inputs.modality.compute_pose_loss(inputs.outputs, inputs.scaled_poses, weights)
+
+
+def compute_rendered_pose_term(inputs: PoseInputs) -> Array:
+    """Compute the pose loss of a PoseNet over pins on as many rendered taps, at random poses.
+
+    Unsheared pins are as smooth as rendered ones: a PoseNet that learnt recorded taps alone
+    estimates their poses less well.
     """
-    difference = jnp.abs(canonical - target)[..., 0]
-    return jnp.sum(counts * difference, (1, 2)) / jnp.sum(counts, (1, 2))
+    key, render, targets = inputs.key, inputs.render, inputs.targets
+    assert key is not None and render is not None  # `make_pin_posenet_task` sees to it
+    poses = posenet.sample_outputs(targets, len(inputs.scaled_poses), jax.random.fold_in(key, 3))
+    pins = pin_networks.add_noise(inputs.net, render(poses), jax.random.fold_in(key, 4))
+    outputs = pin_networks.predict(inputs.net, inputs.variables, pins)
+    weights = posenet.list_output_weights(targets)
+    return distances.compute_absolute_pose_loss(outputs, poses, weights)
 
 
-def count_crop_coverage(
-    corners: Int[Array, "B crops 2"], size: int, side: int
-) -> Float[Array, "B {size} {size}"]:
-    """Count the crops of `side` pixels that cover each pixel, from their corners (row, column).
-
-    A crop is the outer product of an indicator of its rows and one of its columns, so the counts
-    are one matrix product and the crops themselves are never cut out.
-    """
-    start = corners[..., None]
-    pixel = jnp.arange(size)[None, None, None]
-    rows, columns = jnp.moveaxis(
-        ((pixel >= start) & (pixel < start + side)).astype(jnp.float32), 2, 0
-    )
-    return jnp.einsum("bkr,bkc->brc", rows, columns, precision="highest")
+def compute_pin_term(inputs: PoseInputs) -> Array:
+    """Compare the renderer's pins with those of the tap."""
+    return distances.compute_pin_distance(inputs.outputs, inputs.batch["pins"], inputs.variables)
 
 
-def sample_corners(
-    key: Array, images: int, crops: int, size: int, side: int
-) -> Int[Array, "{images} {crops} 2"]:
-    """Sample the upper left corners of crops that lie in the image, uniformly."""
-    return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
+def _unshear_noisy(inputs: PairInputs, pins: Array, number: int) -> Array:
+    """Unshear pins with noise, which differs by its number."""
+    noisy = pin_networks.add_noise(inputs.net, pins, jax.random.fold_in(_get(inputs.key), number))
+    return pin_networks.unshear(inputs.net, inputs.variables, noisy)
 
 
-def compute_pose_loss(
-    outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
-) -> Float[Array, "B"]:
-    """Compute PoseNet's L2 loss, the weighted mean squared difference of outputs and targets."""
-    return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
-
-
-def compute_absolute_pose_loss(
-    outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
-) -> Float[Array, "B"]:
-    """Compute the weighted mean absolute difference, the loss of a PoseNet over pins.
-
-    A few outliers have less influence on it than on the squared one.
-    """
-    return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
-
-
-def compute_slide_loss(z_s: Float[Array, "B G"], target: Float[Array, "B K"]) -> Float[Array, "B"]:
-    """Compute the mean squared difference of the first numbers of z_s and the slide.
-
-    The slide is scaled to [-1, 1] over its range. Where it is unknown, NaN, it does not count.
-    """
-    is_known = jnp.isfinite(target)
-    error = jnp.where(is_known, z_s[:, : target.shape[1]] - jnp.where(is_known, target, 0), 0)
-    return jnp.square(error).sum(1) / jnp.maximum(is_known.sum(1, dtype=error.dtype), 1)
-
-
-def compute_regularisation(
-    params: Variables, l1: float, l2: float, kernels: str = "sum"
-) -> Float[Array, ""]:
-    """Compute l1 sum |w| + l2 sum w^2 of each kernel, and add these up.
-
-    With `kernels` "mean" the sums over a kernel are means. Biases and normalisation are left out. A
-    weight of zero computes nothing.
-    """
-    reduce = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
-    total = jnp.zeros(())
-    for kernel in list_kernels(params).values():
-        total += l1 * reduce(jnp.abs(kernel)) if l1 else 0.0
-        total += l2 * reduce(kernel**2) if l2 else 0.0
-    return total
-
-
-def measure_kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
-    """Measure the root mean square of each kernel, by dotted name: 0.02 in fresh networks."""
-    return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in list_kernels(params).items()}
-
-
-def list_kernels(params: Variables) -> dict[str, Array]:
-    """List the kernels of convolution and dense layers, by dotted name."""
-    return {
-        name.removesuffix(".kernel"): leaf
-        for name, leaf in list_leaves(params).items()
-        if name.endswith(".kernel")
-    }
+def _get(value: T | None) -> T:
+    assert value is not None  # `LossSpec.parts` and the rules of the settings see to it
+    return value

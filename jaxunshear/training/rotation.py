@@ -12,6 +12,7 @@ turned correct what it predicts of pins that are not turned.
 from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -53,6 +54,13 @@ def make_rotations(rest: Float[np.ndarray, "P 2"], sense: int) -> Rotations:
     mixed = np.stack([spline((rest - middle) @ each + middle) for each in rotation])
     single = partial(jnp.asarray, dtype=jnp.float32)
     return Rotations(single(rest), single(mixed), single(rotation), single(radians), sense)
+
+
+def sample_rotation(share: float, key: Array) -> Array:
+    """Sample one angle for a batch: any of them with probability `share`, else none."""
+    chance_key, angle_key = jax.random.split(key)
+    is_rotated = jax.random.uniform(chance_key) < share
+    return jnp.where(is_rotated, jax.random.randint(angle_key, (), 0, ANGLES), 0)
 
 
 def rotate_pins(

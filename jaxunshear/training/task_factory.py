@@ -10,32 +10,32 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import get_loss
-from jaxunshear.config.network_config import NetworkConfig, resolve_network
-from jaxunshear.config.networks import (
-    PinPoseNet,
-    PinRenderer,
-    PinUnshear,
-    PoseNet,
-    UNet,
-    UnshearNet,
-)
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import ENTANGLED_LARGE, RENDERER, TEACHER
-from jaxunshear.config.targets import Targets, list_label_fields
-from jaxunshear.config.training import uses_teacher
-from jaxunshear.data.sources import DataSource, Examples, open_source
+from jaxunshear.config.targets import list_label_fields
+from jaxunshear.config.training import Training, uses_teacher
+from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
-from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models import pin_networks
+from jaxunshear.models.modality import IMAGES, PINS, Batch
+from jaxunshear.models.registry import DataFacts, get_functions, predict
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import measure_pin_spread, read_all_training
-from jaxunshear.training.modality import IMAGES, PINS, Modality
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
-from jaxunshear.training.tasks import Batch, Supervision, Task, Tree
+from jaxunshear.training.tasks import (
+    PinSupport,
+    Supervision,
+    Task,
+    Tree,
+    make_posenet_task,
+    make_renderer_task,
+    make_unshear_task,
+)
 
 VALIDATION_BATCH = 64
 
@@ -45,103 +45,81 @@ def make_task(
 ) -> tuple[Task, tuple[str, ...]]:
     """Make the task of `network`, and list the fields of a batch that it takes."""
     config, source = resolve_network(experiment, network), open_source(experiment)
-    if config.modality == "pins":
-        task, fields = _make_pin_task(experiment, config, source, examples, folder)
-        share = config.randomised
-        return _augment_task(task, examples, share) if share else task, fields
-    if isinstance(config.net, PoseNet):
-        image = "image" if config.spec.learns_from == "taps" else "sheared"
-        task = tasks.make_posenet_task(config.net, config.training, examples.targets)
-        return task, (image, *list_label_fields(examples.targets))
-    net = config.net
-    assert isinstance(net, UnshearNet | UNet)
-    if network == ENTANGLED_LARGE and isinstance(net, UnshearNet):
+    training = config.training
+    net: Net = config.net
+    if network == ENTANGLED_LARGE:
         net = match_entangled_size(net)
-    size = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
-    supervision = _make_supervision(experiment, config, examples, folder, size)
-    task = tasks.make_unshear_task(net, config.training, supervision)
-    return task, _list_pair_fields(config, source, supervision, IMAGES, has_codes=size > 0)
+    modality, role = get_functions(net).modality, config.spec.role
+    field = modality.single if config.spec.learns_from == "taps" else modality.sheared
+    facts = DataFacts()
+    if modality is PINS:
+        rest = examples.pins.rest
+        facts = DataFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
+    fields: tuple[str, ...] = (field, *list_label_fields(examples.targets))
+    if role == "renders":
+        task = make_renderer_task(net, training, examples.targets, facts)
+    elif role == "reads poses":
+        support = _make_pin_support(experiment, net, training, examples, folder)
+        task = make_posenet_task(net, training, examples.targets, facts, support)
+    else:
+        supervision = _make_supervision(experiment, net, training, examples, folder)
+        task = make_unshear_task(net, training, supervision, facts)
+        pair_fields = _list_pair_fields(net, training, supervision, source.shares_slides)
+        fields = (*pair_fields, *source.pair_fields)
+    if modality is PINS:
+        fields = (*fields, *source.pin_fields)
+        if config.randomised:
+            task = _augment_task(task, examples, config.randomised)
+    return task, tuple(dict.fromkeys(fields))
 
 
-def _make_pin_task(
-    experiment: Experiment,
-    config: NetworkConfig,
-    source: DataSource,
-    examples: Examples,
-    folder: Path,
-) -> tuple[Task, tuple[str, ...]]:
-    training, net, targets = config.training, config.net, examples.targets
-    field = "pins" if config.spec.learns_from == "taps" else "sheared_pins"
-    rest = examples.pins.rest
-    spread = measure_pin_spread(examples.reader, field, rest)
-    fields = (field, *source.pin_fields, *list_label_fields(targets))
-    if isinstance(net, PinRenderer):
-        return pin_tasks.make_renderer_task(net, training, targets, rest, spread), fields
-    if isinstance(net, PinPoseNet):
-        rotations = _make_rotations(examples) if net.turned else None
-        render = None
-        if "rendered_pose" in training.losses:
-            renderer = _load_tap_network(experiment, RENDERER, folder)
-            render = partial(pin_networks.render_pins, *renderer)
-        task = pin_tasks.make_pin_posenet_task(
-            net, training, targets, rest, spread, rotations, render
-        )
-        return task, fields
-    assert isinstance(net, PinUnshear)
-    size = net.shear_code if "slide" in training.losses else 0
-    supervision = _make_supervision(experiment, config, examples, folder, size)
-    task = pin_tasks.make_pin_unshear_task(net, training, rest, spread, supervision)
-    return task, _list_pair_fields(config, source, supervision, PINS, config.spec.has_codes)
+def _make_pin_support(
+    experiment: Experiment, net: Net, training: Training, examples: Examples, folder: Path
+) -> PinSupport:
+    rotations = render = None
+    if getattr(net, "turned", 0):
+        rotations = _make_rotations(examples)
+    if "rendered_pose" in training.losses:
+        renderer = _load_tap_network(experiment, RENDERER, folder)
+        render = partial(pin_networks.render_pins, *renderer)
+    return PinSupport(rotations, render)
 
 
 def _make_supervision(
-    experiment: Experiment,
-    config: NetworkConfig,
-    examples: Examples,
-    folder: Path,
-    shear_size: int,
+    experiment: Experiment, net: Net, training: Training, examples: Examples, folder: Path
 ) -> Supervision:
-    """Make the supervision of a network whose shear code has `shear_size` numbers."""
+    """Make the supervision of a network that unshears.
+
+    Its shear code learns as many slide targets as it has numbers, shifts before rotations. Raises
+    UserError if no slide of the data differs from others.
+    """
     teacher = None
-    if uses_teacher(config.training):
-        predict = pin_networks.predict if config.modality == "pins" else posenet.predict
+    if uses_teacher(training):
         teacher = partial(predict, *_load_tap_network(experiment, TEACHER, folder))
-    slides = _choose_slide_targets(examples, shear_size) if shear_size else ()
-    return Supervision(examples.targets, slides, teacher)
+    count = get_functions(net).count_slide_numbers(net) if "slide" in training.losses else 0
+    if count and not examples.slides:
+        raise UserError(
+            "losses.slide: no slide of this data set is known to differ from others: leave it out"
+        )
+    return Supervision(examples.targets, examples.slides[:count], teacher)
 
 
 def _list_pair_fields(
-    config: NetworkConfig,
-    source: DataSource,
-    supervision: Supervision,
-    modality: Modality,
-    has_codes: bool,
+    net: Net, training: Training, supervision: Supervision, shares_slides: bool
 ) -> tuple[str, ...]:
-    """List the fields of a batch that a network that unshears takes."""
+    """List the fields of a batch that a network that unshears takes, whatever their source."""
+    functions = get_functions(net)
+    modality = functions.modality
     partners = {"other": modality.other, "swapped": modality.swapped}
-    loss_fields = {name for loss in config.training.losses for name in get_loss(loss).fields}
-    fields = [modality.canonical, modality.sheared]
-    if source.shares_slides and has_codes:
+    loss_fields = {name for loss in training.losses for name in get_loss(loss).fields}
+    fields = [*modality.pair]
+    if shares_slides and functions.count_slide_numbers(net):
         fields += [field for name, field in partners.items() if name in loss_fields]
-    fields += source.pin_fields if config.modality == "pins" else ()
-    fields += source.pair_fields
     if "labels" in loss_fields:
         fields += list_label_fields(supervision.targets)
     fields += list_label_fields(supervision.slides)
     fields += sorted(loss_fields - {*partners, "labels", "slide_labels"})
     return tuple(dict.fromkeys(fields))
-
-
-def _choose_slide_targets(examples: Examples, size: int) -> Targets:
-    """Choose the slide targets of a shear code of `size` numbers, shifts before rotations.
-
-    Raises UserError if no slide of the data differs from others.
-    """
-    if not examples.slides:
-        raise UserError(
-            "losses.slide: no slide of this data set is known to differ from others: leave it out"
-        )
-    return examples.slides[:size]
 
 
 def _augment_task(task: Task, examples: Examples, share: float) -> Task:
@@ -155,11 +133,9 @@ def _augment_task(task: Task, examples: Examples, share: float) -> Task:
 
 
 def rename_inputs(batch: Json) -> Json:
-    """Rename the slides of a batch without taps to "image" or "pins", the inputs of a PoseNet."""
-    if "canonical" in batch or "canonical_pins" in batch:
-        return batch
-    new_names = {"sheared": "image", "sheared_pins": "pins"}
-    return {new_names.get(name, name): values for name, values in batch.items()}
+    """Rename the slides of a batch without taps as the inputs of a PoseNet."""
+    names = {each.sheared: each.single for each in (IMAGES, PINS) if each.canonical not in batch}
+    return {names.get(name, name): values for name, values in batch.items()}
 
 
 def take_first(
@@ -184,11 +160,11 @@ def _make_rotations(examples: Examples) -> Rotations:
 
     Raises UserError if the recorded taps do not turn with their labels.
     """
-    reader, field = examples.reader, "sheared_pins"
+    reader, modality_field = examples.reader, PINS.sheared
     if examples.taps:
-        reader, field = examples.taps, "pins"
-    batch, rest = read_all_training(reader, field, "pose"), examples.pins.rest
-    sense = find_rotation_sense(rest, batch[field], batch["pose"], examples.targets)
+        reader, modality_field = examples.taps, PINS.single
+    batch, rest = read_all_training(reader, modality_field, "pose"), examples.pins.rest
+    sense = find_rotation_sense(rest, batch[modality_field], batch["pose"], examples.targets)
     return make_rotations(rest, sense)
 
 

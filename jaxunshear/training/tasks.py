@@ -1,25 +1,32 @@
-"""Tasks: how a network turns a batch into the losses that its training names, per example."""
+"""Tasks: how a network turns a batch into the losses that its training names, per example.
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+Batches of pairs hold the fields `canonical` and `sheared` of the network's modality, those of one
+contact after another its field `single`. A field {"weight"} (B,) weighs the examples, {"sure"} is 0
+for those whose pins are not sure. The losses that need labels need their fields.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.config import networks
 from jaxunshear.config.losses import LOSSES, SUPERVISION, LossSpec, Role, get_loss
+from jaxunshear.config.networks import PinRenderer
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
+from jaxunshear.config.types import check_rules
 from jaxunshear.errors import UserError
-from jaxunshear.models import posenet, unet, unshearnet
-from jaxunshear.models.reconstruction import Reconstruction
+from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.modality import PINS, Batch
+from jaxunshear.models.registry import DataFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
-from jaxunshear.training.modality import IMAGES, Batch, Modality, to_unit
-from jaxunshear.training.pair_losses import PairInputs
-from jaxunshear.training.pose_losses import PoseInputs
+from jaxunshear.training.losses import PairInputs, PoseInputs
+from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
 
 Terms = dict[str, Array]  # losses per example (B,), by name
 
@@ -48,155 +55,182 @@ class Supervision(NamedTuple):
     teacher: Callable[[Array], Array] | None = None
 
 
-class PairPasses(NamedTuple):
-    """How a network that unshears is run."""
+class PinSupport(NamedTuple):
+    """What a PoseNet over pins may learn from besides its batches."""
 
-    init: Callable[[Array], Variables]
-    # variables, batch, key -> what the decoders make of the batch, and new running statistics
-    train: Callable[[Variables, Batch, Array], tuple[Reconstruction, Tree]]
-    validate: Callable[[Variables, Batch], Reconstruction]
-    # variables, key, pins, number of the noise -> pins; None over images
-    unshear_noisy: Callable[[Variables, Array, Array, int], Array] | None = None
+    rotations: Rotations | None = None  # for `net.turned`
+    # for the loss "rendered_pose": outputs (B, K) -> pins (B, P, 2) px, by a trained renderer
+    render: Callable[[Array], Array] | None = None
 
 
 def make_unshear_task(
-    net: networks.UnshearNet | networks.UNet,
+    net: Net,
     training: Training,
     supervision: Supervision = Supervision(),
+    facts: DataFacts = DataFacts(),
 ) -> Task:
-    """Make the task of an UnshearNet or a U-Net, of batches {"canonical", "sheared"}.
+    """Make the task of a network that unshears.
 
-    Both are uint8 (B, S, S, 1) of {0, 255}. A field {"weight"} (B,) weighs the examples. Codes that
-    are `apart` take partners where poses share slides, {"other", "swapped"} as above, see
-    `data.factorial`; elsewhere the pose code of a slide is to agree with its tap's. The losses that
-    need labels need their fields.
+    Codes that can be exchanged take partners where poses share slides, the fields `other` and
+    `swapped` of the modality, see `data.factorial`; elsewhere the pose code of a slide is to agree
+    with its tap's. The loss "tap_identity" needs {"tap_pins"} (T, P, 2) px, "consistency"
+    {"one_pins", "another_pins"} (A, P, 2) px.
 
     Raises UserError where the network cannot be built, a loss lacks its teacher, or a crop does not
     fit.
     """
-    _check_crops(net, training)
-    if isinstance(net, networks.UNet):
-        unet.check_net(net)
-        passes = PairPasses(
-            partial(unet.init, net), partial(_run_unet, net), partial(_validate_unet, net)
-        )
-        return make_pair_task("unet", net, training, IMAGES, passes, supervision)
-    unshearnet.check_net(net)
-    passes = PairPasses(
-        partial(unshearnet.init, net),
-        partial(_run_unshearnet, net, training),
-        partial(_validate_unshearnet, net),
-    )
-    return make_pair_task("unshear", net, training, IMAGES, passes, supervision)
-
-
-def _run_unet(
-    net: networks.UNet, variables: Variables, batch: Batch, key: Array
-) -> tuple[Reconstruction, Tree]:
-    return unet.reconstruct(net, variables, batch[IMAGES.sheared])
-
-
-def _validate_unet(net: networks.UNet, variables: Variables, batch: Batch) -> Reconstruction:
-    return Reconstruction(unet.compute_logits(net, variables, batch[IMAGES.sheared]))
-
-
-def _run_unshearnet(
-    net: networks.UnshearNet, training: Training, variables: Variables, batch: Batch, key: Array
-) -> tuple[Reconstruction, Tree]:
-    same_pose = same_slide = None
-    if net.disentangled and net.apart:
-        if "code_agreement" in training.losses:
-            same_pose = batch.get(IMAGES.swapped, batch[IMAGES.canonical])
-        if "counterfactual" in training.losses:
-            same_slide = batch[IMAGES.other]
-    return unshearnet.reconstruct(net, variables, batch[IMAGES.sheared], same_pose, same_slide)
-
-
-def _validate_unshearnet(
-    net: networks.UnshearNet, variables: Variables, batch: Batch
-) -> Reconstruction:
-    z_p, z_s = unshearnet.encode(net, variables, batch[IMAGES.sheared])
-    sheared = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
-    canonical = unshearnet.decode_canonical(net, variables, z_p)
-    return Reconstruction(canonical, z_p, sheared, z_s=z_s)
-
-
-def make_pair_task(
-    kind: str,
-    net: Net,
-    training: Training,
-    modality: Modality,
-    passes: PairPasses,
-    supervision: Supervision,
-) -> Task:
-    """Make the task of a network that unshears. Raises UserError where a loss lacks its teacher."""
+    functions = get_functions(net)
+    if "patch" in training.losses:
+        _check_crops(net, training)
     if uses_teacher(training):
         _check_teacher(supervision)
-    specs = list_losses(training, "unshears")
+    modality, reconstruct = functions.modality, functions.reconstruct
+    assert reconstruct is not None  # of every network that unshears
 
-    def compute_terms(
-        variables: Variables, batch: Batch, outputs: Reconstruction, key: Array | None
-    ) -> Terms:
-        unshear_noisy = None
-        if passes.unshear_noisy is not None and key is not None:
-            unshear_noisy = partial(passes.unshear_noisy, variables, key)
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PairInputs, Tree]:
+        batch = modality.prepare(batch)
+        partners = _choose_partners(functions, net, training, batch)
+        outputs, statistics = reconstruct(net, variables, batch[modality.sheared], key, *partners)
+        canonical = modality.to_output(outputs.canonical)
         inputs = PairInputs(
-            batch,
-            outputs,
-            modality.to_output(outputs.canonical),
-            net,
-            variables,
-            training,
-            modality,
-            supervision.targets,
-            supervision.slides,
-            supervision.teacher,
-            key,
-            unshear_noisy,
+            batch, outputs, canonical, net, variables, training, modality, *supervision, key
         )
-        possible = (spec for spec in specs if _has_parts(outputs, spec))
-        return weight_terms(run_losses(possible, inputs, key), batch)
+        return inputs, statistics
 
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        batch = modality.prepare(batch)
-        outputs, batch_stats = passes.train(variables, batch, key)
-        return compute_terms(variables, batch, outputs, key), batch_stats
+    task = _make_task(net, "unshears", training, supervision.targets, facts, run)
+    return replace(task, slide_targets=supervision.slides)
 
-    def validate(variables: Tree, batch: Batch) -> Terms:
-        batch = modality.prepare(batch)
-        return compute_terms(variables, batch, passes.validate(variables, batch), None)
 
-    return Task(
-        kind,
-        net,
-        supervision.targets,
-        passes.init,
-        terms,
-        dict(training.losses),
-        validate,
-        choose_rank(specs),
-        supervision.slides,
-    )
+def _choose_partners(
+    functions: NetworkFunctions, net: Net, training: Training, batch: Batch
+) -> tuple[Array | None, Array | None]:
+    """Choose inputs at the same poses and after the same slides, if codes are exchanged."""
+    if not functions.count_slide_numbers(net):
+        return None, None
+    same_pose = same_slide = None
+    if "code_agreement" in training.losses:
+        modality = functions.modality
+        same_pose = batch.get(modality.swapped, batch[modality.canonical])
+    if "counterfactual" in training.losses:
+        same_slide = batch.get(functions.modality.other)
+    return same_pose, same_slide
 
 
 def _check_teacher(supervision: Supervision) -> None:
+    losses = " and ".join(SUPERVISION)
     if supervision.teacher is None:
         raise UserError(
-            f"losses.{' and '.join(SUPERVISION)}: a PoseNet is needed to read the pose: "
+            f"losses.{losses}: a PoseNet is needed to read the pose: "
             "train one first, or leave them out"
         )
     if not supervision.targets:
+        raise UserError(f"losses.{losses}: no pose targets are known: give them, or leave them out")
+
+
+def _check_crops(net: Net, training: Training) -> None:
+    if not 0 < training.crop_px <= net.size:
         raise UserError(
-            f"losses.{' and '.join(SUPERVISION)}: no pose targets are known: "
-            "give them, or leave them out"
+            f"crop_px: crops of {training.crop_px} px do not fit images of {net.size} px"
+        )
+    if training.crops < 1:
+        raise UserError(
+            f"crops: {training.crops} of them leave no patch loss: use at least 1, "
+            "or leave losses.patch out"
         )
 
 
-def _has_parts(outputs: Reconstruction, spec: LossSpec) -> bool:
-    return all(getattr(outputs, part) is not None for part in spec.parts)
+def make_posenet_task(
+    net: Net,
+    training: Training,
+    targets: Targets,
+    facts: DataFacts = DataFacts(),
+    support: PinSupport = PinSupport(),
+) -> Task:
+    """Make the task of a PoseNet, of batches of single contacts with the fields of `targets`.
+
+    Raises UserError without targets.
+    """
+    if not targets:
+        raise UserError("targets: there is no pose to learn: name some, or record labels")
+    functions = get_functions(net)
+    modality, rotations = functions.modality, support.rotations
+    predict, predict_training = functions.predict, functions.predict_training
+    assert predict is not None and predict_training is not None  # of every PoseNet
+
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PoseInputs, Tree]:
+        contacts = modality.scale(batch[modality.single])
+        if key is None:
+            outputs, statistics = predict(net, variables, contacts), variables["batch_stats"]
+            poses = posenet.scale_poses(batch, targets)
+        else:
+            contacts = modality.add_noise(net, contacts, key)
+            poses, radians = posenet.scale_poses(batch, targets), jnp.zeros(())
+            if rotations is not None:
+                k = sample_rotation(net.turned, jax.random.fold_in(key, 1))
+                contacts = rotate_pins(rotations, k, contacts)
+                poses = rotate_outputs(rotations, k, poses, targets)
+                radians = rotations.radians[k]
+            outputs, statistics = predict_training(net, variables, contacts, radians)
+        inputs = PoseInputs(
+            batch, outputs, poses, net, variables, modality, targets, key, support.render
+        )
+        return inputs, statistics
+
+    return _make_task(net, "reads poses", training, targets, facts, run)
 
 
-def list_losses(training: Training, role: Role) -> list[LossSpec]:
+def make_renderer_task(
+    net: PinRenderer, training: Training, targets: Targets, facts: DataFacts
+) -> Task:
+    """Make the task of PinRenderer, of batches {"pins"} (B, P, 2) px of taps and their labels."""
+
+    def run(variables: Variables, batch: Batch, key: Array | None) -> tuple[PoseInputs, Tree]:
+        poses = posenet.scale_poses(batch, targets)
+        pins = pin_networks.render_pins(net, variables, poses)
+        inputs = PoseInputs(batch, pins, poses, net, variables, PINS, targets, key)
+        return inputs, variables["batch_stats"]
+
+    return _make_task(net, "renders", training, targets, facts, run)
+
+
+def _make_task(
+    net: Net,
+    role: Role,
+    training: Training,
+    targets: Targets,
+    facts: DataFacts,
+    run: Callable[[Variables, Batch, Array | None], tuple[PairInputs | PoseInputs, Tree]],
+) -> Task:
+    """Make the task of a network that `run` runs, without a key in validation."""
+    functions, specs = get_functions(net), _list_losses(training, role)
+    check_rules(net, functions.kind)
+    facts = facts._replace(outputs=posenet.count_outputs(targets))
+
+    def compute_terms(variables: Variables, batch: Batch, key: Array | None) -> tuple[Terms, Tree]:
+        inputs, statistics = run(variables, batch, key)
+        terms = {}
+        for spec in specs:
+            has_parts = all(getattr(inputs.outputs, part) is not None for part in spec.parts)
+            if has_parts and (key is not None or spec.is_validated):
+                terms[spec.name] = spec.load()(inputs)
+        if role == "reads poses" and key is None:
+            assert isinstance(inputs.outputs, Array)
+            terms |= compute_pose_error_terms(inputs.outputs, batch, targets)
+        return _weight_terms(terms, batch), statistics
+
+    return Task(
+        functions.kind,
+        net,
+        targets,
+        partial(functions.init, net, facts),
+        compute_terms,
+        dict(training.losses),
+        lambda variables, batch: compute_terms(variables, batch, None)[0],
+        _choose_rank(specs),
+    )
+
+
+def _list_losses(training: Training, role: Role) -> list[LossSpec]:
     """Return the losses that a training names, in the order of the registry.
 
     Raises UserError for one that is unknown, or for networks of another role.
@@ -209,7 +243,7 @@ def list_losses(training: Training, role: Role) -> list[LossSpec]:
     return sorted(specs, key=lambda spec: order.index(spec.name))
 
 
-def choose_rank(specs: list[LossSpec]) -> str:
+def _choose_rank(specs: list[LossSpec]) -> str:
     """Return the loss that the best model is chosen by: the first that validation computes.
 
     Raises UserError where there is none.
@@ -219,57 +253,6 @@ def choose_rank(specs: list[LossSpec]) -> str:
             return spec.name
     names = ", ".join(spec.name for spec in specs)
     raise UserError(f"losses = {names}: none is computed in validation: name another, too")
-
-
-def run_losses(specs: Iterable[LossSpec], inputs: Any, key: Array | None) -> Terms:
-    """Compute losses by name; without a key, only those of validation."""
-    return {
-        spec.name: spec.load()(inputs) for spec in specs if key is not None or spec.is_validated
-    }
-
-
-def make_posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
-    """Make the task of PoseNet, of batches {"image"} and the fields of `targets`.
-
-    Images are uint8 (B, S, S, 1). Raises UserError without targets.
-    """
-    if not targets:
-        raise UserError("targets: there is no pose to learn: name some, or record labels")
-    posenet.check_net(net)
-    specs = list_losses(training, "reads poses")
-
-    def compute_terms(
-        variables: Variables, batch: Batch, outputs: Array, key: Array | None
-    ) -> Terms:
-        poses = posenet.scale_poses(batch, targets)
-        inputs = PoseInputs(batch, outputs, poses, net, variables, IMAGES, targets, key)
-        return run_losses(specs, inputs, key)
-
-    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        images = to_unit(batch["image"])
-        outputs, batch_stats = posenet.predict_training(net, variables, images)
-        return compute_terms(variables, batch, outputs, key), batch_stats
-
-    def validate(variables: Tree, batch: Batch) -> Terms:
-        outputs = posenet.predict(net, variables, to_unit(batch["image"]))
-        computed = compute_terms(variables, batch, outputs, None)
-        return computed | compute_pose_error_terms(outputs, batch, targets)
-
-    init = partial(posenet.init, net, posenet.count_outputs(targets))
-    rank = choose_rank(specs)
-    return Task("posenet", net, targets, init, terms, dict(training.losses), validate, rank)
-
-
-def _check_crops(net: networks.UnshearNet | networks.UNet, training: Training) -> None:
-    if not 0 < training.crop_px <= net.size:
-        raise UserError(
-            f"crop_px: crops of {training.crop_px} px do not fit images of {net.size} px"
-        )
-    if "patch" in training.losses and training.crops < 1:
-        raise UserError(
-            f"crops: {training.crops} of them leave no patch loss: use at least 1, "
-            "or leave losses.patch out"
-        )
 
 
 def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> Terms:
@@ -282,9 +265,15 @@ def compute_pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> 
     }
 
 
-def weight_terms(terms: Terms, batch: Batch) -> Terms:
-    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins."""
+def _weight_terms(terms: Terms, batch: Batch) -> Terms:
+    """Weigh terms (B,) by the "weight" of their examples, and by "sure", 0 for unsure pins.
+
+    Rendered taps, which are no examples, are all sure.
+    """
     for field in ("weight", "sure"):
         if field in batch:
-            terms = {name: term * batch[field] for name, term in terms.items()}
+            terms = {
+                name: term if name == "rendered_pose" else term * batch[field]
+                for name, term in terms.items()
+            }
     return terms

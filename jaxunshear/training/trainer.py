@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import numpy as np
 import optax
 from jax import Array
 
@@ -39,11 +38,17 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.devices import Devices, get_devices
 from jaxunshear.training.finite_check import check_state, check_terms
 from jaxunshear.training.initial_weights import InitialWeights, replace_weights
-from jaxunshear.training.losses import measure_kernel_sizes
 from jaxunshear.training.prefetch import prefetch
-from jaxunshear.training.step import State, init_state, make_optimiser, make_schedule, make_step
+from jaxunshear.training.step import (
+    State,
+    init_state,
+    make_optimiser,
+    make_schedule,
+    make_step,
+)
 from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.tensorboard import open_events
+from jaxunshear.training.validation import make_measurement
 
 RESUME_REMEDY = "delete it to go on from the latest checkpoint"
 
@@ -65,18 +70,13 @@ class Provenance(NamedTuple):
     start: InitialWeights | None = None  # replace fresh weights of the same parts
 
 
-class TrainingLength(NamedTuple):
-    steps: int
-    steps_per_epoch: float
-    batch: int  # images in a step
-
-
 class TrainingRun(NamedTuple):
     """What does not change in the course of a training."""
 
     task: Task
     training: Training
-    length: TrainingLength
+    steps: int
+    steps_per_epoch: float
     folder: Path
     devices: Devices
 
@@ -85,12 +85,18 @@ class TrainingRun(NamedTuple):
 class TrainingProgress:
     """How far a training has come: what a checkpoint keeps beside its state."""
 
-    step: int = 0
     history: list[Json] = field(default_factory=list)  # a line per checkpoint
     best_step: int = 0
-    best_loss: float = math.inf
-    seconds: float = 0.0
+    train_seconds: float = 0.0
     compile_seconds: float = 0.0
+
+    @property
+    def step(self) -> int:
+        return self.history[-1]["step"] if self.history else 0
+
+    def find_best_loss(self, rank: str) -> float:
+        losses = [_rank_loss(line["validation"][rank]) for line in self.history]
+        return min(losses, default=math.inf)
 
 
 class FinishedStep(NamedTuple):
@@ -119,25 +125,27 @@ def train(
     checkpoint.write_settings(folder, settings)
     if (folder / checkpoint.SUMMARY).exists():
         return record_files.read_record(folder / checkpoint.SUMMARY, TrainingSummary, RESUME_REMEDY)
-    length = _compute_length(training, data.epoch_images)
-    run = TrainingRun(task, training, length, folder, get_devices(training.batch))
+    steps_per_epoch = data.epoch_images / training.batch
+    steps = max(1, round(training.epochs * steps_per_epoch))
+    devices = get_devices(training.batch)
+    run = TrainingRun(task, training, steps, steps_per_epoch, folder, devices)
     keep_freed_memory()
-    optimiser = make_optimiser(training, length.steps, length.steps_per_epoch)
+    optimiser = make_optimiser(training, steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
     first_state = make_first_state(task, optimiser, key_init, provenance.start)
-    state, progress = _restore_latest(folder, first_state, task.rank)
+    state, progress = _restore_latest(folder, first_state)
     _write_log(folder, progress.history)
     step = make_step(task, training, optimiser, key_steps)
-    rate = make_schedule(training, length.steps, length.steps_per_epoch)
+    rate = make_schedule(training, steps, steps_per_epoch)
     # compiled kernels cannot be split over devices
-    form = compiled_kernels.use_form("xla") if run.devices.mesh else contextlib.nullcontext()
+    form = compiled_kernels.use_form("xla") if devices.mesh else contextlib.nullcontext()
     batches = iter(data.batches(progress.step))
     with (
         form,
-        contextlib.closing(prefetch(batches, run.devices.with_batch)) as stream,
+        contextlib.closing(prefetch(batches, devices.with_batch)) as stream,
         open_events(folder, progress.step, rate) as log,
     ):
-        measure = _make_measurement(task, data.validation)
+        measure = make_measurement(task, data.validation)
         state = _run_steps(run, step, state, progress, stream, measure, log)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _finish(run, progress, parameters)
@@ -164,12 +172,6 @@ def _describe(
     return settings
 
 
-def _compute_length(training: Training, epoch_images: int) -> TrainingLength:
-    steps_per_epoch = epoch_images / training.batch
-    steps = max(1, round(training.epochs * steps_per_epoch))
-    return TrainingLength(steps, steps_per_epoch, training.batch)
-
-
 def make_first_state(
     task: Task,
     optimiser: optax.GradientTransformation,
@@ -188,37 +190,14 @@ def make_first_state(
     return compiled(key, start.variables if start else None)
 
 
-def _restore_latest(folder: Path, state: State, rank: str) -> tuple[State, TrainingProgress]:
+def _restore_latest(folder: Path, state: State) -> tuple[State, TrainingProgress]:
     """Restore the latest checkpoint; without one, return `state` and no progress."""
     step = checkpoint.find_latest_step(folder)
     if not step:
         return state, TrainingProgress()
     state, record = checkpoint.restore(folder, step, state)
-    history = record["history"]
-    best_loss = min(_rank_loss(line["validation"][rank]) for line in history)
-    progress = TrainingProgress(
-        step,
-        history,
-        record["best_step"],
-        best_loss,
-        record["train_seconds"],
-        record["compile_seconds"],
-    )
-    return state, progress
-
-
-def _make_measurement(
-    task: Task, validation: Callable[[], Iterator[Batch]]
-) -> Callable[[State], Json]:
-    """Make the function that measures a state on the validation split."""
-    validate, measure_sizes = jax.jit(task.validate), jax.jit(measure_kernel_sizes)
-
-    def measure(state: State) -> Json:
-        scores = _mean_terms(validate, state.average, validation())
-        sizes = {name: float(size) for name, size in measure_sizes(state.params).items()}
-        return {"validation": scores, "kernels": sizes}
-
-    return measure
+    kept = ("history", "best_step", "train_seconds", "compile_seconds")
+    return state, TrainingProgress(**{name: record[name] for name in kept})
 
 
 def _run_steps(
@@ -234,82 +213,75 @@ def _run_steps(
 
     Returns the last state. The terms of a step are inspected while the next one runs.
     """
-    length, folder = run.length, run.folder
+    folder, size = run.folder, run.training.batch
     state, batch = run.devices.with_state(state), next(stream)
     began = time.perf_counter()
     jitted = jax.jit(step, donate_argnums=0, out_shardings=run.devices.on_each)
     compiled = jitted.lower(state, batch).compile()
     progress.compile_seconds += time.perf_counter() - began
 
-    total, done = length.steps * length.batch, progress.step * length.batch
-    with Progress(f"train {folder.name}", total, done=done) as bar:
+    with Progress(f"train {folder.name}", run.steps * size, done=progress.step * size) as bar:
         began = time.perf_counter()
         unchecked: list[FinishedStep] = []
-        for number in range(progress.step + 1, length.steps + 1):
+        for number in range(progress.step + 1, run.steps + 1):
             state, metrics = compiled(state, batch)
             unchecked.append(FinishedStep(number, metrics, batch))
-            if number < length.steps:
+            if number < run.steps:
                 batch = next(stream)
-            at_checkpoint = number % run.training.validate_every == 0 or number == length.steps
+            at_checkpoint = number % run.training.validate_every == 0 or number == run.steps
             while len(unchecked) > (0 if at_checkpoint else 1):
                 finished = unchecked.pop(0)
-                terms = check_terms(finished.number, finished.terms, finished.batch, folder)
-            bar.advance(length.batch)
+                terms = check_terms(*finished, folder)
+            bar.advance(size)
             if not at_checkpoint:
                 continue
-            progress.step = number
-            progress.seconds += time.perf_counter() - began
+            progress.train_seconds += time.perf_counter() - began
             check_state(state, number, finished.batch, folder)
-            _write_checkpoint(run, state, progress, {"train": terms} | measure(state))
+            _write_checkpoint(run, state, progress, number, {"train": terms} | measure(state))
             log(progress.history[-1])
             began = time.perf_counter()
     return state
 
 
 def _write_checkpoint(
-    run: TrainingRun, state: State, progress: TrainingProgress, scores: Json
+    run: TrainingRun, state: State, progress: TrainingProgress, step: int, scores: Json
 ) -> None:
     """Add a line to the history, and write a checkpoint that holds it."""
-    loss = _rank_loss(scores["validation"][run.task.rank])
-    if progress.best_step == 0 or loss < progress.best_loss:
-        progress.best_step, progress.best_loss = progress.step, loss
+    rank = run.task.rank
+    loss = _rank_loss(scores["validation"][rank])
+    if progress.best_step == 0 or loss < progress.find_best_loss(rank):
+        progress.best_step = step
     counts = {
-        "step": progress.step,
-        "epoch": progress.step / run.length.steps_per_epoch,
-        "images": progress.step * run.length.batch,
-        "train_seconds": progress.seconds,
+        "step": step,
+        "epoch": step / run.steps_per_epoch,
+        "images": step * run.training.batch,
+        "train_seconds": progress.train_seconds,
     }
     progress.history.append(counts | scores)
-    record = {
-        "history": progress.history,
-        "best_step": progress.best_step,
-        "train_seconds": progress.seconds,
-        "compile_seconds": progress.compile_seconds,
-    }
-    checkpoint.save(run.folder, progress.step, state, record)
+    checkpoint.save(run.folder, step, state, asdict(progress))
     _write_log(run.folder, progress.history)
 
 
 def _finish(run: TrainingRun, progress: TrainingProgress, parameters: int) -> TrainingSummary:
     """Write the summary. Raises UserError if no validation loss was finite."""
-    task, length, devices = run.task, run.length, run.devices
-    if math.isinf(progress.best_loss):
+    task, devices, best_loss = run.task, run.devices, progress.find_best_loss(run.task.rank)
+    if math.isinf(best_loss):
         raise UserError(
             f"training {run.folder}: its validation loss ({task.rank}) was never finite; check for "
             "broken data in the validation split, or lower learning_rate, and train in another "
             "folder"
         )
-    images = length.steps * length.batch
+    images = run.steps * run.training.batch
     summary = TrainingSummary(
         kind=task.kind,
-        steps=length.steps,
+        steps=run.steps,
         images=images,
         parameters=parameters,
         best_step=progress.best_step,
-        best_loss=progress.best_loss,
-        train_seconds=progress.seconds,
+        best_loss=best_loss,
+        train_seconds=progress.train_seconds,
         compile_seconds=progress.compile_seconds,
-        images_per_second=images / progress.seconds,
+        images_per_second=images / progress.train_seconds,
         trained_on=replace(
             describe_machine(),
             kernels=layer_choice.describe_layers(),
@@ -328,30 +300,6 @@ def get_compile_options() -> dict[str, int] | None:
     step. The bits are the same.
     """
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
-
-
-def _mean_terms(
-    validate: Callable[[Tree, Batch], dict[str, Array]], variables: Tree, batches: Iterator[Batch]
-) -> dict[str, float | None]:
-    """Average terms over all validation examples; None for a mean that is not finite (no JSON).
-
-    A smaller last batch is filled up, so that nothing is compiled twice.
-    """
-    sums: dict[str, float] = {}
-    count, full = 0, 0
-    for batch in batches:
-        size = len(next(iter(batch.values())))
-        full = max(full, size)
-        filled = {
-            name: np.resize(np.asarray(value), (full, *np.shape(value)[1:]))
-            for name, value in batch.items()
-        }
-        for name, values in jax.device_get(validate(variables, filled)).items():
-            sums[name] = sums.get(name, 0.0) + float(np.sum(values[:size], dtype=np.float64))
-        count += size
-    if not count:
-        raise UserError("the validation split is empty: ask for more poses")
-    return {name: total / count if math.isfinite(total) else None for name, total in sums.items()}
 
 
 def _rank_loss(loss: float | None) -> float:

@@ -14,7 +14,7 @@ from jaxunshear.config.networks import PoseNet, UnshearNet
 from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet, unshearnet
-from jaxunshear.training.losses import compute_regularisation
+from jaxunshear.training.step import compute_regularisation
 from jaxunshear.training.tasks import make_unshear_task
 
 POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)
@@ -103,7 +103,7 @@ def test_what_is_not_installed_has_not_failed():
 
 @pytest.mark.parametrize(("size", "batch"), [(100, 1), (128, 0)])
 def test_what_cannot_be_measured_is_refused(size, batch):
-    with pytest.raises(UserError, match=rf"size: {size} px|--batch {batch}:"):
+    with pytest.raises(UserError, match=rf"size = {size}:|--batch {batch}:"):
         bench_networks.bench_train(size, batch)
 
 

@@ -2,12 +2,11 @@
 
 import ast
 from pathlib import Path
-from typing import get_args
 
 import jaxunshear
 from jaxunshear.config.registry import (
     ALL_NETWORKS,
-    PIN_NETWORKS,
+    NETWORKS,
     POSENETS,
     REGISTRY,
     RENDERER,
@@ -15,20 +14,21 @@ from jaxunshear.config.registry import (
     TEACHER,
     TRAINABLE,
     UNSHEARING,
-    Network,
+    list_modality_networks,
 )
 from jaxunshear.style import COLOURS
 
 PACKAGE = Path(jaxunshear.__file__).parent
-ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # `training.checkpoint.NETS`
+ALSO_KINDS_OF_FILES = {"posenet", "unet", "renderer"}  # of model.json
 
 
 def test_every_network_is_in_the_table():
-    assert set(get_args(Network)) == set(ALL_NETWORKS) == set(COLOURS)
+    assert set(ALL_NETWORKS) == set(COLOURS)
     assert set(TRAINABLE) == {RENDERER, TEACHER, *ALL_NETWORKS}
     assert {*UNSHEARING, *POSENETS, RENDERER} == set(TRAINABLE)
     assert set(TAP_NETWORKS) == {"posenet", TEACHER, RENDERER}
-    assert set(PIN_NETWORKS) == {"entangled", "disentangled", "posenet", "posenet_sheared"}
+    assert set(list_modality_networks("images")) == set(ALL_NETWORKS)
+    assert set(list_modality_networks("pins")) == {*NETWORKS, "posenet_sheared"}
 
 
 def test_those_that_unshear_are_titled():

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.config.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.environment import KERNELS_VARIABLE, check_environment
 from jaxunshear.errors import UserError
-from jaxunshear.models import layer_choice, posenet, unet, unshearnet
+from jaxunshear.models import layer_choice, registry
 
 WIDTHS = (16, 16, 32)
 NETS = {
@@ -20,22 +20,20 @@ NETS = {
 
 
 def fresh(net, key):
-    if isinstance(net, PoseNet):
-        return posenet.init(net, 3, key)
-    return (unet if isinstance(net, UNet) else unshearnet).init(net, key)
+    return registry.get_functions(net).init(net, registry.DataFacts(outputs=3), key)
 
 
 def training_pass(net, variables, images):
     """Outputs, and the new running statistics."""
-    if isinstance(net, PoseNet):
-        return posenet.predict_training(net, variables, images)
-    return (unet if isinstance(net, UNet) else unshearnet).reconstruct(net, variables, images)
+    functions = registry.get_functions(net)
+    if functions.predict_training:
+        return functions.predict_training(net, variables, images)
+    return functions.reconstruct(net, variables, images, jax.random.key(0))
 
 
 def put_to_use(net, variables, images):
-    if isinstance(net, PoseNet):
-        return posenet.predict(net, variables, images)
-    return (unet if isinstance(net, UNet) else unshearnet).unshear(net, variables, images)
+    run = registry.predict if registry.get_functions(net).predict else registry.unshear
+    return run(net, variables, images)
 
 
 def everything(net, way, dtype):

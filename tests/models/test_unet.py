@@ -10,7 +10,7 @@ import pytest
 
 from jaxunshear.config.networks import UNet, UnshearNet
 from jaxunshear.errors import UserError
-from jaxunshear.models import unet, unshearnet
+from jaxunshear.models import registry, unet, unshearnet
 from jaxunshear.training.trainer import get_compile_options
 
 NET = UNet(size=32, widths=(4, 6, 8))
@@ -25,7 +25,7 @@ def images(count=3, size=32):
 def test_images_come_out_as_large_as_they_went_in(widths):
     net = replace(NET, widths=widths)
     variables = init(net, jax.random.key(0))
-    found = jax.jit(unet.unshear, static_argnums=0)(net, variables, images())
+    found = jax.jit(registry.unshear, static_argnums=0)(net, variables, images())
     assert found.shape == (3, 32, 32, 1)
     assert 0 < float(found.min()) < float(found.max()) < 1
     reconstruct = partial(unet.reconstruct, net)
@@ -37,9 +37,9 @@ def test_images_come_out_as_large_as_they_went_in(widths):
 
 def test_jit_changes_nothing():
     variables = init(NET, jax.random.key(0))
-    plain = unet.unshear(NET, variables, images())
+    plain = registry.unshear(NET, variables, images())
     np.testing.assert_allclose(
-        jax.jit(unet.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6
+        jax.jit(registry.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6
     )
 
 
@@ -52,7 +52,7 @@ def test_skips_keep_every_pixel_in_its_place():
         for name, part in variables.items()
     }
     dot = jnp.zeros((1, 32, 32, 1)).at[0, 10, 20].set(1.0)
-    unshear = jax.jit(unet.unshear, static_argnums=0)
+    unshear = jax.jit(registry.unshear, static_argnums=0)
     without, with_dot = (
         unshear(NET, {"params": cut, "batch_stats": statistics}, x)
         for x in (jnp.zeros_like(dot), dot)

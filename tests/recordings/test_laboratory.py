@@ -576,7 +576,7 @@ REFUSED = [
         "simulated takes no recorded slide to learn from",
     ),
     (("--paired.pairing", "simulated", "--unshear.input", "pins"), "yours has 127"),
-    (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
+    (("--networks", "unet", "--unshear.input", "pins"), "unet does not read pins"),
     (("--pins.direct_convolved", "4"), "changes none of the networks"),
     (
         ("--pins.direct_convolved", "4", "--pins.turned", "0.5", "--unshear.input", "pins"),

@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.config import losses
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.load import run_file
+from jaxunshear.config.load import list_registering_files, run_file
 from jaxunshear.config.serialization import to_json
 from jaxunshear.errors import UserError
 from jaxunshear.files import explain_os_error
@@ -61,7 +61,7 @@ def test_losses_of_an_experiment_file_are_known_to_the_process_of_a_row(tmp_path
         "def compute(inputs):\n    return inputs.outputs.canonical.sum((1, 2, 3))\n"
     )
     run_file(file)
-    assert losses.list_registering_files() == [str(file)]
+    assert list_registering_files() == [str(file)]
     del losses.LOSSES["mine"]
     order = TaskOrder(
         kind="row", experiment=to_json(Experiment(name="a", claim="b")), files=[str(file)]

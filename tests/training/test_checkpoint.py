@@ -1,6 +1,5 @@
 """Checkpoints: complete or refused."""
 
-import json
 import shutil
 
 import jax.numpy as jnp
@@ -157,11 +156,6 @@ def test_broken_settings_are_refused(tmp_path, text):
     (tmp_path / "model.json").write_text(text)
     with pytest.raises(UserError, match=r"model\.json"):
         checkpoint.read_net(tmp_path)
-
-
-def test_json_record_is_readable(folder):
-    record = json.loads((folder / "checkpoints" / "00000005" / "record.json").read_text())
-    assert record["step"] == 5
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Muon: equal to optax's, near-orthogonal, exact zeros, and a training with it goes on bit for bit."""
 
-import dataclasses
 import sys
 from pathlib import Path
 
@@ -11,15 +10,9 @@ import optax
 import pytest
 
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.config.training import Training
-from jaxunshear.errors import UserError
-from jaxunshear.training import trainer
 from jaxunshear.training.muon import muon, orthogonalise
-from jaxunshear.training.step import make_optimiser
-from jaxunshear.training.tasks import make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
-import small
 
 NET = UnshearNet(size=16, widths=(8, 16), pose_channels=8, shear_channels=8)
 SHAPES = {  # as of a small network: first, inner and last layers, and a dense one
@@ -158,32 +151,3 @@ def test_updates_are_about_as_large_as_adam_s(params):
     for name in filter(is_inner, named(got)):
         ratio = jnp.sqrt(jnp.mean(named(got)[name] ** 2) / jnp.mean(named(expected)[name] ** 2))
         assert 0.4 < ratio < 2.5, (name, ratio)
-
-
-def test_an_unknown_optimiser_is_refused():
-    with pytest.raises(UserError, match='optimiser: "sgd" is unknown; use "adam" or "muon"'):
-        make_optimiser(Training(optimiser="sgd"), 10, 5)
-
-
-@pytest.mark.long
-def test_a_stopped_training_with_muon_ends_equal(tmp_path):
-    training = dataclasses.replace(small.TRAINING, optimiser="muon", learning_rate=3e-3)
-
-    def train(folder, last=None):
-        def batches(start):
-            for step, batch in enumerate(small.endless(small.pair, start), start):
-                if step == last:
-                    raise KeyboardInterrupt
-                yield batch
-
-        task = make_unshear_task(NET, training)
-        data = trainer.TrainingData(
-            batches, lambda: iter([small.pair(1000, 4)]), epoch_images=small.IMAGES
-        )
-        return trainer.train(task, training, data, 0, folder)
-
-    full = train(tmp_path / "full")
-    with pytest.raises(KeyboardInterrupt):
-        train(tmp_path / "stopped", last=6)
-    again = train(tmp_path / "stopped")
-    assert (again.best_step, again.best_loss) == (full.best_step, full.best_loss)

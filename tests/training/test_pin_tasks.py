@@ -10,15 +10,18 @@ from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import make_label_targets, make_slide_targets
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.data.factorial import OTHER, SWAPPED
-from jaxunshear.errors import UserError
-from jaxunshear.models.pin_networks import compute_pin_distance, encode, predict, unshear
+from jaxunshear.models.distances import compute_pin_distance
+from jaxunshear.models.pin_networks import encode, predict, unshear
+from jaxunshear.models.registry import DataFacts
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.pin_tasks import (
-    make_pin_posenet_task,
-    make_pin_unshear_task,
+from jaxunshear.training.tasks import (
+    PinSupport,
+    Supervision,
+    make_posenet_task,
     make_renderer_task,
+    make_unshear_task,
 )
-from jaxunshear.training.tasks import Supervision
+from tests.helpers.gradients import list_taught_parts
 
 SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
 RNG = np.random.default_rng(0)
@@ -27,6 +30,7 @@ POSES = np.zeros((6, 6), np.float32)
 POSES[:, 1], POSES[:, 5] = np.linspace(-3, 3, 6), np.linspace(-170, 170, 6)
 TARGETS = make_label_targets((), POSES)
 KEY = jax.random.key(0)
+FACTS = DataFacts(rest=REST, spread=1.0)
 
 
 def name_losses(**losses):
@@ -50,19 +54,14 @@ def teacher(pins):
 
 
 def test_every_part_is_taught_by_its_own_losses():
-    task = make_pin_unshear_task(PinUnshear(**SMALL), PAIRS, REST, 1.0)
+    task = make_unshear_task(PinUnshear(**SMALL), PAIRS, facts=FACTS)
     variables = task.init(KEY)
 
     def reached(term):
         def loss(params):
             return task.terms(variables | {"params": params}, batch(), KEY)[0][term].sum()
 
-        slopes = jax.jit(jax.grad(loss))(variables["params"])
-        return {
-            part
-            for part, slope in slopes.items()
-            if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))
-        }
+        return list_taught_parts(jax.jit(jax.grad(loss))(variables["params"]))
 
     assert reached("supervised") == {"E", "pose", "DC"}
     assert reached("reconstruction") == {"E", "pose", "shear", "DS"}
@@ -70,7 +69,7 @@ def test_every_part_is_taught_by_its_own_losses():
 
 def test_taps_without_a_slide_come_out_as_they_went_in():
     net = PinUnshear(**SMALL)
-    task = make_pin_unshear_task(net, name_losses(tap_identity=0.5), REST, 1.0)
+    task = make_unshear_task(net, name_losses(tap_identity=0.5), facts=FACTS)
     variables, taps = task.init(KEY), batch(3)["canonical_pins"][:2]
     assert task.weights["tap_identity"] == 0.5
     assert "tap_identity" not in task.validate(variables, batch())
@@ -84,19 +83,14 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
         rtol=1e-5,
     )
     slopes = jax.jit(jax.grad(lambda params: term(params).sum()))(variables["params"])
-    taught = {
-        part
-        for part, slope in slopes.items()
-        if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))
-    }
-    assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
-    plain = make_pin_unshear_task(net, PAIRS, REST, 1.0).terms(variables, batch(), KEY)[0]
+    assert list_taught_parts(slopes) == {"E", "pose", "DC"}  # no slide is asked of a tap
+    plain = make_unshear_task(net, PAIRS, facts=FACTS).terms(variables, batch(), KEY)[0]
     np.testing.assert_array_equal(term(variables["params"], "supervised"), plain["supervised"])
 
 
 def test_two_slides_to_one_pose_are_unsheared_alike():
     net = PinUnshear(**SMALL)
-    task = make_pin_unshear_task(net, name_losses(consistency=2.0), REST, 1.0)
+    task = make_unshear_task(net, name_losses(consistency=2.0), facts=FACTS)
     variables, pins, other = (
         task.init(KEY),
         batch(3)["sheared_pins"][:2],
@@ -116,7 +110,7 @@ def test_two_slides_to_one_pose_are_unsheared_alike():
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
     """With a renderer that PoseNet inverts nothing is left to learn of its taps, and without one they are no term."""
     net = PinPoseNet(**SMALL)
-    plain = make_pin_posenet_task(net, POSENET_TRAINING, TARGETS, REST, 1.0)
+    plain = make_posenet_task(net, POSENET_TRAINING, TARGETS, FACTS)
     variables = plain.init(KEY)
     assert set(plain.terms(variables, batch(), KEY)[0]) == {"pose"}
     seen = []
@@ -126,7 +120,7 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
         return REST + jnp.zeros((len(outputs), 1, 1)).at[:, 0, 0].set(outputs[:, 0])[..., :1]
 
     training = Training(losses={"pose": 1.0, "rendered_pose": 1.0})
-    task = make_pin_posenet_task(net, training, TARGETS, REST, 1.0, render=render)
+    task = make_posenet_task(net, training, TARGETS, FACTS, PinSupport(render=render))
     named = task.terms(variables, batch(), KEY)[0]
     read = predict(net, variables, render(seen[0]))
     np.testing.assert_allclose(
@@ -140,7 +134,7 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
 @pytest.mark.parametrize("loss", ["pose_tap", "pose_label"])
 def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
     training, supervision = name_losses(**{loss: 1.0}), Supervision(TARGETS, teacher=teacher)
-    task = make_pin_unshear_task(PinUnshear(**SMALL), training, REST, 1.0, supervision)
+    task = make_unshear_task(PinUnshear(**SMALL), training, supervision, FACTS)
     variables, given = task.init(KEY), batch()
     first = task.validate(variables, given)[loss]
     moved = given | {"canonical_pins": given["canonical_pins"] + 3}
@@ -148,12 +142,10 @@ def test_a_teacher_asks_for_the_true_pose_or_the_partners(loss):
     turned = task.validate(variables, given | {"pose": POSES[::-1]})[loss]
     assert np.any(other != first) == (loss == "pose_tap")
     assert np.any(turned != first) == (loss == "pose_label")
-    with pytest.raises(UserError, match="a PoseNet is needed"):
-        make_pin_unshear_task(PinUnshear(**SMALL), training, REST, 1.0)
 
 
 def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
-    task = make_pin_unshear_task(PinUnshear(**SMALL), PAIRS, REST, 1.0)
+    task = make_unshear_task(PinUnshear(**SMALL), PAIRS, facts=FACTS)
     variables = task.init(KEY)
     sure = np.array([1, 0, 1, 1, 0, 1])
     weight = np.float32([2, 2, 1, 0, 1, 1])
@@ -175,10 +167,10 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
     targets = make_label_targets((), poses)
     for kind, make, name in (
         (PinRenderer, make_renderer_task, "pins"),
-        (PinPoseNet, make_pin_posenet_task, "pose"),
+        (PinPoseNet, make_posenet_task, "pose"),
     ):
         training = Training(losses={name: 1.0})
-        task = make(kind(**SMALL | {"hidden": 32}), training, targets, REST, 1.0)
+        task = make(kind(**SMALL | {"hidden": 32}), training, targets, FACTS)
         variables = task.init(KEY)
         optimiser = optax.adam(1e-2)
 
@@ -202,7 +194,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
     slides = make_slide_targets(Ranges(move_mm=2.0, twist_deg=5.0))
     net = PinUnshear(**SMALL | {"shear_code": 4}, apart=True)
-    task = make_pin_unshear_task(net, name_losses(slide=3.0), REST, 1.0, Supervision(slides=slides))
+    task = make_unshear_task(net, name_losses(slide=3.0), Supervision(slides=slides), FACTS)
     variables, given = task.init(KEY), batch()
     z_s = np.asarray(encode(net, variables, given["sheared_pins"])[1])
     given["felt"] = z_s[:, :3] * np.array([2.0, 2.0, 5.0], np.float32)
@@ -215,19 +207,15 @@ def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
         return task.validate(variables | {"params": params}, given)["slide"].sum()
 
     slope = jax.grad(slide)(variables["params"], given)
-    assert {
-        name for name, part in slope.items() if any(np.any(x) for x in jax.tree.leaves(part))
-    } == {"ES", "shear"}
+    assert list_taught_parts(slope) == {"ES", "shear"}
     assert not np.any(slope["shear"]["kernel"][:, 3])  # a fourth number is free
     unknown = given | {"felt": np.full_like(given["felt"], np.nan)}
-    assert all(
-        np.all(x == 0) for x in jax.tree.leaves(jax.grad(slide)(variables["params"], unknown))
-    )
+    assert not list_taught_parts(jax.grad(slide)(variables["params"], unknown))
 
 
 def test_exchanged_codes_are_taught_where_partners_are_given():
     training = name_losses(counterfactual=2.0, code_agreement=0.5)
-    task = make_pin_unshear_task(PinUnshear(**SMALL, apart=True), training, REST, 1.0)
+    task = make_unshear_task(PinUnshear(**SMALL, apart=True), training, facts=FACTS)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     # without partners a slide's pose code is to agree with its tap's
@@ -253,6 +241,6 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
     assert np.all(alike["code_agreement"] == 0)
     for loss in ("code_agreement", "counterfactual"):  # nothing is drawn that has no weight
         net, training = PinUnshear(**SMALL, apart=True), name_losses(**{loss: 0.5})
-        alone = make_pin_unshear_task(net, training, REST, 1.0)
+        alone = make_unshear_task(net, training, facts=FACTS)
         terms = alone.terms(variables, given | partners, KEY)[0]
         assert set(terms) == {"supervised", "reconstruction", loss}

@@ -20,8 +20,8 @@ from jaxunshear.config.training import Training
 from jaxunshear.errors import UserError
 from jaxunshear.models import unshearnet
 from jaxunshear.report.history import read_lines
-from jaxunshear.training import checkpoint, losses, trainer
-from jaxunshear.training.step import make_schedule
+from jaxunshear.training import checkpoint, trainer
+from jaxunshear.training.step import list_kernels, make_schedule
 from jaxunshear.training.tasks import make_posenet_task, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -89,7 +89,7 @@ def test_summary_log_and_settings(straight):
         "gradient",
     }
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
-    kernels = losses.list_kernels(checkpoint.load_best(folder)["params"])
+    kernels = list_kernels(checkpoint.load_best(folder)["params"])
     assert set(log[0]["kernels"]) == set(kernels) and all(
         size > 0 for size in log[0]["kernels"].values()
     )
@@ -168,21 +168,6 @@ def test_nan_in_a_batch_stops_with_step_and_term_and_keeps_the_last_good_checkpo
     assert (tmp_path / "summary.json").exists()
 
 
-def test_the_line_names_the_batch_and_its_broken_examples(tmp_path):
-    with pytest.raises(UserError) as stop:
-        unshear(tmp_path, broken_from(6))
-    line = str(stop.value)
-    assert (
-        "of batch 6 (batches(6) begins with it again) with NaN or infinity in canonical of examples 0;"
-        in line
-    )
-    assert "fix the data" in line and "learning_rate" not in line and "\n" not in line
-    assert (
-        np.isnan(next(broken_from(6)(6))["canonical"][0, 3, 3])
-        and not np.isnan(next(broken_from(6)(5))["canonical"]).any()
-    )
-
-
 DIVERGING = dataclasses.replace(
     small.TRAINING, schedule="steps", drops=((1.5, 1e30),)
 )  # from step 7 on
@@ -238,13 +223,6 @@ def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
         assert not (tmp_path / "summary.json").exists()
 
 
-@pytest.mark.long
-def test_nan_in_the_step_before_a_checkpoint_is_not_kept(tmp_path):
-    with pytest.raises(UserError, match="not finite at step 8"):
-        unshear(tmp_path, broken_from(7))
-    assert checkpoint.find_latest_step(tmp_path) == 4
-
-
 def test_nan_in_validation_ranks_last(tmp_path):
     calls = []
 
@@ -274,11 +252,10 @@ def test_other_settings_in_the_same_folder_are_refused(straight):
     ("net", "training", "word"),
     [
         (dataclasses.replace(small.NET, size=18), small.TRAINING, "size"),
-        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels: 0"),
-        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels: -1"),
+        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels = 0"),
+        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels = -1"),
         (small.NET, dataclasses.replace(small.TRAINING, crop_px=40), "crop_px"),
         (small.NET, dataclasses.replace(small.TRAINING, crops=0), "crops: 0"),
-        (small.NET, dataclasses.replace(small.TRAINING, schedule="line"), "schedule"),
     ],
 )
 def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, word):
@@ -304,18 +281,6 @@ def test_posenet_trains_and_reports_errors_in_units(tmp_path):
     }
     assert checkpoint.read_net(tmp_path) == small.POSENET
     assert checkpoint.read_targets(tmp_path) == small.TARGETS
-
-
-def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
-    def batches(start):
-        for batch in small.endless(small.pose, start):
-            batch["pose"][0, 0] = np.nan
-            yield batch
-
-    task = make_posenet_task(small.POSENET, small.POSENET_TRAINING, small.TARGETS)
-    data = trainer.TrainingData(batches, lambda: iter(()), epoch_images=16)
-    with pytest.raises(UserError, match="pose not finite at step 1"):
-        trainer.train(task, small.TRAINING, data, 0, tmp_path)
 
 
 def test_schedules():

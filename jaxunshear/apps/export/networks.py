@@ -5,59 +5,59 @@ network is a scale and a shift, which go into the convolution before it.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.apps.export.onnx_graph import OnnxGraph
-from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
+from jaxunshear.config.networks import PinNet, PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.config.targets import Targets
+from jaxunshear.errors import UserError
 from jaxunshear.models.layers import EPSILON
-from jaxunshear.models.weights import Variables
+from jaxunshear.models.weights import Net, Variables
 
 LAYER_NORM_EPSILON = 1e-6  # Flax' own
 MIN_NORM = np.float32(1e-30)  # of a cosine that may be a denominator
 QUARTER = {"strides": (2, 2), "pads": (1, 1, 1, 1)}  # 4x4 convolutions to half the side, or from it
 
 
-def add_unshear(
-    graph: OnnxGraph, net: UnshearNet | PinUnshear, variables: Variables, inputs: str
-) -> str:
-    """Add the nodes from sheared images or pins to canonical ones."""
-    params = variables["params"]
-    if isinstance(net, PinUnshear):
-        motions = _add_motions(graph, variables, inputs)
-        if net.convolved:
-            encoded = _add_grid_trunk(graph, net, variables, params["E"], motions)
-        else:
-            encoded = _add_trunk(graph, net, params["E"], motions)
-        z_p = _add_dense(graph, params["pose"], encoded)
-        return _add_positions(graph, variables, _add_pin_dense(graph, net, params["DC"], z_p))
-    x, layers = inputs, _Layers(graph, variables)
+def add_network(graph: OnnxGraph, net: Net, variables: Variables, inputs: str) -> str:
+    """Add the nodes of a network: to canonical images or pins, or to outputs (B, K) of `posenet`.
+
+    Raises UserError for a network without a form of ONNX.
+    """
+    if type(net) not in _FORMS:
+        raise UserError(f"{type(net).__name__} has no form of ONNX: use a file of StableHLO")
+    return _FORMS[type(net)](graph, net, variables, inputs)
+
+
+def _add_unshearnet(graph: OnnxGraph, net: UnshearNet, variables: Variables, images: str) -> str:
+    x, layers = images, _Layers(graph, variables)
     for name in ("First_0", *(f"Down_{i}" for i in range(len(net.widths) - 1))):
         x = layers.add_convolution(x, ("E", name), **QUARTER)
     if net.disentangled:
         x = layers.add_convolution(x, ("pose",), pads=(1, 1, 1, 1))
     for i in range(len(net.widths) - 1):
         x = layers.add_conv_transpose(x, ("DC", f"Up_{i}"))
-    last = params["DC"]["Last_0"]
+    last = variables["params"]["DC"]["Last_0"]
     kernel, bias = _flip_kernel(last["kernel"]), _to_float32(last["bias"])
     return graph.add("Sigmoid", graph.add("ConvTranspose", x, kernel, bias, **QUARTER))
 
 
-def add_pose_network(
-    graph: OnnxGraph, net: PoseNet | PinPoseNet, variables: Variables, inputs: str
-) -> str:
-    """Add the nodes from images or pins to the outputs (B, K) of `posenet`."""
-    params = variables["params"]
-    if isinstance(net, PinPoseNet):
-        motions = _add_motions(graph, variables, inputs)
-        if not net.convolved:
-            return _add_pin_dense(graph, net, params, motions)
-        trunk = _add_grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
-        return _add_dense(graph, params["Dense_0"], trunk)
-    layers = _Layers(graph, variables)
-    x = layers.add_convolution(inputs, ("First_0",), **QUARTER)
+def _add_pin_unshear(graph: OnnxGraph, net: PinUnshear, variables: Variables, pins: str) -> str:
+    params, motions = variables["params"], _add_motions(graph, variables, pins)
+    if net.convolved:
+        encoded = _add_grid_trunk(graph, net, variables, params["E"], motions)
+    else:
+        encoded = _add_trunk(graph, net, params["E"], motions)
+    z_p = _add_dense(graph, params["pose"], encoded)
+    return _add_positions(graph, variables, _add_pin_dense(graph, net, params["DC"], z_p))
+
+
+def _add_posenet(graph: OnnxGraph, net: PoseNet, variables: Variables, images: str) -> str:
+    params, layers = variables["params"], _Layers(graph, variables)
+    x = layers.add_convolution(images, ("First_0",), **QUARTER)
     x = layers.add_convolution(x, ("Down_0",), **QUARTER)
     # Flax counts an outer call before the inner one
     for names in (("Same_1", "Same_0"), ("Same_2",)):
@@ -70,6 +70,22 @@ def add_pose_network(
     dense = params["Dense_0"] | {"kernel": channels_first}
     hidden = _add_dense(graph, dense, graph.add("Flatten", x))
     return graph.add("Sigmoid", _add_dense(graph, params["Dense_1"], graph.add("Relu", hidden)))
+
+
+def _add_pin_posenet(graph: OnnxGraph, net: PinPoseNet, variables: Variables, pins: str) -> str:
+    params, motions = variables["params"], _add_motions(graph, variables, pins)
+    if not net.convolved:
+        return _add_pin_dense(graph, net, params, motions)
+    trunk = _add_grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
+    return _add_dense(graph, params["Dense_0"], trunk)
+
+
+_FORMS: dict[type, Callable[[OnnxGraph, Net, Variables, str], str]] = {
+    UnshearNet: _add_unshearnet,
+    PinUnshear: _add_pin_unshear,
+    PoseNet: _add_posenet,
+    PinPoseNet: _add_pin_posenet,
+}
 
 
 def add_pose(graph: OnnxGraph, targets: Targets, outputs: str) -> str:
@@ -142,7 +158,7 @@ def _add_dense(graph: OnnxGraph, params: Variables, x: str) -> str:
     return graph.add("Gemm", x, _to_float32(params["kernel"]), _to_float32(params["bias"]))
 
 
-def _add_trunk(graph: OnnxGraph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
+def _add_trunk(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> str:
     for i in range(net.layers):
         x = _add_layer_norm(
             graph, params[f"LayerNorm_{i}"], _add_dense(graph, params[f"Dense_{i}"], x)
@@ -152,7 +168,7 @@ def _add_trunk(graph: OnnxGraph, net: PinUnshear | PinPoseNet, params: Variables
 
 def _add_grid_trunk(
     graph: OnnxGraph,
-    net: PinUnshear | PinPoseNet,
+    net: PinNet,
     variables: Variables,
     params: Variables,
     motions: str,
@@ -204,16 +220,14 @@ def _add_gelu(graph: OnnxGraph, x: str) -> str:
     return graph.add("Mul", graph.add("Mul", x, np.float32(0.5)), weight)
 
 
-def _add_pin_dense(
-    graph: OnnxGraph, net: PinUnshear | PinPoseNet, params: Variables, x: str
-) -> str:
+def _add_pin_dense(graph: OnnxGraph, net: PinNet, params: Variables, x: str) -> str:
     """Add the nodes of `pin_networks.Dense`.
 
     A network with rotation augmentation also takes a rotation as cosine and sine. Here there is
     none, so (1, 0) goes into the bias.
     """
     trunk, last = params["Trunk_0"], params["Dense_0"]
-    if isinstance(net, PinPoseNet) and net.turned:
+    if net.turned:
         first = trunk["Dense_0"]
         unrotated = {"kernel": first["kernel"][:-2], "bias": first["bias"] + first["kernel"][-2]}
         trunk = trunk | {"Dense_0": unrotated}

@@ -38,7 +38,7 @@ def build_onnx(
     unsheared = inputs
     if parts.unshear_network is not None:
         net, variables, _ = parts.unshear_network
-        unsheared = networks.add_unshear(graph, net, variables, inputs)
+        unsheared = networks.add_network(graph, net, variables, inputs)
         flat = graph.add("Squeeze", unsheared, np.array([1])) if images else unsheared
         graph.add_output("unsheared", flat, (count, *parts.shape))
         if images:
@@ -46,7 +46,7 @@ def build_onnx(
     if parts.pose_network is not None:
         pose_inputs = unsheared if parts.method == UNSHEARED else inputs
         net, variables, targets = parts.pose_network
-        outputs = networks.add_pose_network(graph, net, variables, pose_inputs)
+        outputs = networks.add_network(graph, net, variables, pose_inputs)
         pose = networks.add_pose(graph, targets, outputs)
         graph.add_output("pose", pose, (count, len(targets)))
     model = graph.build(name, (count, *shape), BYTE if images else FLOAT, metadata)

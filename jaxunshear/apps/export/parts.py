@@ -24,7 +24,7 @@ from jaxunshear.inference.forward import (
 )
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet
-from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.registry import predict, unshear
 
 Run = Callable[[np.ndarray], Json]
 Prepare = Callable[[np.ndarray], np.ndarray]
@@ -74,10 +74,8 @@ def load_exported_model(model: TrainedModel) -> ExportedModel:
         method = LEARNT
     elif posenets:
         method = UNSHEARED if unshearing else AS_RECORDED
-    rest = None
-    if model.reads_pins:
-        variables = next(iter(networks.values())).variables
-        rest = np.asarray(variables["batch_stats"]["rest"], np.float32)
+    constants = next(iter(networks.values())).variables["batch_stats"]
+    rest = np.asarray(constants["rest"], np.float32) if "rest" in constants else None
     return ExportedModel(
         networks.get(DISENTANGLED),
         networks[posenets[0]] if posenets else None,
