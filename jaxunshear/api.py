@@ -33,9 +33,9 @@ from jaxunshear.inference.perceiver import Perceiver, Predictions, find_pin_fram
 from jaxunshear.inference.perception import BATCH, run_in_batches
 from jaxunshear.inference.suitability import describe_training, suits_recordings
 from jaxunshear.model_folders import find_model_folder, load_settings
-from jaxunshear.models.dispatch import encode
 from jaxunshear.models.inference import jit_for_inference
 from jaxunshear.models.posenet import unscale_outputs
+from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.perception.sensor_check import NO_MINIMUM

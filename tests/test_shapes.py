@@ -10,18 +10,18 @@ import pytest
 from jax import Array
 from jaxtyping import Float, TypeCheckError, jaxtyped
 
+from jaxunshear.models import distances
 from jaxunshear.perception.lattice import make_lattice
-from jaxunshear.training import losses
 from tests import shapes
 
 IMAGES = jnp.zeros((2, 8, 8, 1))
 
 
 def test_ranks_letters_and_kinds_are_checked():
-    assert losses.compute_supervised_loss(IMAGES, np.asarray(IMAGES)).shape == (2,)
+    assert distances.compute_supervised_loss(IMAGES, np.asarray(IMAGES)).shape == (2,)
     for wrong in (IMAGES[..., 0], IMAGES[:1], IMAGES[:, :1], IMAGES.astype(int)):
         with pytest.raises(TypeCheckError, match="parameter 'target'"):
-            losses.compute_supervised_loss(IMAGES, wrong)
+            distances.compute_supervised_loss(IMAGES, wrong)
 
 
 def test_arrays_of_numpy_are_checked_too():

@@ -16,9 +16,9 @@ import numpy as np
 
 from jaxunshear.config.networks import PoseNet
 from jaxunshear.metrics import images as metrics
-from jaxunshear.models import posenet
+from jaxunshear.models import distances, posenet
 from jaxunshear.models.weights import Variables
-from jaxunshear.training import checkpoint, losses
+from jaxunshear.training import checkpoint
 from verification.network_images import (
     KINDS,
     convert_to_floats,
@@ -85,14 +85,14 @@ def _list_losses() -> Iterator[NetworkCase]:
 def _measure_losses(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> CaseOutput:
     """Measure all losses of images and poses from a sigmoid, and their slopes by its logits."""
     side, target = logits.shape[1], jnp.asarray(images)
-    counts = losses.count_crop_coverage(
-        losses.sample_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10
+    counts = distances.count_crop_coverage(
+        distances.sample_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10
     )
     terms: dict[str, Callable[[jax.Array], jax.Array]] = {
-        "supervised": lambda x: losses.compute_supervised_loss(x, target),
-        "reconstruction": lambda x: losses.compute_supervised_loss(x, target),
-        "patch": lambda x: losses.compute_patch_loss(x, target, counts),
-        "pose": lambda x: losses.compute_pose_loss(
+        "supervised": lambda x: distances.compute_supervised_loss(x, target),
+        "reconstruction": lambda x: distances.compute_supervised_loss(x, target),
+        "patch": lambda x: distances.compute_patch_loss(x, target, counts),
+        "pose": lambda x: distances.compute_pose_loss(
             x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.list_output_weights(TARGETS)
         ),
     }

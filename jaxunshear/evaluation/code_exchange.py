@@ -16,14 +16,15 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.data.factorial import SHEARED_PINS, FactorialReader
+from jaxunshear.data.factorial import FactorialReader
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
-from jaxunshear.evaluation.modality import ImageModality, Modality, get_net_modality
 from jaxunshear.evaluation.pin_errors import compute_half_pitch
 from jaxunshear.evaluation.slide_estimation import is_slipping
 from jaxunshear.files import Json
 from jaxunshear.metrics.pin_error import measure_pin_error
+from jaxunshear.models.modality import IMAGES, PINS, Modality
+from jaxunshear.models.registry import decode_sheared, encode, get_net_modality
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.perception.png import to_uint8
 from jaxunshear.selection import select_evenly
@@ -81,8 +82,8 @@ def _make_code_network(net: Net, variables: Variables) -> _CodeNetwork:
     return _CodeNetwork(
         modality,
         variables,
-        jax.jit(partial(modality.encode, net)),
-        jax.jit(partial(modality.decode_sheared, net)),
+        jax.jit(partial(encode, net)),
+        jax.jit(partial(decode_sheared, net)),
     )
 
 
@@ -136,10 +137,10 @@ def measure_exchange_errors(net: Net, variables: Variables, reader: Reader) -> J
         if inside.any():
             by_slip.append({"part": part, **_summarise(squares, poses, inside, unit)})
     summary = _summarise(squares, poses, changed, unit)
-    if isinstance(network.modality, ImageModality):
+    if network.modality is IMAGES:
         step = max(1, int(changed.sum()) // BATCH)
         some = rows.select(np.resize(np.flatnonzero(changed)[::step], BATCH))
-        true_pins = reader.take("test", some.targets, (SHEARED_PINS,))[SHEARED_PINS]
+        true_pins = reader.take("test", some.targets, (PINS.sheared,))[PINS.sheared]
         decoded, _ = _decode_exchanges(network, reader, some)
         for name, images in decoded.items():
             summary["drawn"][name] |= _measure_pin_errors(images, true_pins)

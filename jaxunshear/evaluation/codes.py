@@ -5,7 +5,8 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from jaxunshear.evaluation.modality import get_net_modality
+from jaxunshear.models.registry import encode as encode_inputs
+from jaxunshear.models.registry import get_net_modality, has_shear_code
 from jaxunshear.models.weights import Net, Variables
 
 ENCODE_BATCH = 64
@@ -16,12 +17,12 @@ Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F)
 def make_encoder(net: Net, variables: Variables) -> Encode | None:
     """Make a function from stored inputs to codes (N, F) by name; None without a shear code."""
     modality = get_net_modality(net)
-    if not modality.has_shear_code(net):
+    if not has_shear_code(net):
         return None
 
     @jax.jit
     def run(weights: Variables, stored: jax.Array) -> tuple[jax.Array, jax.Array | None]:
-        return modality.encode(net, weights, modality.scale(stored))
+        return encode_inputs(net, weights, modality.scale(stored))
 
     def encode(stored: np.ndarray) -> dict[str, np.ndarray]:
         count = len(stored)
@@ -37,8 +38,3 @@ def make_encoder(net: Net, variables: Variables) -> Encode | None:
         }
 
     return encode
-
-
-def init_like(net: Net, variables: Variables, seed: int) -> Variables:
-    """Draw new weights for the network that has `variables`."""
-    return get_net_modality(net).init(net, variables, jax.random.key(seed))

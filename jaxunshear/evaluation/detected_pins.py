@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.evaluation.score_collection import IMAGES, PINS
+from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import track_images
 from jaxunshear.selection import select_evenly
@@ -22,7 +22,7 @@ from jaxunshear.selection import select_evenly
 DETECTED = "found"  # the name of this test
 MAX_PAIRS = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
 DETECTED_TAP = "seen_tap"
-INPUTS = (*PINS, DETECTED_TAP)  # the true tap, the detected slide and the detected tap
+INPUTS = (*PINS.pair, DETECTED_TAP)  # the true tap, the detected slide and the detected tap
 
 
 class DetectedPairs(NamedTuple):
@@ -41,7 +41,8 @@ def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Det
     reported: dict[str, dict[str, float]] = {}
     detected: dict[str, np.ndarray] = {}
     both_identified = np.ones(len(rows), bool)
-    for kind, image_field, pin_field in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
+    fields_by_kind = zip(("tap", "sheared"), IMAGES.pair, PINS.pair, strict=True)
+    for kind, image_field, pin_field in fields_by_kind:
         motion, identified = track_images(lattice, batch[image_field][..., 0], independent=True)
         pins = (lattice.rest + motion).astype(np.float32)
         true = batch[pin_field]
@@ -50,8 +51,8 @@ def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Det
         both_identified &= identified
     if not both_identified.any():
         return None
-    pairs = {name: values for name, values in batch.items() if name not in IMAGES}
-    pairs |= {PINS[1]: detected["sheared"], DETECTED_TAP: detected["tap"]}
+    pairs = {name: values for name, values in batch.items() if name not in IMAGES.pair}
+    pairs |= {PINS.sheared: detected["sheared"], DETECTED_TAP: detected["tap"]}
     return DetectedPairs(
         {name: values[both_identified] for name, values in pairs.items()}, reported
     )

@@ -9,9 +9,8 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.config.registry import POSENETS
-from jaxunshear.evaluation.modality import get_net_modality
-from jaxunshear.models.dispatch import predict, unshear
 from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.training.checkpoint import load_best, read_net
 
 CALLS = 40

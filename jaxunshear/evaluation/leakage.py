@@ -13,6 +13,7 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment, get_recorded
@@ -20,9 +21,8 @@ from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
-from jaxunshear.evaluation.codes import Encode, init_like, make_encoder
+from jaxunshear.evaluation.codes import Encode, make_encoder
 from jaxunshear.evaluation.leakage_scores import compute_standard_scores, measure_independence
-from jaxunshear.evaluation.modality import get_modality
 from jaxunshear.evaluation.probe_data import (
     MAX_TESTED,
     ProbeSplit,
@@ -35,6 +35,8 @@ from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
 from jaxunshear.files import Json, write_json
 from jaxunshear.metrics.independence import compute_r2
 from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.models.modality import get_modality
+from jaxunshear.models.registry import init_like
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
@@ -97,7 +99,7 @@ def measure_leakage(
     codes = _SplitCodes(encode(train.inputs), encode(test.inputs))
     untrained = None
     if controls:
-        encode_untrained = make_encoder(net, init_like(net, variables, SEED))
+        encode_untrained = make_encoder(net, init_like(net, variables, jax.random.key(SEED)))
         assert encode_untrained is not None
         untrained = _SplitCodes(encode_untrained(train.inputs), encode_untrained(test.inputs))
     rows = _probe_all(codes, untrained, train, test)

@@ -16,7 +16,7 @@ from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
-from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets

@@ -23,8 +23,8 @@ from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation import kernel_ridge
-from jaxunshear.evaluation.modality import ImageModality, PinModality
 from jaxunshear.evaluation.score import Outputs, score_poses
+from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
@@ -36,8 +36,8 @@ MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
 ESTIMATED_KINDS = ("tap", "sheared", *UNSHEARING)  # kinds of contacts
 INPUT_FIELDS = {  # of a tap
-    PIXELS: ImageModality.single_tap,
-    PIN_PLACES: PinModality.single_tap,
+    PIXELS: IMAGES.single,
+    PIN_PLACES: PINS.single,
 }
 
 

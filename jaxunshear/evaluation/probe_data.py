@@ -17,14 +17,13 @@ from jaxunshear.config.targets import (
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
-from jaxunshear.evaluation.modality import PinModality, get_modality
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
+from jaxunshear.models.modality import PINS, get_modality
 from jaxunshear.selection import select_evenly
 from jaxunshear.training.examples import Examples, open_recorded_set
 
 MAX_TRAINING, MAX_TESTED = 4000, 2000  # slides, evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
-PINS = PinModality.sheared
 
 Quantities = dict[str, np.ndarray]  # by name (N, 1), or (N, 2) if it is a circular angle
 
@@ -61,7 +60,7 @@ def _read_split(
     batch = read_labelled_slides(experiment, examples.reader, split, most)
     return ProbeSplit(
         batch[get_modality(experiment).sheared],
-        compute_pin_features(batch[PINS]),
+        compute_pin_features(batch[PINS.sheared]),
         {"pose": _scale_poses(targets, batch), "slide": read_slides(examples.slides, batch)},
         number_poses(batch["stimulus"], batch["pose_id"]),
         batch,
@@ -82,7 +81,7 @@ def read_labelled_slides(experiment: Experiment, reader: Reader, split: str, mos
             f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
         )
     rows = rows[select_evenly(len(rows), most)]
-    inputs = dict.fromkeys((PINS, get_modality(experiment).sheared))
+    inputs = dict.fromkeys((PINS.sheared, get_modality(experiment).sheared))
     contact_state = () if is_recorded else ("felt", "edge", "stuck", "slipping")
     return reader.take(split, rows, (*inputs, *LABELS, *contact_state))
 

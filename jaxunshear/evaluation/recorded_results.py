@@ -26,8 +26,9 @@ from jaxunshear.evaluation.result_tables import (
     tabulate_by_size,
 )
 from jaxunshear.evaluation.score import choose_main_kind, compute_chance_errors
-from jaxunshear.evaluation.score_collection import PINS, CollectedScores
+from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
+from jaxunshear.models.modality import PINS
 from jaxunshear.results.run import Results, Tables
 
 Row = TypeVar("Row")
@@ -169,12 +170,12 @@ def _measure_pin_errors(experiment: Experiment, slides: CollectedScores | None) 
         return {}
     if uses_pins(experiment):
         return _summarise_pin_scores(slides)
-    identified = np.all([np.isfinite(slides.pins[name]).all(axis=(1, 2)) for name in PINS], axis=0)
+    tap_pins, sheared_pins = slides.pins[PINS.canonical], slides.pins[PINS.sheared]
+    identified = np.isfinite(tap_pins).all((1, 2)) & np.isfinite(sheared_pins).all((1, 2))
     if not identified.any():
         return {}
     images = {kind: stack[identified] for kind, stack in slides.images.items()}
-    tap_pins, sheared_pins = slides.pins[PINS[0]][identified], slides.pins[PINS[1]][identified]
-    return measure_pin_errors(images, tap_pins, sheared_pins, None)
+    return measure_pin_errors(images, tap_pins[identified], sheared_pins[identified], None)
 
 
 def _summarise_pin_scores(slides: CollectedScores) -> PinErrors:

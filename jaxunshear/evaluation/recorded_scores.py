@@ -18,18 +18,16 @@ from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.modality import Modality, PinModality, get_modality
 from jaxunshear.evaluation.network_outputs import Run, load_run
 from jaxunshear.evaluation.pose_estimators import BatchEstimator
 from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind
 from jaxunshear.evaluation.score_collection import (
     BATCH,
-    IMAGES,
-    PINS,
     CollectedScores,
     Scorer,
     collect_scores,
 )
+from jaxunshear.models.modality import IMAGES, PINS, Modality, get_modality
 from jaxunshear.results.run import TestData
 from jaxunshear.training.examples import open_pairs, read_pin_layout
 
@@ -100,12 +98,12 @@ def collect_recorded_scores(
     Raises UserError if no slide and no tap is labelled, or identified.
     """
     modality = get_modality(experiment)
-    scorer = Scorer(run, targets, (modality.tap, modality.sheared), LABELS, estimators)
+    scorer = Scorer(run, targets, modality.pair, LABELS, estimators)
     scores = RecordedScores(
         _score_slides(scorer, modality, test, split), _score_taps(scorer, modality, test, split)
     )
     if scores.slides is None and scores.taps is None:
-        requirement = " and pins that are identified" if isinstance(modality, PinModality) else ""
+        requirement = " and pins that are identified" if modality.needs_identified_pins else ""
         raise UserError(f"nothing can be scored: no {split} slide or tap has a label{requirement}")
     return scores
 
@@ -115,14 +113,15 @@ def _score_slides(
 ) -> CollectedScores | None:
     if test.slides is None:
         return None
-    rows = _select_usable(modality, test.slides, split, PINS if test.paired else PINS[1:])
+    pin_fields = PINS.pair if test.paired else (PINS.sheared,)
+    rows = _select_usable(modality, test.slides, split, pin_fields)
     if not len(rows):
         return None
     if test.paired:
-        fields = (*scorer.inputs, *PINS, *LABELS)
+        fields = (*scorer.inputs, *PINS.pair, *LABELS)
         batches = _iterate_batches(test.slides, split, rows, fields)
     else:
-        fields = (IMAGES[1], PINS[1], *LABELS)
+        fields = (IMAGES.sheared, PINS.sheared, *LABELS)
         batches = _add_empty_taps(_iterate_batches(test.slides, split, rows, fields))
     scores = collect_scores(scorer, batches, len(rows), KEPT_SLIDES)
     return scores._replace(scores=_select_slide_scores(scores.scores, test.paired))
@@ -133,12 +132,12 @@ def _score_taps(
 ) -> CollectedScores | None:
     if test.taps is None:
         return None
-    rows = _select_usable(modality, test.taps, split, ("pins",))
+    rows = _select_usable(modality, test.taps, split, (PINS.single,))
     if not len(rows):
         return None
-    fields = ("image", "pins", *TAP_LABELS)
+    fields = (IMAGES.single, PINS.single, *TAP_LABELS)
     batches = _make_tap_pairs(_iterate_batches(test.taps, split, rows, fields))
-    title = f"evaluate taps ({modality.single_tap})"
+    title = f"evaluate taps ({modality.single})"
     scores = collect_scores(scorer._replace(labels=TAP_LABELS), batches, len(rows), title=title)
     prefixes = ("pose/tap/", *(f"read/{name}/tap/" for name in scorer.estimators))
     selected = {name: score for name, score in scores.scores.items() if name.startswith(prefixes)}
@@ -153,7 +152,7 @@ def _select_usable(
     Networks over pins can be given contacts whose pins were identified in all `pin_fields`.
     """
     rows = np.arange(reader.length(split))
-    if not isinstance(modality, PinModality):
+    if not modality.needs_identified_pins:
         return rows
     pins = reader.take(split, rows, pin_fields)
     identified = [np.isfinite(pins[name]).any(axis=(1, 2)) for name in pin_fields]
@@ -170,13 +169,15 @@ def _iterate_batches(
 def _add_empty_taps(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Make pairs of slides without partners: each slide stands in for its tap."""
     for batch in batches:
-        yield batch | {IMAGES[0]: batch[IMAGES[1]], PINS[0]: batch[PINS[1]]}
+        yield batch | {each.canonical: batch[each.sheared] for each in (IMAGES, PINS)}
 
 
 def _make_tap_pairs(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Make pairs of taps: each tap stands in for its slide."""
     for batch in batches:
-        yield batch | dict.fromkeys(IMAGES, batch["image"]) | dict.fromkeys(PINS, batch["pins"])
+        for each in (IMAGES, PINS):
+            batch = batch | dict.fromkeys(each.pair, batch[each.single])
+        yield batch
 
 
 def _select_slide_scores(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:

@@ -12,6 +12,7 @@ from jax import Array
 
 from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.evaluation.score import BASELINES, Outputs, compute_differences, score_poses
+from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.perception.png import to_uint8
 from jaxunshear.progress import Progress
 from jaxunshear.selection import select_evenly
@@ -29,9 +30,7 @@ LABELS = (
     "slipping",
     "free",
 )
-PINS = ("canonical_pins", "sheared_pins")
-IMAGES = ("canonical", "sheared")
-FIELDS = (*IMAGES, *PINS, *LABELS)  # what a batch must hold
+FIELDS = (*IMAGES.pair, *PINS.pair, *LABELS)  # what a batch must hold
 
 PosesByKind = Mapping[str, Mapping[str, np.ndarray | Array]]  # (B,) by kind and target
 
@@ -41,7 +40,7 @@ class Scorer(NamedTuple):
 
     run: Callable[..., tuple[Outputs, Mapping[str, Array]]]  # networks -> outputs, image scores
     targets: Targets  # of the poses that are scored
-    inputs: Sequence[str] = IMAGES  # fields that `run` takes: tap, sheared, and what else
+    inputs: Sequence[str] = IMAGES.pair  # fields that `run` takes: tap, sheared, and what else
     labels: Sequence[str] = LABELS  # fields that are collected as labels
     # pose estimators that are no networks, by name
     estimators: Mapping[str, Callable[[Outputs], PosesByKind]] = MappingProxyType({})
@@ -69,7 +68,7 @@ class CollectedScores(NamedTuple):
     labels: dict[str, np.ndarray]  # (N, ...) by LABELS
     kept_rows: np.ndarray  # (K,) indices of the contacts with images
     images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
-    pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
+    pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS.pair
     # (K,) errors of an estimator over detected pins, see `pose_estimators.score_detected_pins`
     estimates: Mapping[str, np.ndarray] = MappingProxyType({})
 
@@ -96,7 +95,7 @@ def collect_scores(
             scores.append(batch_scores)
             labels.append({name: np.asarray(batch[name]) for name in scorer.labels})
             images.append(_select_images(outputs, inside))
-            pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
+            pins.append({name: np.asarray(batch[name])[inside] for name in PINS.pair})
             start += size
             progress.advance(size)
     all_scores = concatenate_batches(scores)

@@ -26,7 +26,6 @@ from jaxunshear.evaluation.detected_pins import (
     detect_pairs,
     iterate_batches,
 )
-from jaxunshear.evaluation.modality import get_modality
 from jaxunshear.evaluation.network_outputs import Run, load_run
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
@@ -46,6 +45,7 @@ from jaxunshear.evaluation.score_collection import (
 from jaxunshear.evaluation.score_files import EvaluatedRun
 from jaxunshear.evaluation.simulated_results import build_results
 from jaxunshear.evaluation.unambiguous_edges import mark_smooth
+from jaxunshear.models.modality import get_modality
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.results.run import Results
@@ -116,7 +116,7 @@ def _make_scorer(
     return Scorer(
         run,
         examples.targets,
-        (modality.tap, modality.sheared),
+        modality.pair,
         estimators=make_batch_estimators(selected),
     )
 

@@ -39,8 +39,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json, read_object
 from jaxunshear.inference.perception import compute_model_lattice, load_networks, scale_to_unit
 from jaxunshear.models import posenet
-from jaxunshear.models.dispatch import predict, unshear
 from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Tree, Variables
 from jaxunshear.perception.lattice import make_lattice
 from jaxunshear.perception.pin_drawing import draw_dots

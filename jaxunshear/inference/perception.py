@@ -31,8 +31,8 @@ from jaxunshear.config.registry import (
 from jaxunshear.config.targets import Targets, list_target_names
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet
-from jaxunshear.models.dispatch import predict, unshear
 from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images

@@ -212,16 +212,6 @@ def render_pins(
     return _convert_to_pins(variables, _apply_dense(net, variables, 2 * outputs - 1))
 
 
-def compute_pin_distance(
-    pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables
-) -> Float[Array, "B"]:
-    """Compute the mean squared distance of pins in units of `spread`; missing ones do not count."""
-    is_present = jnp.isfinite(target)
-    difference = pins - jnp.where(is_present, target, 0)
-    square = jnp.where(is_present, jnp.square(difference / variables["batch_stats"]["spread"]), 0)
-    return square.sum((1, 2)) / jnp.maximum(is_present.sum((1, 2), dtype=square.dtype), 1)
-
-
 def add_noise(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
     """Add the noise of training examples to pins."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)

@@ -10,12 +10,11 @@ from jax import Array
 
 from jaxunshear.config.targets import Targets
 from jaxunshear.config.training import Training
-from jaxunshear.models import posenet
+from jaxunshear.models import distances, posenet
+from jaxunshear.models.modality import Batch, Modality
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.modality import Batch, Modality
 
 T = TypeVar("T")
 
@@ -58,11 +57,11 @@ def compute_supervised_term(inputs: PairInputs) -> Array:
 def compute_patch_term(inputs: PairInputs) -> Array:
     """Compute L_patch over random crops."""
     assert inputs.key is not None  # it is no loss of validation
-    training, size = inputs.training, inputs.net.size
+    size, crops, side = inputs.net.size, inputs.training.crops, inputs.training.crop_px
     image = inputs.canonical
-    corners = losses.sample_corners(inputs.key, len(image), training.crops, size, training.crop_px)
-    counts = losses.count_crop_coverage(corners, size, training.crop_px)
-    return losses.compute_patch_loss(image, inputs.tap, counts)
+    corners = distances.sample_corners(inputs.key, len(image), crops, size, side)
+    counts = distances.count_crop_coverage(corners, size, side)
+    return distances.compute_patch_loss(image, inputs.tap, counts)
 
 
 def compute_reconstruction_term(inputs: PairInputs) -> Array:
@@ -100,7 +99,7 @@ def compute_slide_term(inputs: PairInputs) -> Array:
     """Compare z_s with the slide, shifts before rotations, scaled to [-1, 1] over its range."""
     target = 2 * posenet.scale_poses(inputs.batch, inputs.slide_targets) - 1
     z_s = _get(inputs.outputs.z_s)
-    return losses.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)
+    return distances.compute_slide_loss(z_s.reshape(z_s.shape[0], -1), target)
 
 
 def compute_tap_identity_term(inputs: PairInputs) -> Array:

@@ -17,9 +17,9 @@ from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import Targets
 from jaxunshear.config.training import Training
 from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.modality import PINS, Batch
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Variables
-from jaxunshear.training.modality import PINS, Batch
 from jaxunshear.training.pose_losses import PoseInputs
 from jaxunshear.training.rotation import ANGLES, Rotations, rotate_outputs, rotate_pins
 from jaxunshear.training.tasks import (

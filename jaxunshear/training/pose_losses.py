@@ -10,10 +10,9 @@ import jax
 from jax import Array
 
 from jaxunshear.config.targets import Targets
-from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models import distances, pin_networks, posenet
+from jaxunshear.models.modality import Batch, Modality
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training import losses
-from jaxunshear.training.modality import Batch, Modality
 
 
 class PoseInputs(NamedTuple):
@@ -48,9 +47,9 @@ def compute_rendered_pose_term(inputs: PoseInputs) -> Array:
     pins = pin_networks.add_noise(inputs.net, render(poses), jax.random.fold_in(key, 4))
     outputs = pin_networks.predict(inputs.net, inputs.variables, pins)
     weights = posenet.list_output_weights(targets)
-    return losses.compute_absolute_pose_loss(outputs, poses, weights)
+    return distances.compute_absolute_pose_loss(outputs, poses, weights)
 
 
 def compute_pin_term(inputs: PoseInputs) -> Array:
     """Compare the renderer's pins with those of the tap."""
-    return pin_networks.compute_pin_distance(inputs.outputs, inputs.batch["pins"], inputs.variables)
+    return distances.compute_pin_distance(inputs.outputs, inputs.batch["pins"], inputs.variables)

@@ -38,6 +38,7 @@ from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training import pin_tasks, tasks
@@ -45,7 +46,6 @@ from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import Examples, measure_pin_spread, read_all_training
-from jaxunshear.training.modality import IMAGES, PINS, Modality
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
 from jaxunshear.training.tasks import Batch, Supervision, Task, Tree
 

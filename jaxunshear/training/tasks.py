@@ -15,9 +15,9 @@ from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.config.training import Training, uses_teacher
 from jaxunshear.errors import UserError
 from jaxunshear.models import posenet, unet, unshearnet
+from jaxunshear.models.modality import IMAGES, Batch, Modality
 from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Net, Tree, Variables
-from jaxunshear.training.modality import IMAGES, Batch, Modality, to_unit
 from jaxunshear.training.pair_losses import PairInputs
 from jaxunshear.training.pose_losses import PoseInputs
 
@@ -246,12 +246,12 @@ def make_posenet_task(net: networks.PoseNet, training: Training, targets: Target
         return run_losses(specs, inputs, key)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[Terms, Tree]:
-        images = to_unit(batch["image"])
+        images = IMAGES.scale(batch["image"])
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         return compute_terms(variables, batch, outputs, key), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> Terms:
-        outputs = posenet.predict(net, variables, to_unit(batch["image"]))
+        outputs = posenet.predict(net, variables, IMAGES.scale(batch["image"]))
         computed = compute_terms(variables, batch, outputs, None)
         return computed | compute_pose_error_terms(outputs, batch, targets)
 

@@ -9,7 +9,7 @@ import pytest
 
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.errors import Note, UserError
-from jaxunshear.models import pin_networks
+from jaxunshear.models import distances, pin_networks
 from jaxunshear.models.reconstruction import measure_disagreement
 
 SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
@@ -134,16 +134,14 @@ def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
     _, variables = made(PinUnshear)
     target = moved()
     assert float(
-        pin_networks.compute_pin_distance(target + 3.0, target, variables)[0]
+        distances.compute_pin_distance(target + 3.0, target, variables)[0]
     ) == pytest.approx(4.0, rel=1e-5)
     holes = target.at[0, :10].set(jnp.nan)
     far = target.at[0, :10].add(100.0) + 1.5
-    assert float(pin_networks.compute_pin_distance(far, holes, variables)[0]) == pytest.approx(
+    assert float(distances.compute_pin_distance(far, holes, variables)[0]) == pytest.approx(
         1.0, rel=1e-5
     )
-    slope = jax.grad(lambda pins: pin_networks.compute_pin_distance(pins, holes, variables).sum())(
-        far
-    )
+    slope = jax.grad(lambda pins: distances.compute_pin_distance(pins, holes, variables).sum())(far)
     assert np.isfinite(slope).all() and np.all(slope[0, :10] == 0)
 
 

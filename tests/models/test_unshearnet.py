@@ -9,8 +9,7 @@ import pytest
 
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.errors import Note, UserError
-from jaxunshear.models import unshearnet
-from jaxunshear.training import losses
+from jaxunshear.models import distances, unshearnet
 from jaxunshear.training.trainer import get_compile_options
 
 quick_init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=get_compile_options())
@@ -108,15 +107,15 @@ def test_canonical_image_has_exactly_no_gradient_toward_the_shear_code(variables
 def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables, images):
     """DC: the supervised and the patch term; DS: the reconstruction. Paper section 3.3."""
     target = jnp.roll(images, 2, 1)
-    corners = losses.sample_corners(jax.random.key(2), 5, 10, 32, 8)
+    corners = distances.sample_corners(jax.random.key(2), 5, 10, 32, 8)
 
     def loss(params, reconstruction, canonicals):
         found, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
         canonical, sheared = jax.nn.sigmoid(found.canonical), jax.nn.sigmoid(found.sheared)
-        rec = losses.compute_supervised_loss(sheared, images)
-        sup = losses.compute_supervised_loss(canonical, target)
-        patch = 0.1 * losses.compute_patch_loss(
-            canonical, target, losses.count_crop_coverage(corners, 32, 8)
+        rec = distances.compute_supervised_loss(sheared, images)
+        sup = distances.compute_supervised_loss(canonical, target)
+        patch = 0.1 * distances.compute_patch_loss(
+            canonical, target, distances.count_crop_coverage(corners, 32, 8)
         )
         return reconstruction * jnp.mean(rec) + canonicals * (jnp.mean(sup) + jnp.mean(patch))
 

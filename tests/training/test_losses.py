@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.models import distances
 from jaxunshear.training import losses
 
 
@@ -16,8 +17,8 @@ def pair():
 
 def test_patch_loss_is_the_mean_over_explicit_crops(pair):
     a, b = pair
-    corners = losses.sample_corners(jax.random.key(0), 3, 40, 24, 7)
-    got = losses.compute_patch_loss(a, b, losses.count_crop_coverage(corners, 24, 7))
+    corners = distances.sample_corners(jax.random.key(0), 3, 40, 24, 7)
+    got = distances.compute_patch_loss(a, b, distances.count_crop_coverage(corners, 24, 7))
     assert got.shape == (3,)
     for image in range(3):
         crops = [np.abs(a - b)[image, r : r + 7, c : c + 7] for r, c in np.asarray(corners[image])]
@@ -26,29 +27,29 @@ def test_patch_loss_is_the_mean_over_explicit_crops(pair):
 
 
 def test_crops_reach_every_place_that_fits_and_no_other():
-    corners = losses.sample_corners(jax.random.key(1), 2, 5000, 24, 20)
+    corners = distances.sample_corners(jax.random.key(1), 2, 5000, 24, 20)
     for axis in (0, 1):
         assert set(np.asarray(corners[..., axis]).ravel()) == set(range(5))
     np.testing.assert_array_equal(
-        losses.count_crop_coverage(corners, 24, 20).sum((1, 2)), 5000 * 400
+        distances.count_crop_coverage(corners, 24, 20).sum((1, 2)), 5000 * 400
     )
 
 
 def test_one_crop_of_the_full_image_is_the_mean_difference(pair):
     a, b = pair
-    counts = losses.count_crop_coverage(jnp.zeros((3, 1, 2), jnp.int32), 24, 24)
+    counts = distances.count_crop_coverage(jnp.zeros((3, 1, 2), jnp.int32), 24, 24)
     np.testing.assert_allclose(
-        losses.compute_patch_loss(a, b, counts), np.abs(a - b).mean((1, 2, 3)), rtol=1e-5
+        distances.compute_patch_loss(a, b, counts), np.abs(a - b).mean((1, 2, 3)), rtol=1e-5
     )
 
 
 def test_squared_losses(pair):
     a, b = pair
     expected = ((np.asarray(a) - np.asarray(b)) ** 2).mean((1, 2, 3))
-    np.testing.assert_allclose(losses.compute_supervised_loss(a, b), expected, rtol=1e-5)
-    np.testing.assert_allclose(losses.compute_supervised_loss(a, a), 0)
+    np.testing.assert_allclose(distances.compute_supervised_loss(a, b), expected, rtol=1e-5)
+    np.testing.assert_allclose(distances.compute_supervised_loss(a, a), 0)
     np.testing.assert_allclose(
-        losses.compute_pose_loss(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)),
+        distances.compute_pose_loss(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)),
         1.6,
     )
 

@@ -14,9 +14,8 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import UNet
 from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.errors import UserError
-from jaxunshear.models import posenet, unet, unshearnet
-from jaxunshear.models.dispatch import unshear
-from jaxunshear.training import losses
+from jaxunshear.models import distances, posenet, unet, unshearnet
+from jaxunshear.models.registry import unshear
 from jaxunshear.training.tasks import Supervision, make_unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -73,7 +72,7 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
         unsheared(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255),
         jax.jit(teacher),
     )
-    expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
+    expected = distances.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     assert float(expected.min()) > 0
     np.testing.assert_allclose(named["pose_tap"], expected, rtol=1e-5)
     assert task.weights["pose_tap"] == 0.5
@@ -99,7 +98,7 @@ def test_a_perfect_image_has_no_gradient(teacher):
 
     def term(image):
         weights = posenet.list_output_weights(small.TARGETS)
-        return jnp.sum(losses.compute_pose_loss(teacher(image), teacher(canonical), weights))
+        return jnp.sum(distances.compute_pose_loss(teacher(image), teacher(canonical), weights))
 
     np.testing.assert_array_equal(jax.grad(term)(canonical), 0)
     assert float(jnp.abs(jax.grad(term)(canonical[::-1])).max()) > 0
@@ -126,7 +125,7 @@ def test_a_u_net_can_be_taught_too(teacher):
     unsheared = jax.jit(unet.unshear, static_argnums=0)
     image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
-    expected = losses.compute_pose_loss(read(image), read(canonical), WEIGHTS)
+    expected = distances.compute_pose_loss(read(image), read(canonical), WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose_tap"], expected, rtol=1e-5
     )
@@ -150,7 +149,7 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
         net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
     )
     targets = posenet.scale_poses(batch, small.TARGETS)
-    expected = losses.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
+    expected = distances.compute_pose_loss(jax.jit(teacher)(image), targets, WEIGHTS)
     np.testing.assert_allclose(
         jax.jit(task.validate)(variables, batch)["pose_label"], expected, rtol=1e-5
     )

@@ -11,7 +11,8 @@ import pytest
 from jaxunshear.config.load import load_experiment
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
-from jaxunshear.training import checkpoint, losses
+from jaxunshear.models import distances
+from jaxunshear.training import checkpoint
 from jaxunshear.training.finite_check import check_state
 from verification import network_steps, network_trainings, network_values, stability
 from verification import stability_networks as judge
@@ -243,7 +244,7 @@ def test_a_root_of_what_is_not_positive_is_caught(
     monkeypatch, compiled_anew, less, case, outcome, said
 ):
     monkeypatch.setattr(
-        losses,
+        distances,
         "compute_supervised_loss",
         lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less),
     )

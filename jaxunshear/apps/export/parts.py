@@ -19,7 +19,7 @@ from jaxunshear.files import Json
 from jaxunshear.inference.perceiver import AS_RECORDED, LEARNT, UNSHEARED
 from jaxunshear.inference.perception import compute_confidence, load_networks, scale_to_unit
 from jaxunshear.models import posenet
-from jaxunshear.models.dispatch import predict, unshear
+from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.training.checkpoint import has_model
 
