@@ -24,7 +24,7 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.config.serialization import from_json
-    from jaxunshear.evaluation import code_exchange, code_swap_test, leakage, leakage_table
+    from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
     from jaxunshear.files import read_object, write_bytes, write_json
 
     settings = arguments.run / "experiment.json"
@@ -43,8 +43,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         print(leakage_table.format_table(results))
         print(arguments.run / "leakage.png")
     else:
-        results = code_swap_test.ablate(experiment, arguments.run, arguments.data, command)
-        print(code_swap_test.format_table(results["rows"]))
+        results = code_swaps.ablate(experiment, arguments.run, arguments.data, command)
+        print(code_swaps.format_table(results["rows"]))
     if arguments.json:
         write_json(arguments.json, results)
     return 0

@@ -1,8 +1,9 @@
 """Evaluate the networks of a run on contacts that were kept out of training.
 
-The way of the data: `network_outputs.load_run` runs the networks, `collect_scores` computes one
-number per contact and metric, and `build_results` makes tables of them. Simulated and recorded
-contacts have a `build_results` each, in `simulated_results` and `recorded_results`.
+The way of the data: `network_outputs.load_run` runs the networks, `contact_scores.score_test`
+computes one number per contact and metric, and `result_tables.build_tables` averages them.
+Which contacts are tested, and what else is known of them, differs between simulated and recorded
+ones: `simulated_evaluation` and `recorded_evaluation`.
 """
 
 import time

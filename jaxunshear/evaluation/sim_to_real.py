@@ -39,9 +39,7 @@ from jaxunshear.evaluation.label_alignment import (
 from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
-    RidgeEstimator,
     compute_pin_features,
-    estimate_poses,
     fit_to_features,
 )
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
@@ -160,8 +158,12 @@ def _load_network(
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
     """Compute the errors of the networks by kind of contact."""
     alignment_taps, taps, slides = predictions
-    raw = _align(labels, alignment_taps, AS_RECORDED)
-    unsheared = _align(labels, alignment_taps, UNSHEARED)
+
+    def align(kind: str) -> dict[str, LabelAlignment]:
+        poses = alignment_taps.poses[kind]
+        return {name: align_to_labels(name, poses, alignment_taps.labels) for name in labels}
+
+    raw, unsheared = align(AS_RECORDED), align(UNSHEARED)
     return {
         "tap": _compute_network_errors(raw, taps, AS_RECORDED),
         "sheared": _compute_network_errors(raw, slides, AS_RECORDED),
@@ -170,20 +172,13 @@ def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[st
     }
 
 
-def _align(labels: Sequence[str], taps: ContactPredictions, kind: str) -> dict[str, LabelAlignment]:
-    return {name: align_to_labels(name, taps.poses[kind], taps.labels) for name in labels}
-
-
 def _compute_network_errors(
     alignments: dict[str, LabelAlignment], contacts: ContactPredictions, kind: str
 ) -> Errors:
-    poses = contacts.poses[kind]
-    finite = np.isfinite(next(iter(poses.values())))
-    if not finite.any():
-        return dict.fromkeys(alignments, float("nan"))
-    accepted = {name: values[finite] for name, values in poses.items()}
-    aligned = {name: alignment.apply(accepted) for name, alignment in alignments.items()}
-    return _compute_mean_errors(aligned, contacts.labels[finite])
+    accepted = contacts.accepted
+    poses = {name: values[accepted] for name, values in contacts.poses[kind].items()}
+    aligned = {name: alignment.apply(poses) for name, alignment in alignments.items()}
+    return _compute_mean_errors(aligned, contacts.labels[accepted])
 
 
 def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, dict[str, Errors]]:
@@ -194,35 +189,34 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
     alignment_taps, taps, slides = predictions
     if not alignment_taps.pins:
         return {}
-    pins = alignment_taps.pins[AS_RECORDED]
-    identified = np.isfinite(pins).all(axis=(1, 2))
-    poses = alignment_taps.labels[identified]
-    estimator = fit_to_features(
-        compute_pin_features(pins[identified]), {"pose": poses}, make_label_targets(labels, poses)
-    )
+    features, poses = _select_identified(alignment_taps, AS_RECORDED)
+    estimator = fit_to_features(features, {"pose": poses}, make_label_targets(labels, poses))
     if estimator is None:
         return {}
-    errors = {
-        "tap": _compute_ridge_errors(estimator, taps, AS_RECORDED),
-        "sheared": _compute_ridge_errors(estimator, slides, AS_RECORDED),
-        "unsheared": _compute_ridge_errors(estimator, slides, UNSHEARED),
-    }
+    errors = {}
+    for name, contacts, kind in (
+        ("tap", taps, AS_RECORDED),
+        ("sheared", slides, AS_RECORDED),
+        ("unsheared", slides, UNSHEARED),
+    ):
+        features, poses = _select_identified(contacts, kind)
+        estimates = dict.fromkeys(list_target_names(estimator.targets), np.zeros(0))
+        if len(features):
+            estimates = estimator.estimate(features)
+        errors[name] = _compute_mean_errors(estimates, poses)
     return {PIN_PLACES: errors}
 
 
-def _compute_ridge_errors(
-    estimator: RidgeEstimator, contacts: ContactPredictions, kind: str
-) -> Errors:
-    """Compute errors over the contacts whose pins were identified."""
+def _select_identified(contacts: ContactPredictions, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Select the features and labels of the contacts whose pins were identified."""
     pins = contacts.pins[kind]
     identified = np.isfinite(pins).all(axis=(1, 2))
-    if not identified.any():
-        return dict.fromkeys(list_target_names(estimator.targets), float("nan"))
-    poses = estimate_poses(estimator, compute_pin_features(pins[identified]))
-    return _compute_mean_errors(poses, contacts.labels[identified])
+    return compute_pin_features(pins[identified]), contacts.labels[identified]
 
 
 def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Errors:
+    if not len(labels):
+        return dict.fromkeys(poses, float("nan"))
     true = {name: get_label(name, labels) for name in poses}
     return {name: float(error.mean()) for name, error in compute_pose_errors(poses, true).items()}
 
@@ -238,11 +232,14 @@ def _compute_recovery(pose_mae: dict[str, Errors]) -> dict[str, float | None]:
 
 
 def _count_contacts(predictions: _Predictions) -> Counts:
-    alignment_taps, taps, slides = predictions
+    accepted, rejected = [], []
+    for contacts in predictions:
+        accepted.append(int(contacts.accepted.sum()))
+        rejected.append(len(contacts.labels) - accepted[-1])
     return Counts(
-        known_taps=alignment_taps.count_accepted(),
-        test_taps=taps.count_accepted(),
-        test_poses=slides.count_accepted(),
-        unread_taps=alignment_taps.count_rejected() + taps.count_rejected(),
-        test_unsure=slides.count_rejected(),
+        known_taps=accepted[0],
+        test_taps=accepted[1],
+        test_poses=accepted[2],
+        unread_taps=rejected[0] + rejected[1],
+        test_unsure=rejected[2],
     )

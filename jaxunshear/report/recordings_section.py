@@ -7,7 +7,7 @@ from markupsafe import Markup
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import Target
 from jaxunshear.evaluation.conformal import ELSEWHERE_NOTE
-from jaxunshear.evaluation.recorded_descriptions import describe_test
+from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.report import html, labels
 from jaxunshear.report.html import format_number
 from jaxunshear.results.run import Results, Scores

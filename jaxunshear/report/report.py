@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.recorded_descriptions import describe_test
+from jaxunshear.evaluation.recorded_results import describe_test
 from jaxunshear.files import write_bytes, write_text
 from jaxunshear.report import (
     applications,

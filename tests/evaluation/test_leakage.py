@@ -19,14 +19,7 @@ from jaxunshear.data.chunks import SimulationEngine
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import to_sensor_frame
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import (
-    code_exchange,
-    leakage,
-    leakage_scores,
-    leakage_table,
-    probe_data,
-    probes,
-)
+from jaxunshear.evaluation import code_exchange, leakage, leakage_table, probes
 from jaxunshear.report.leakage_figure import plot_leakage
 from jaxunshear.run import run_stages
 from jaxunshear.training.checkpoint import read_slides
@@ -176,25 +169,6 @@ def test_what_the_input_does_not_show_is_named_and_left_out_of_shares():
     assert found["largest share"] == pytest.approx(0.25)
     blind = leakage._summarise(rows[2:], ("slide", "z_p"), np.arange(4))
     assert not blind["quantities"] and "share" not in blind
-
-
-def test_independence_says_whether_it_would_have_found_a_leak(found):
-    names = {row["name"] for row in found["independence"]}
-    assert {"x_mm and z_s", "slide_x_mm and z_p"} <= names
-    for row in found["independence"]:
-        assert row["poses"] == 12 and 0 < row["p"] <= 1 and 0 < row["planted p"] <= 1
-
-
-def test_a_planted_leak_is_found_by_the_test_of_independence():
-    """A hundredth of the spread of a random code is planted: p is small with it alone."""
-    rng = np.random.default_rng(5)
-    code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
-    test = probe_data.ProbeSplit(
-        code, code, {"slide": {"slide_x_mm": quantity}}, np.arange(400), {}
-    )
-    row = {"leak": True, "ceiling": 0.9, "code": "z_p", "what": "slide", "quantity": "slide_x_mm"}
-    (found,) = leakage_scores.measure_independence({"z_p": code}, test, [row])
-    assert found["p"] > 0.05 and found["planted p"] < 0.01
 
 
 def test_the_slide_is_read_with_an_interval(found):

@@ -15,6 +15,7 @@ from jaxunshear.evaluation import network_outputs
 from jaxunshear.evaluation.code_swaps import decode_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, DIRECT_KIND, POSE_KINDS, TARGET_KIND
 from jaxunshear.models import unshearnet
+from jaxunshear.models.modality import IMAGES
 from jaxunshear.training.trainer import get_compile_options
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -62,7 +63,7 @@ def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
 
 
 def test_outputs_and_scores_of_trained_networks(trained):
-    run = network_outputs.load_run(trained, NETWORKS)
+    run = network_outputs.load_run(trained, NETWORKS, IMAGES)
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == set(PAPER_KINDS)
     assert set(outputs.cells) == set(CELLS)
@@ -83,11 +84,11 @@ def test_a_missing_network_is_named(trained, tmp_path):
     for name in ("disentangled", "posenet"):
         (tmp_path / name).symlink_to(trained / name)
     with pytest.raises(UserError, match="entangled"):
-        network_outputs.load_run(tmp_path, NETWORKS)
+        network_outputs.load_run(tmp_path, NETWORKS, IMAGES)
 
 
 def test_rivals_and_baselines_join_in(trained):
-    run = network_outputs.load_run(trained, ALL_NETWORKS, taps=images(5))
+    run = network_outputs.load_run(trained, ALL_NETWORKS, IMAGES, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
     assert set(outputs.poses) == {*POSE_KINDS} - {TARGET_KIND}
@@ -95,14 +96,16 @@ def test_rivals_and_baselines_join_in(trained):
         *outputs.images
     } - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
-    same, _ = network_outputs.load_run(trained, ("posenet", "posenet_sheared"))(images(), images())
+    same, _ = network_outputs.load_run(trained, ("posenet", "posenet_sheared"), IMAGES)(
+        images(), images()
+    )
     twice = np.asarray(same.poses[DIRECT_KIND]["x_mm"])
     np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
 
 
 def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):
     (tmp_path / "entangled").symlink_to(trained / "entangled")
-    outputs, scores = network_outputs.load_run(tmp_path, ("entangled",))(images(), images())
+    outputs, scores = network_outputs.load_run(tmp_path, ("entangled",), IMAGES)(images(), images())
     assert set(outputs.images) == {"tap", "sheared", "entangled"}
     assert (outputs.cells, outputs.poses) == ({}, {})
     assert set(scores) == {"ms_ssim/sheared", "ms_ssim/entangled"}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.score import CELLS
-from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.evaluation.score_files import encode_montage
-from jaxunshear.evaluation.simulated_results import build_results
+from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.serialization import to_builtins
 
 VOID = {"meta", "img", "br"}
@@ -91,7 +91,7 @@ def made_up_gathered():
             for name in ("iterations", "stuck", "slipping", "free")
         },
     }
-    return CollectedScores(
+    return ContactScores(
         scores,
         labels,
         kept,
@@ -114,7 +114,7 @@ def make_run(folder):
             "report."
         ),
     )
-    results = to_builtins(build_results(experiment, gathered)) | {
+    results = to_builtins(build_simulated_results(experiment, gathered)) | {
         "ms_per_image": {
             "disentangled": {"median": 4.2, "p95": 5.1},
             "posenet": {"median": 1.1, "p95": 1.3},

@@ -10,14 +10,14 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.recorded_results import build_results
+from jaxunshear.evaluation.recorded_results import build_recorded_results
 from jaxunshear.evaluation.recorded_scores import (
     RecordedScores,
     RecordedTest,
     convert_montage_labels,
 )
-from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
@@ -87,7 +87,7 @@ def gathered(networks, pairing, over, shown):
         for kind in ("tap", "sheared", "disentangled")
     }
     pins = dict.fromkeys(("canonical_pins", "sheared_pins"), np.full((KEPT, 331, 2), np.nan))
-    return CollectedScores(scores, labels, np.arange(KEPT), images, pins)
+    return ContactScores(scores, labels, np.arange(KEPT), images, pins)
 
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
@@ -128,7 +128,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     readers = (reader if slides else None, reader if taps else None)
     test = RecordedTest(*readers, bool(slides and pairing), "same session")
     results = round_values(
-        to_builtins(build_results(experiment, stored, targets, RecordedScores(slides, taps), test))
+        to_builtins(
+            build_recorded_results(experiment, stored, targets, RecordedScores(slides, taps), test)
+        )
         | {
             "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
             "time_s": {"posenet": 341.0, "evaluate": 20.0},
