@@ -10,22 +10,25 @@ In simulation the estimator over pins learns from the true pins of taps, and is 
 are detected in images.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.registry import UNSHEARING
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation import kernel_ridge
 from jaxunshear.evaluation.score import Outputs, score_poses
-from jaxunshear.models.modality import IMAGES, PINS
+from jaxunshear.models.modality import IMAGES, PINS, get_modality
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
 from jaxunshear.selection import select_evenly
+from jaxunshear.training.examples import open_examples
 
 PIXELS, PIN_PLACES = "pixels", "pins"
 MAX_TAPS = 3000  # training taps, evenly chosen
@@ -67,10 +70,19 @@ INPUT_FIELDS = {PIXELS: IMAGES.single, PIN_PLACES: PINS.single}  # of a tap
 
 
 def fit_estimators(
-    names: Iterable[str], taps: Reader, targets: Targets
+    experiment: Experiment, data_dir: Path, run_dir: Path, of_images: Sequence[str]
 ) -> dict[str, RidgeEstimator]:
-    """Fit estimators, by name, to the taps that a PoseNet learned from, if these are enough."""
-    fits = {name: fit_estimator(name, taps, targets) for name in names}
+    """Fit estimators, by name, to the taps that the run's PoseNet learned from.
+
+    There is none if the run has no PoseNet, or too few taps. `of_images` are those that the images
+    of networks over images can be given to; images of networks over pins are drawn from the pins,
+    and show nothing else.
+    """
+    if POSENET not in experiment.networks:
+        return {}
+    examples = open_examples(experiment, POSENET, data_dir, run_dir)
+    names = (PIN_PLACES,) if get_modality(experiment) is PINS else of_images
+    fits = {name: fit_estimator(name, examples.reader, examples.targets) for name in names}
     return {name: estimator for name, estimator in fits.items() if estimator is not None}
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, get_recorded
-from jaxunshear.config.registry import POSENET
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import prepare_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
@@ -20,7 +19,7 @@ from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.pose_estimators import PIN_PLACES, PIXELS, fit_estimators
+from jaxunshear.evaluation.pose_estimators import PIXELS, fit_estimators
 from jaxunshear.evaluation.recorded_results import build_recorded_results
 from jaxunshear.evaluation.recorded_scores import (
     choose_test,
@@ -31,12 +30,12 @@ from jaxunshear.evaluation.recorded_scores import (
 from jaxunshear.evaluation.score_files import EvaluatedRun
 from jaxunshear.files import read_object
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.models.modality import PINS, get_modality
+from jaxunshear.models.modality import get_modality
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
 from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.training.checkpoint import check_finished, read_targets
-from jaxunshear.training.examples import FRAME, open_examples, open_recorded_set
+from jaxunshear.training.examples import FRAME, open_recorded_set
 from jaxunshear.training.initial_weights import check_unseen
 
 
@@ -50,11 +49,9 @@ def evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> 
     test = choose_test(experiment, stored, targets, run_dir, data_dir)
     scorer = load_scorer(experiment, run_dir, stored, targets)
     estimators = {}
-    if stored.count_contacts("taps", "train") and POSENET in experiment.networks:
+    if stored.count_contacts("taps", "train"):
         # the pins in unsheared images of recordings have no identities
-        names = (PIN_PLACES,) if get_modality(experiment) is PINS else (PIXELS,)
-        examples = open_examples(experiment, POSENET, data_dir, run_dir)
-        estimators = fit_estimators(names, examples.reader, examples.targets)
+        estimators = fit_estimators(experiment, data_dir, run_dir, (PIXELS,))
     modality = get_modality(experiment)
     scores = score_contacts(scorer._replace(estimators=estimators), modality, test)
     results = build_recorded_results(experiment, stored, targets, scores, test)

@@ -95,8 +95,7 @@ def build_tables(
         tested_poses = Resampled({**scores, **taps.scores}, {**overall.means, **means})
     pose_table = tabulate_poses(tested_poses)
     groups = {**parts, OVERALL: overall}
-    estimates = [contacts] if taps is None else [taps, contacts]
-    readers = _tabulate_estimators(estimates)
+    readers = _tabulate_estimators([contacts] if taps is None else [taps, contacts])
     return Tables(
         ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
         pose_mae=pose_table.pose_mae,

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment, list_further_tests, require_simulated
-from jaxunshear.config.registry import DISENTANGLED, POSENET
+from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
 from jaxunshear.data.generation import read_metadata
@@ -33,6 +32,7 @@ from jaxunshear.evaluation.network_outputs import load_run
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     PIXELS,
+    RidgeEstimator,
     fit_estimators,
     score_detected_pins,
 )
@@ -47,7 +47,6 @@ from jaxunshear.evaluation.result_tables import (
 from jaxunshear.evaluation.score_files import SMOOTH, EvaluatedRun
 from jaxunshear.metrics.pin_error import measure_pin_errors
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
-from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
@@ -84,31 +83,23 @@ def evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) ->
         raise UserError(
             f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses"
         )
-    taps = None
-    if modality is IMAGES:  # the baselines need them
-        batches = pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id"))
-        taps = collect_training_taps(batches)
-    run = load_run(run_dir, experiment.networks, modality, examples.pins, taps)
-    estimators = {}
-    if POSENET in experiment.networks:
-        # images of networks over pins are drawn from the pins, and show nothing else
-        names = (PIN_PLACES,) if modality is PINS else (PIXELS, PIN_PLACES)
-        poses = open_examples(experiment, POSENET, data_dir, run_dir)
-        estimators = fit_estimators(names, poses.reader, poses.targets)
-    # networks over images give no pins: these are detected in images afterwards
-    own = PIN_PLACES if modality is PINS else PIXELS
-    applied = {name: estimator for name, estimator in estimators.items() if name == own}
-    scorer = Scorer(run, examples.targets, applied)
-    lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
+    estimators = fit_estimators(experiment, data_dir, run_dir, (PIXELS, PIN_PLACES))
+    scorer = _load_scorer(experiment, run_dir, examples, estimators)
     batches = pairs.split("test", BATCH, FIELDS)
     test = TestSet(batches, total, modality.pair, keep=KEPT_CONTACTS)
     scores = mark_smooth(score_test(scorer, test), paired)
+    further = _score_further_tests(experiment, scorer, data_dir)
+    lattice = compute_rest_lattice(experiment.sensor, paired.camera, paired.preprocess)
+    followed = {}
     if modality is IMAGES and PIN_PLACES in estimators:
         labels = {name: value[scores.kept_rows] for name, value in scores.labels.items()}
         true = read_true_values(scorer.targets, labels)
         found = score_detected_pins(estimators[PIN_PLACES], lattice, scores.images, true)
         scores = scores._replace(estimates=found)
-    further, followed = _score_further_tests(experiment, scorer, examples, data_dir, lattice)
+    elif modality is PINS and (detected := detect_pairs(pairs, lattice, FIELDS)):
+        found_scores = score_test(scorer, detected.make_test(BATCH))
+        further[DETECTED] = mark_smooth(found_scores, paired)
+        followed[DETECTED] = detected.reported
     results = build_simulated_results(experiment, scores, further, followed)
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
     counts = dataclasses.replace(
@@ -125,30 +116,35 @@ def evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) ->
     return EvaluatedRun(results, scores, further, paired.names)
 
 
-class _FurtherScores(NamedTuple):
-    """Scores by test, and what detection gave of the pins of tests by test."""
-
-    scores: dict[str, ContactScores]
-    followed: dict[str, dict[str, dict[str, float]]]
+def _load_scorer(
+    experiment: Experiment,
+    run_dir: Path,
+    examples: Examples,
+    estimators: Mapping[str, RidgeEstimator],
+) -> Scorer:
+    modality, taps = get_modality(experiment), None
+    if modality is IMAGES:  # the baselines need them
+        batches = examples.reader.split("train", BATCH, ("canonical", "stimulus", "pose_id"))
+        taps = collect_training_taps(batches)
+    run = load_run(run_dir, experiment.networks, modality, examples.pins, taps)
+    # networks over images give no pins: these are detected in images afterwards
+    own = PIN_PLACES if modality is PINS else PIXELS
+    applied = {name: estimator for name, estimator in estimators.items() if name == own}
+    return Scorer(run, examples.targets, applied)
 
 
 def _score_further_tests(
-    experiment: Experiment, scorer: Scorer, examples: Examples, data_dir: Path, lattice: Lattice
-) -> _FurtherScores:
-    """Score the data sets that are for tests alone, with all of their splits, and detected pins."""
-    paired, _ = require_simulated(experiment, "this")
-    modality, further = get_modality(experiment), _FurtherScores({}, {})
+    experiment: Experiment, scorer: Scorer, data_dir: Path
+) -> dict[str, ContactScores]:
+    """Score the data sets that are for tests alone, with all of their splits."""
+    further = {}
     for name, settings in list_further_tests(experiment).items():
         reader = open_set(settings, data_dir, experiment.sensor)
-        count = sum(reader.length(split) for split in SPLITS)
+        total = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        test = TestSet(batches, count, modality.pair, title=f"evaluate {name}")
-        further.scores[name] = mark_smooth(score_test(scorer, test), settings)
-    detected = detect_pairs(examples.reader, lattice, FIELDS) if modality is PINS else None
-    if detected is not None:
-        scores = score_test(scorer, detected.make_test(BATCH))
-        further.scores[DETECTED] = mark_smooth(scores, paired)
-        further.followed[DETECTED] = detected.reported
+        inputs = get_modality(experiment).pair
+        test = TestSet(batches, total, inputs, title=f"evaluate {name}")
+        further[name] = mark_smooth(score_test(scorer, test), settings)
     return further
 
 
