@@ -12,15 +12,13 @@ from pathlib import Path
 
 from jaxunshear.config.experiment import Experiment, get_recorded
 from jaxunshear.evaluation.inference_time import measure_ms_per_image
-from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.recorded_evaluation import evaluate_recorded
+from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score_files import write_score_files
 from jaxunshear.evaluation.simulated_evaluation import evaluate_simulated
-from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
 
@@ -42,15 +40,12 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         check_origin(experiment, network, run_dir)
     evaluate_contacts = evaluate_recorded if get_recorded(experiment) else evaluate_simulated
     evaluated = evaluate_contacts(experiment, run_dir, data_dir)
-    results = round_values(
-        replace(
-            evaluated.results,
-            ms_per_image=measure_ms_per_image(run_dir, experiment.networks),
-            time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
-            **read_training_facts(run_dir, experiment.networks),
-            **describe_provenance(command),
-        )
+    results = replace(
+        evaluated.results,
+        ms_per_image=measure_ms_per_image(run_dir, experiment.networks),
+        time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
     )
+    results = finish_results(results, experiment, run_dir, command)
     write_score_files(run_dir, evaluated)
     write_record(run_dir / "results.json", results)
     return results

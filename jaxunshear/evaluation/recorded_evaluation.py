@@ -18,7 +18,6 @@ from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contac
 from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
-from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import PIXELS, fit_estimators
 from jaxunshear.evaluation.recorded_results import build_recorded_results
 from jaxunshear.evaluation.recorded_scores import (
@@ -27,13 +26,12 @@ from jaxunshear.evaluation.recorded_scores import (
     load_scorer,
     score_contacts,
 )
+from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score_files import EvaluatedRun
 from jaxunshear.files import read_object
-from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.models.modality import get_modality
 from jaxunshear.results.record_files import read_record
 from jaxunshear.results.run import EVALUATE_REMEDY, FullTable, Results
-from jaxunshear.results.training_summaries import read_training_facts
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME, open_recorded_set
 from jaxunshear.training.initial_weights import check_unseen
@@ -106,17 +104,14 @@ def score_recordings(
         run_results = read_record(run_dir / "results.json", Results, EVALUATE_REMEDY)
         half_widths = run_results.half_width or {}
     shutil.rmtree(folder, ignore_errors=True)
-    return round_values(
-        dataclasses.replace(
-            results,
-            half_width=half_widths,
-            coverage=compute_coverage(half_widths, scores.list_pose_errors()),
-            trained_in=run_dir.name,
-            time_s={"evaluate": time.perf_counter() - started},
-            **read_training_facts(run_dir, experiment.networks),
-            **describe_provenance(command),
-        )
+    results = dataclasses.replace(
+        results,
+        half_width=half_widths,
+        coverage=compute_coverage(half_widths, scores.list_pose_errors()),
+        trained_in=run_dir.name,
+        time_s={"evaluate": time.perf_counter() - started},
     )
+    return finish_results(results, experiment, run_dir, command)
 
 
 def _check_not_learned_from(

@@ -5,6 +5,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from jaxunshear.evaluation.bootstrap import (
     resample_means,
 )
 from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.evaluation.score import (
     CELL_METRICS,
@@ -29,6 +31,7 @@ from jaxunshear.evaluation.score import (
     get_cell_target,
 )
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
@@ -39,6 +42,7 @@ from jaxunshear.results.run import (
     Spread,
     Tables,
 )
+from jaxunshear.results.training_summaries import read_training_facts
 
 Figure = TypeVar("Figure")
 OVERALL = "overall"
@@ -142,6 +146,14 @@ def build_results(
         **vars(tables),
         **facts,
     )
+
+
+def finish_results(
+    results: Results, experiment: Experiment, run_dir: Path, command: str
+) -> Results:
+    """Add what evaluated and trained the networks in `run_dir`, and round all numbers."""
+    facts = read_training_facts(run_dir, experiment.networks) | describe_provenance(command)
+    return round_values(dataclasses.replace(results, **facts))
 
 
 def describe_similarity(size: int) -> dict[str, str | int]:
@@ -275,23 +287,25 @@ def tabulate_poses(part: Resampled) -> PartPoses:
     for kind in errors if "sheared" in errors else ():
         if kind in ("tap", "sheared"):
             continue
-        ratios[kind] = _combine(_compute_ratio, errors, (kind, "sheared"))
+        ratios[kind] = combine_kinds(_compute_ratio, errors, (kind, "sheared"))
         if "tap" in errors:
             kinds = (kind, "sheared", "tap")
-            recoveries[kind] = _combine(_compute_recovery, errors, kinds)
-            intervals[kind] = _combine(_compute_recovery_interval, resampled, kinds)
+            recoveries[kind] = combine_kinds(compute_recovery, errors, kinds)
+            intervals[kind] = combine_kinds(_compute_recovery_interval, resampled, kinds)
     return PartPoses(
         pose_mae=errors,
         pose_ratio=ratios,
         pose_recovery=recoveries,
         spread=PoseSpread(
-            pose_mae={kind: _combine(compute_interval, resampled, (kind,)) for kind in resampled},
+            pose_mae={
+                kind: combine_kinds(compute_interval, resampled, (kind,)) for kind in resampled
+            },
             pose_recovery=intervals,
         ),
     )
 
 
-def _combine(
+def combine_kinds(
     compute: Callable[..., Figure], table: Mapping[str, Mapping[str, object]], kinds: Sequence[str]
 ) -> dict[str, Figure]:
     """Compute a figure of each quantity from its values for several kinds."""
@@ -303,7 +317,7 @@ def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
     return error / sheared if error is not None and sheared else None
 
 
-def _compute_recovery(
+def compute_recovery(
     unsheared: float | None, sheared: float | None, tap: float | None
 ) -> float | None:
     if sheared is None or unsheared is None or tap is None or sheared <= tap:

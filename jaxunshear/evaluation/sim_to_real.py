@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.data import Recorded
-from jaxunshear.config.experiment import Experiment, require_simulated, uses_pins
+from jaxunshear.config.experiment import Experiment, require_simulated
 from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.contact_predictions import ContactPredictions, predict_contacts
 from jaxunshear.evaluation.label_alignment import (
@@ -36,17 +36,16 @@ from jaxunshear.evaluation.label_alignment import (
     choose_scored_labels,
     get_label,
 )
-from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     compute_pin_features,
     fit_to_features,
 )
+from jaxunshear.evaluation.result_tables import combine_kinds, compute_recovery, finish_results
 from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, load_perceiver
-from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
+from jaxunshear.models.modality import get_modality
 from jaxunshear.results.run import Counts, Results
-from jaxunshear.results.training_summaries import read_training_facts
 
 SEED = 0  # of the taps that align predictions with labels
 UNSHEARED_RAW_OFFSET = "unsheared_raw_zero"  # unsheared slides, aligned by taps as recorded
@@ -91,6 +90,7 @@ def score_transfer(
         predictions.alignment_taps.poses[AS_RECORDED], predictions.alignment_taps.labels
     )
     pose_mae = _score_networks(labels, predictions)
+    recovery = combine_kinds(compute_recovery, pose_mae, ("unsheared", "sheared", "tap"))
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
@@ -100,14 +100,12 @@ def score_transfer(
         test_data="other recordings",
         targets=tuple(Target(name, *RECORDED_FIELDS[name]) for name in labels),
         pose_mae=pose_mae,
-        pose_recovery={"unsheared": _compute_recovery(pose_mae)},
+        pose_recovery={"unsheared": recovery},
         readers=_score_ridge(labels, predictions),
         counts=_count_contacts(predictions),
         time_s={"evaluate": time.perf_counter() - started},
-        **read_training_facts(model, experiment.networks),
-        **describe_provenance(command),
     )
-    return round_values(results)
+    return finish_results(results, experiment, model, command)
 
 
 def _predict_all(
@@ -132,7 +130,10 @@ def _predict_all(
     for kind, group in groups.items():
         perceiver = network
         if perceiver is None:
-            perceiver = _load_network(experiment, model, group, settings)
+            frame = None  # networks over pins need the rest positions, found in the contacts
+            if get_modality(experiment).needs_identified_pins:
+                frame = find_sensor_frame(group, settings, experiment.sensor)
+            perceiver = load_perceiver(model, experiment, True, frame)
         predictions[kind] = predict_contacts(perceiver, group, f"read {kind}")
         if not predictions[kind].poses:
             raise UserError(
@@ -143,16 +144,6 @@ def _predict_all(
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
     aligns = np.random.default_rng(SEED).random(len(taps.labels)) < 0.5
     return _Predictions(taps.select(aligns), taps.select(~aligns), slides)
-
-
-def _load_network(
-    experiment: Experiment, model: Path, contacts: RecordedContacts, settings: Recorded
-) -> Perceiver:
-    """Load networks; those over pins need the rest positions, which are found in the contacts."""
-    frame = None
-    if uses_pins(experiment):
-        frame = find_sensor_frame(contacts, settings, experiment.sensor)
-    return load_perceiver(model, experiment, True, frame)
 
 
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
@@ -219,16 +210,6 @@ def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Er
         return dict.fromkeys(poses, float("nan"))
     true = {name: get_label(name, labels) for name in poses}
     return {name: float(error.mean()) for name, error in compute_pose_errors(poses, true).items()}
-
-
-def _compute_recovery(pose_mae: dict[str, Errors]) -> dict[str, float | None]:
-    """Compute the share of the slide's damage that is undone; None if the slide does none."""
-    recovery: dict[str, float | None] = {}
-    for name, tap in pose_mae["tap"].items():
-        sheared, unsheared = pose_mae["sheared"][name], pose_mae["unsheared"][name]
-        damage = sheared - tap
-        recovery[name] = (sheared - unsheared) / damage if damage > 0 else None
-    return recovery
 
 
 def _count_contacts(predictions: _Predictions) -> Counts:
