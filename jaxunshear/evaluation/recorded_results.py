@@ -199,15 +199,14 @@ def describe_test(results: Results) -> str:
 
 def format_table(results: Results) -> str:
     """Format pose errors, PoseNet's and those of other estimators, for people."""
-    names = [target.name for target in results.targets or ()]
-    rows = []
-    tables = {"error": results.pose_mae}
-    tables |= {f"reader {name}": table for name, table in results.readers.items()}
-    for title, table in tables.items():
-        rows += [{"": f"{title}, {kind}", **table[kind]} for kind in POSE_ROWS if kind in table]
-        if title == "error" and UNSHEARED in results.pose_recovery:
-            rows.append({"": "recovery", **results.pose_recovery[UNSHEARED]})
-    lines = [format_text_table(rows, ("", *names))]
+    names, errors = [target.name for target in results.targets or ()], results.pose_mae
+    rows = [{"error": kind, **errors[kind]} for kind in POSE_ROWS if kind in errors]
+    if UNSHEARED in results.pose_recovery:
+        rows.append({"error": "recovery", **results.pose_recovery[UNSHEARED]})
+    for name, table in results.readers.items():
+        title = f"reader {name}, "
+        rows += [{"error": title + kind, **table[kind]} for kind in POSE_ROWS if kind in table]
+    lines = [format_text_table(rows, ("error", *names))]
     if results.coverage:
         lines.append(
             f"95 % half-widths of the run's own session, tried on {describe_test(results)}:"

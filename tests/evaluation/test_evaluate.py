@@ -9,7 +9,8 @@ import pytest
 from jaxunshear.config.data import PairedData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, TestSet, score_test
+from jaxunshear.evaluation import contact_scores
+from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, score_test
 from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
 from jaxunshear.evaluation.score_files import encode_montage, encode_scores
@@ -59,7 +60,9 @@ def score(full, run, size, keep):
     batches = [
         {name: value[i : i + size] for name, value in full.items()} for i in range(0, count, size)
     ]
-    return score_test(Scorer(run, TARGETS), TestSet(batches, count, IMAGES.pair, keep=keep))
+    return score_test(
+        Scorer(run, TARGETS), contact_scores.TestSet(batches, count, IMAGES.pair, keep=keep)
+    )
 
 
 def oracle(full, sizes=None, step=4):

@@ -382,10 +382,10 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     assert lines[0].split() == ["error", *SCALE]
     rows = {line.split()[0]: line.split()[1:] for line in lines}
     assert rows["unsheared"] == [
-        f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()
+        f"{value:.3g}" for value in results["pose_mae"]["unsheared"].values()
     ]
     assert rows["recovery"] == [
-        f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()
+        f"{value:.3g}" for value in results["pose_recovery"]["unsheared"].values()
     ]
     tested = "test, same session, random split: 24 taps, 24 slides"
     assert lines[-3] == f"{tested}; left out: 0 taps and 0 slides were not understood"
