@@ -5,11 +5,7 @@ from collections.abc import Iterable
 from jaxunshear.files import Json
 from jaxunshear.text_table import format_text_table
 
-DECODED_UNITS = {  # of reconstructions: images and pins
-    "rms_grey": "of 1 in grey",
-    "rms_px": "px",
-    "missed_per_image": "pins missed per image",
-}
+DECODED_UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of images and pins
 SLIDE_ERRORS = ("mae", "rmse", "coverage")
 
 

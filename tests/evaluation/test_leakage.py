@@ -302,7 +302,6 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
         row["name"] for row in leakage_table.build_sweep_rows(found)
     }
     assert "of 1 in grey" in leakage_table.format_table(found)
-    assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
     exchanged = code_exchange.exchange_codes(images, run, folder / "data")
     assert exchanged.decoded.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
     assert (
