@@ -14,7 +14,7 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment, get_recorded
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import prepare_chunks
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths
@@ -90,9 +90,8 @@ def score_recordings(
     settings = dataclasses.replace(
         settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs=""
     )
-    contacts = read_test_contacts(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
-    stored = _prepare_set(experiment, run_dir, contacts, settings, folder)
+    stored = _prepare_set(run_dir, settings, folder)
     targets = read_targets(run_dir / experiment.networks[-1])
     unseen = dataclasses.replace(experiment, paired=settings)
     test = choose_test(unseen, stored, targets, run_dir)
@@ -118,42 +117,23 @@ def _check_not_learned_from(
     experiment: Experiment, settings: Recorded, run_dir: Path, recordings: Path
 ) -> str:
     """Return the digest of recordings. Raises UserError if the run learned from them."""
-    digest = compute_digest((str(recordings),))
-    if digest == settings.digest:
+    digest, here = compute_digest((str(recordings),)), Path(recordings).resolve()
+    names = (settings.tap_folder, settings.slide_folder)
+    folders = [Path(name).resolve() for name in names if name and Path(name).is_dir()]
+    overlap = any(here.is_relative_to(each) or each.is_relative_to(here) for each in folders)
+    if digest == settings.digest or overlap:
         raise UserError(
-            f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by "
-            f"`jaxunshear evaluate {run_dir}`"
-        )
-    if _overlap(recordings, (settings.tap_folder, settings.slide_folder)):
-        raise UserError(
-            f"{recordings} shares its files with what {run_dir} learnt from: "
-            "name recordings that it has not seen"
+            f"{recordings} shares its files with what {run_dir} learnt from: name recordings that "
+            f"it has not seen; its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
         )
     for network in experiment.networks:
         check_unseen(run_dir / network, [digest])
     return digest
 
 
-def _overlap(recordings: Path, training_folders: tuple[str, ...]) -> bool:
-    """Say whether recordings lie in a folder of the training, or contain one."""
-    here = Path(recordings).resolve()
-    for name in training_folders:
-        if name and Path(name).is_dir():
-            folder = Path(name).resolve()
-            if here.is_relative_to(folder) or folder.is_relative_to(here):
-                return True
-    return False
-
-
-def _prepare_set(
-    experiment: Experiment,
-    run_dir: Path,
-    contacts: RecordedContacts,
-    settings: Recorded,
-    folder: Path,
-) -> RecordedSet:
+def _prepare_set(run_dir: Path, settings: Recorded, folder: Path) -> RecordedSet:
     """Prepare recordings as a set, with crop and rest positions of the run's own sensor."""
-    stored_frame = read_object(run_dir / FRAME)
+    contacts, stored_frame = read_test_contacts(settings), read_object(run_dir / FRAME)
     frame = parse_frame(stored_frame)
     paths = prepare_chunks(contacts, settings, frame, folder, f"read {settings.slide_folder}")
     return RecordedSet(settings, UnstoredSet(contacts, paths, stored_frame))

@@ -66,10 +66,11 @@ def measure_pin_errors(
 ) -> dict[str, dict[str, float | None]]:
     """Measure pin errors, and missed and extra pins per image, by kind of image.
 
-    Detected and true pins match within half the median pitch. A lattice shifted by a full pitch matches itself again except at its rim, so the error needs the
-    numbers of missed and extra pins. `true_slide` is the distance of the true pins of slides and
-    taps. A mm is one at the height of the apex pin: pins of the rim, nearer to the camera, move by
-    less (`tactip331-fitted`: by a tenth less).
+    Detected and true pins match within half the median pitch. A lattice shifted by a full pitch
+    matches itself again except at its rim, so the error needs the numbers of missed and extra pins.
+    `true_slide` is the distance of the true pins of slides and taps. A mm is one at the height of
+    the apex pin: pins of the rim, nearer to the camera, move by less (`tactip331-fitted`: by a
+    tenth less).
 
     Args:
         images: (N, S, S) uint8 by kind.
