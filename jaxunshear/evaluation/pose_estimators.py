@@ -33,7 +33,6 @@ from jaxunshear.training.examples import open_examples
 PIXELS, PIN_PLACES = "pixels", "pins"
 MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
-ESTIMATED_KINDS = ("tap", "sheared", *UNSHEARING)  # kinds of contacts
 
 Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
 
@@ -122,7 +121,7 @@ def estimate_poses(name: str, estimator: RidgeEstimator, outputs: Outputs) -> di
     inputs = outputs.images if name == PIXELS else outputs.pins
     return {
         kind: estimator.estimate(FEATURES[name](np.asarray(inputs[kind])))
-        for kind in ESTIMATED_KINDS
+        for kind in ("tap", "sheared", *UNSHEARING)
         if kind in inputs
     }
 
@@ -139,7 +138,7 @@ def score_detected_pins(
     not be identified.
     """
     errors: dict[str, np.ndarray] = {}
-    for kind in ESTIMATED_KINDS:
+    for kind in ("tap", "sheared", *UNSHEARING):
         if kind not in images:
             continue
         features = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))

@@ -25,10 +25,10 @@ from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.evaluation.score import (
     CELL_METRICS,
     CELLS,
-    KINDS,
-    POSE_KINDS,
     compute_chance_errors,
     get_cell_target,
+    list_kinds,
+    list_pose_kinds,
 )
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
@@ -177,7 +177,7 @@ def _tabulate_similarity(
     overall = groups[OVERALL]
     assert overall is not None
     table: dict[str, dict[str, Figure | None]] = {}
-    for kind in KINDS:
+    for kind in list_kinds():
         name = f"ms_ssim/{kind}"
         if name in overall.scores:
             table[kind] = {
@@ -274,7 +274,7 @@ def tabulate_poses(part: Resampled) -> PartPoses:
     """Tabulate pose errors, their ratios and recoveries, with intervals."""
     errors: dict[str, dict[str, float | None]] = {}
     resampled: dict[str, dict[str, np.ndarray]] = {}
-    for kind in POSE_KINDS:
+    for kind in list_pose_kinds():
         prefix = f"pose/{kind}/"
         for name in part.scores:
             if name.startswith(prefix):

@@ -17,9 +17,7 @@ from jaxunshear.metrics import compute_pose_errors, count_scales, ms_ssim, mse, 
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 DIRECT_KIND = "sheared_learnt"  # poses by a PoseNet that learned from sheared images
-KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
 TARGET_KIND = "partner"  # of a recorded slide: what a perfect network would unshear it to
-POSE_KINDS = ("tap", TARGET_KIND, "sheared", DIRECT_KIND, *BASELINES, *UNSHEARING)
 # appendix D: which decoder is given which codes
 CELLS = ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")
 CELL_METRICS = ("mse", "ssim", "ms_ssim")
@@ -28,11 +26,22 @@ CELL_METRICS = ("mse", "ssim", "ms_ssim")
 class Outputs(NamedTuple):
     """Outputs of the networks for a batch."""
 
-    images: dict[str, Array]  # (B, S, S, 1) in [0, 1] by kind of KINDS
+    images: dict[str, Array]  # (B, S, S, 1) in [0, 1] by kind, see `list_kinds`
     # (B, S, S, 1) by CELLS, or fewer without a shear code or with codes of two widths
     cells: dict[str, Array]
-    poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # (B,) by kind of POSE_KINDS and target
+    # (B,) by kind, see `list_pose_kinds`, and target
+    poses: Mapping[str, Mapping[str, np.ndarray | Array]]
     pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
+
+
+def list_kinds() -> tuple[str, ...]:
+    """List the kinds of images, with those of registered networks."""
+    return ("tap", "sheared", *BASELINES, *UNSHEARING)
+
+
+def list_pose_kinds() -> tuple[str, ...]:
+    """List the kinds of contacts whose poses are predicted."""
+    return ("tap", TARGET_KIND, "sheared", DIRECT_KIND, *BASELINES, *UNSHEARING)
 
 
 def get_cell_target(cell: str) -> str:
@@ -47,7 +56,7 @@ def score_images(images: Mapping[str, Array], cells: Mapping[str, Array]) -> dic
     """
     scales = count_scales(images["tap"].shape[1])
     scores = {}
-    for kind in KINDS:
+    for kind in list_kinds():
         if kind in images and kind != "tap":
             scores[f"ms_ssim/{kind}"] = ms_ssim(images[kind], images["tap"], scales)
     return scores | score_cells(cells, images)

@@ -8,7 +8,7 @@ from jaxunshear.config.registry import ALL_NETWORKS, NETWORKS
 from jaxunshear.config.targets import list_target_names, make_range_targets
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import network_outputs
-from jaxunshear.evaluation.score import BASELINES, CELLS, DIRECT_KIND, POSE_KINDS, TARGET_KIND
+from jaxunshear.evaluation.score import BASELINES, CELLS, DIRECT_KIND, TARGET_KIND, list_pose_kinds
 from jaxunshear.models.modality import IMAGES
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -49,7 +49,7 @@ def test_rivals_and_baselines_join_in(trained):
     run = network_outputs.load_run(trained, ALL_NETWORKS, IMAGES, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
-    assert set(outputs.poses) == {*POSE_KINDS} - {TARGET_KIND}
+    assert set(outputs.poses) == {*list_pose_kinds()} - {TARGET_KIND}
     assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {
         *outputs.images
     } - {"tap"}
