@@ -221,9 +221,10 @@ def _tabulate_estimators(tests: Sequence[ContactScores]) -> _EstimatorTables:
     tables = _EstimatorTables({}, {}, {})
     scored = []
     for test in tests:
-        scored += [(name, score, test.poses) for name, score in test.scores.items()]
-        kept_poses = test.poses[test.kept_rows]
-        scored += [(name, score, kept_poses) for name, score in test.estimates.items()]
+        poses = test.poses
+        scored += [(name, score, poses) for name, score in test.scores.items()]
+        kept = poses[test.kept_rows]
+        scored += [(name, score, kept) for name, score in test.estimates.items()]
     for name, score, poses in scored:
         if not name.startswith("read/"):
             continue
