@@ -104,9 +104,12 @@ class ProbeTask(NamedTuple):
 
 
 def prepare_task(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: Int[np.ndarray, "N"]
+    codes: Codes,
+    targets: Float[np.ndarray, "N K"],
+    test_codes: Float[np.ndarray, "M F"],
+    groups: Int[np.ndarray, "N"],
 ) -> ProbeTask:
-    """Prepare the estimation of `targets` (N, K); every fifth group is held out."""
+    """Prepare the estimation of `targets`; every fifth group is held out."""
     whitening = fit_whitening(codes)
     centre = targets.mean(axis=0, dtype=np.float64)
     spread = targets.std(axis=0, dtype=np.float64)
