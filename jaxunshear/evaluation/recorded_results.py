@@ -16,8 +16,8 @@ from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.recorded_scores import UNSHEARED, RecordedScores, RecordedTest
 from jaxunshear.evaluation.result_tables import (
     SEED,
-    build_results,
     build_tables,
+    describe_run,
     describe_similarity,
     tabulate_by_size,
 )
@@ -62,11 +62,9 @@ def build_recorded_results(
     pin_errors = {}
     if test.paired and scores.slides is not None:
         pin_errors = _measure_pin_errors(modality, scores.slides)
-    return build_results(
-        experiment,
-        scores.get_main(),
-        targets,
-        _build_tables(scores, targets),
+    tables = _build_tables(scores, targets)
+    return Results(
+        **describe_run(experiment, scores.get_main(), targets, tables),
         simulated=False,
         metric=metric,
         pin_error=pin_errors,

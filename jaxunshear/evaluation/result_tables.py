@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from jaxunshear.evaluation.score import (
     list_kinds,
     list_pose_kinds,
 )
+from jaxunshear.files import Json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import (
@@ -127,25 +128,19 @@ def build_tables(
     )
 
 
-def build_results(
-    experiment: Experiment,
-    contacts: ContactScores,
-    targets: Targets,
-    tables: Tables,
-    /,
-    **facts: Any,
-) -> Results:
-    """Build results of tables, of what every test has, and of `facts`, which are fields, too."""
+def describe_run(
+    experiment: Experiment, contacts: ContactScores, targets: Targets, tables: Tables
+) -> Json:
+    """Return the fields that results of every test have."""
     chance = compute_chance_errors(read_true_values(targets, contacts.labels), targets)
-    return Results(
-        experiment=experiment.name,
-        claim=experiment.claim,
-        baselines={"pose_chance": chance},
-        paper=PAPER,
-        settings=dataclasses.asdict(experiment),
+    return {
+        "experiment": experiment.name,
+        "claim": experiment.claim,
+        "baselines": {"pose_chance": chance},
+        "paper": PAPER,
+        "settings": dataclasses.asdict(experiment),
         **vars(tables),
-        **facts,
-    )
+    }
 
 
 def finish_results(

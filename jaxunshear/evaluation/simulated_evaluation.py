@@ -38,8 +38,8 @@ from jaxunshear.evaluation.pose_estimators import (
 )
 from jaxunshear.evaluation.result_tables import (
     SEED,
-    build_results,
     build_tables,
+    describe_run,
     describe_similarity,
     tabulate_by_size,
     tabulate_part,
@@ -169,11 +169,9 @@ def build_simulated_results(
     metric = similarity | METRIC_NOTES
     metric["swap"] = f"{similarity['swap']} with its target"
     metric["pin_error"] = f"matched centroids of {images} images against the tap's true pins"
-    return build_results(
-        experiment,
-        scores,
-        make_range_targets(experiment.targets, paired.ranges),
-        _build_tables(paired, scores),
+    targets = make_range_targets(experiment.targets, paired.ranges)
+    return Results(
+        **describe_run(experiment, scores, targets, _build_tables(paired, scores)),
         metric=metric,
         pin_error=measure_pin_errors(
             scores.images,
