@@ -84,7 +84,7 @@ def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
     off = np.square(np.asarray(old) - true).sum(axis=0)
     scores = 1 - off / np.square(true - true.mean(axis=0)).sum(axis=0)
     assert scores.mean() < 0.1
-    for column in range(5):
+    for column in (0, 2):  # a planted quantity, and one that no code holds
         one = wanted[:, column : column + 1]
         parts = (codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT)
         found = probe_quantity(*parts)
@@ -102,7 +102,7 @@ def test_whitened_codes_have_unit_covariance_and_keep_no_rounding_noise():
 
 @pytest.mark.parametrize("probe", FAMILIES)
 def test_the_same_bits_again(probe, codes):
-    task = prepare_task(codes[:600], np.sin(codes[:600, :1]), codes[600:], np.arange(600))
+    task = prepare_task(codes[:300], np.sin(codes[:300, :1]), codes[600:], np.arange(300))
     np.testing.assert_array_equal(FAMILIES[probe](task), FAMILIES[probe](task))
 
 
