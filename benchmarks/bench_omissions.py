@@ -25,10 +25,11 @@ from jaxunshear.config.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.config.training import Training
 from jaxunshear.config.types import check_rules
-from jaxunshear.evaluation.network_outputs import make_image_run
+from jaxunshear.evaluation.network_outputs import make_run
 from jaxunshear.files import Json
 from jaxunshear.models import posenet, unshearnet
 from jaxunshear.models.fast import compiled_kernels
+from jaxunshear.models.modality import IMAGES
 from jaxunshear.models.weights import Variables
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
@@ -166,7 +167,7 @@ def _make_evaluation_case(net: UnshearNet, variables: Variables) -> Case:
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
     def make_computation(names: tuple[str, ...]) -> Computation:
-        run = make_image_run({name: nets[name] for name in names}, dict.fromkeys(names, targets))
+        run = make_run({name: nets[name] for name in names}, dict.fromkeys(names, targets), IMAGES)
         return Computation(run, ({name: values[name] for name in names}, None, images, images))
 
     return Case(

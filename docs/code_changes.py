@@ -29,8 +29,8 @@ PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
     "fit": ("run",),
     "sweep": ("sweep.run", "sweep.worker"),
-    "evaluate": ("run", "evaluation.other_recordings", "evaluation.sim_to_real"),
-    "ablate": ("evaluation.code_swap_test", "evaluation.leakage"),
+    "evaluate": ("run", "evaluation.recorded_evaluation", "evaluation.sim_to_real"),
+    "ablate": ("evaluation.code_swaps", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
     **dict.fromkeys(("geometry", "servo", "reconstruct", "pins"), ("cli.models",)),
@@ -56,8 +56,14 @@ EARLIER_MODULES = {  # where these modules were at earlier commits
         "jaxunshear.evaluation.transfer",
         "jaxunshear.applications.transfer",
     ),
-    "jaxunshear.evaluation.other_recordings": ("jaxunshear.evaluation.unseen",),
-    "jaxunshear.evaluation.code_swap_test": ("jaxunshear.evaluation.ablation",),
+    "jaxunshear.evaluation.recorded_evaluation": (
+        "jaxunshear.evaluation.other_recordings",
+        "jaxunshear.evaluation.unseen",
+    ),
+    "jaxunshear.evaluation.code_swaps": (
+        "jaxunshear.evaluation.code_swap_test",
+        "jaxunshear.evaluation.ablation",
+    ),
     "jaxunshear.sweep.worker": ("jaxunshear.sweep.work",),
     "jaxunshear.cli.apps": ("jaxunshear.cli.stream",),
     "jaxunshear.cli.models": tuple(

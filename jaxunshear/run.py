@@ -248,7 +248,7 @@ def print_summary(results: Results, folder: Path) -> None:
 
 def _print_recorded(results: Results, folder: Path) -> None:
     """Print a table of the errors, whose targets the labels decide, and where the rest is."""
-    from jaxunshear.evaluation.other_recordings import format_table
+    from jaxunshear.evaluation.recorded_results import format_table
     from jaxunshear.evaluation.score import choose_main_kind
 
     print(format_table(results))

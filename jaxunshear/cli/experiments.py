@@ -167,7 +167,8 @@ def _load_finished_experiment(arguments: argparse.Namespace) -> Experiment:
 
 def _score_recordings(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.evaluation.measurements import build_measurements
-    from jaxunshear.evaluation.other_recordings import format_table, score_recordings
+    from jaxunshear.evaluation.recorded_evaluation import score_recordings
+    from jaxunshear.evaluation.recorded_results import format_table
     from jaxunshear.evaluation.sim_to_real import score_transfer
     from jaxunshear.results.record_files import write_record
 

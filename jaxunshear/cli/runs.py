@@ -38,7 +38,7 @@ def release(arguments: argparse.Namespace, command: str) -> int:
 
 
 def ablate(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.evaluation import code_exchange, code_swap_test, leakage, leakage_table
+    from jaxunshear.evaluation import code_exchange, code_swaps, leakage, leakage_table
     from jaxunshear.files import write_bytes, write_json
     from jaxunshear.model_folders import load_settings
 
@@ -52,8 +52,8 @@ def ablate(arguments: argparse.Namespace, command: str) -> int:
         print(leakage_table.format_table(results))
         print(arguments.run / "leakage.png")
     else:
-        results = code_swap_test.ablate(experiment, arguments.run, arguments.data, command)
-        print(code_swap_test.format_table(results["rows"]))
+        results = code_swaps.ablate(experiment, arguments.run, arguments.data, command)
+        print(code_swaps.format_table(results["rows"]))
     if arguments.json:
         write_json(arguments.json, results)
     return 0

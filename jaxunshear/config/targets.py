@@ -107,8 +107,10 @@ def list_text_problems(texts: Sequence[str], names: Iterable[str]) -> list[str]:
     return problems + (["name each once"] if len(set(parsed)) < len(parsed) else [])
 
 
-def make_range_targets(texts: Sequence[str], ranges: Ranges) -> Targets:
-    """Make the targets of a simulated set; without texts, those of PAPER_TARGETS that vary.
+def make_range_targets(
+    texts: Sequence[str], ranges: Ranges, defaults: Sequence[str] = PAPER_TARGETS
+) -> Targets:
+    """Make the targets of a simulated set; without texts, those of `defaults` that vary.
 
     Raises UserError for a text that is no target, or whose target does not vary.
     """
@@ -125,7 +127,7 @@ def make_range_targets(texts: Sequence[str], ranges: Ranges) -> Targets:
         "tilt_x_deg": (-ranges.tilt_deg, ranges.tilt_deg),
         "tilt_y_deg": (-ranges.tilt_deg, ranges.tilt_deg),
     }
-    return _make_targets(texts, PAPER_TARGETS, SIMULATED_FIELDS, spans)
+    return _make_targets(texts, defaults, SIMULATED_FIELDS, spans)
 
 
 def make_label_targets(

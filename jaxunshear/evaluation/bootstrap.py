@@ -4,6 +4,8 @@ Slides at one pose share their tap, so they are no independent draws. Poses are 
 its slides.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 LEVEL = 0.95
@@ -18,17 +20,14 @@ def number_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
 
 
 def resample_means(
-    values: dict[str, np.ndarray], poses: np.ndarray, seed: int
+    values: Mapping[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
     """Compute means (RESAMPLES,) of each array (N,) over resampled poses.
 
     `poses` (N,) says which pose each value belongs to. All arrays get the same draws, so the means
     of one do not depend on the others, and a figure made of several means can be computed draw by
-    draw. Raises `ValueError` if there are no poses, or if lengths differ.
+    draw.
     """
-    same_shape = all(value.shape == poses.shape for value in values.values())
-    if poses.ndim != 1 or not len(poses) or not same_shape:
-        raise ValueError("values and poses must be arrays (N,) of one length, at least 1")
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
     draws = np.random.default_rng(seed).multinomial(
@@ -46,7 +45,7 @@ def compute_interval(means: np.ndarray) -> list[float]:
 
 
 def compute_intervals(
-    values: dict[str, np.ndarray], poses: np.ndarray, seed: int
+    values: Mapping[str, np.ndarray], poses: np.ndarray, seed: int
 ) -> dict[str, list[float]]:
     """Compute the interval [low, high] of the mean of each array (N,), as `resample_means`.
 

@@ -1,40 +1,60 @@
-"""Pose code and shear code of a disentangled network, over images or pins, a row for each input."""
+"""Pose code and shear code of a disentangled network, over images or pins."""
 
-from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import jax
 import numpy as np
+from jax import Array
 
-from jaxunshear.models.registry import encode as encode_inputs
-from jaxunshear.models.registry import get_net_modality, has_shear_code
+from jaxunshear.errors import UserError
+from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
+from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 
-ENCODE_BATCH = 64
-
-Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
+BATCH = 64
 
 
-def make_encoder(net: Net, variables: Variables) -> Encode | None:
-    """Make a function from stored inputs to codes (N, F) by name; None without a shear code."""
-    modality = get_net_modality(net)
-    if not has_shear_code(net):
-        return None
+class CodeNetwork:
+    """The compiled encoder of sheared inputs, and DS, which reconstructs them from both codes."""
 
-    @jax.jit
-    def run(weights: Variables, stored: jax.Array) -> tuple[jax.Array, jax.Array | None]:
-        return encode_inputs(net, weights, modality.scale(stored))
+    def __init__(self, net: Net, variables: Variables) -> None:
+        self.net, self.variables = net, variables
+        self.modality = modality = registry.get_net_modality(net)
 
-    def encode(stored: np.ndarray) -> dict[str, np.ndarray]:
+        @jax.jit
+        def encode(variables: Variables, stored: Array) -> tuple[Array, Array | None]:
+            return registry.encode(net, variables, modality.scale(stored))
+
+        self._encode = partial(encode, variables)
+        self._decode = partial(jax.jit(partial(registry.decode_sheared, net)), variables)
+
+    def encode(self, stored: np.ndarray) -> dict[str, np.ndarray]:
+        """Encode inputs (N, ...) as a data set stores them; return codes (N, ...) by name."""
         count = len(stored)
-        pose_codes, shear_codes = [], []
-        for start in range(0, count, ENCODE_BATCH):
-            rows = np.arange(start, start + ENCODE_BATCH) % count  # all batches have one size
-            z_p, z_s = jax.device_get(run(variables, stored[rows]))
-            pose_codes.append(z_p)
-            shear_codes.append(z_s)
-        return {
-            "z_p": np.concatenate(pose_codes)[:count].reshape(count, -1),
-            "z_s": np.concatenate(shear_codes)[:count].reshape(count, -1),
-        }
+        parts = []
+        for start in range(0, count, BATCH):
+            rows = np.arange(start, start + BATCH) % count  # all batches have one size
+            parts.append(jax.device_get(self._encode(stored[rows])))
+        codes = zip(("z_p", "z_s"), zip(*parts, strict=True), strict=True)
+        return {name: np.concatenate(batches)[:count] for name, batches in codes}
 
-    return encode
+    def decode(self, z_p: np.ndarray, z_s: np.ndarray) -> np.ndarray:
+        """Reconstruct sheared inputs, images in [0, 1] or pins px, from codes (B, ...)."""
+        return jax.device_get(self._decode(z_p, z_s))
+
+    def draw_untrained(self, seed: int) -> "CodeNetwork":
+        """Draw the same network with new weights."""
+        key = jax.random.key(seed)
+        return CodeNetwork(self.net, registry.init_like(self.net, self.variables, key))
+
+
+def load_code_network(folder: Path) -> CodeNetwork:
+    """Load a network with a shear code. Raises UserError for one without, or half trained."""
+    check_finished(folder)
+    network = CodeNetwork(read_net(folder), load_best(folder))
+    if not registry.has_shear_code(network.net):
+        raise UserError(
+            f"{folder} holds no network with a shear code: there is nothing to leak from"
+        )
+    return network

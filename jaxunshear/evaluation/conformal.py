@@ -27,36 +27,23 @@ ByKind = dict[str, dict[str, float]]  # by kind of contact and target
 def compute_half_widths(errors: Mapping[str, np.ndarray]) -> ByKind:
     """Compute half-widths from absolute errors (N,), mm or deg, by `pose/<kind>/<target>`."""
     widths: ByKind = {}
-    for kind, targets in _group_pose_errors(errors).items():
-        for name, values in targets.items():
-            count = len(values)
-            if count >= MIN_CONTACTS:
-                rank = min(count, math.ceil(round(LEVEL * (count + 1), 9)))
-                widths.setdefault(kind, {})[name] = float(np.sort(values)[rank - 1])
+    for name, values in errors.items():
+        table, kind, *target = name.split("/")
+        count = len(values)
+        if table == "pose" and count >= MIN_CONTACTS:
+            rank = min(count, math.ceil(round(LEVEL * (count + 1), 9)))
+            widths.setdefault(kind, {})[target[0]] = float(np.sort(values)[rank - 1])
     return widths
 
 
 def compute_coverage(
     widths: Mapping[str, Mapping[str, float]], errors: Mapping[str, np.ndarray]
 ) -> ByKind:
-    """Compute the share of other contacts' errors that the half-widths contain.
-
-    Kinds and targets without a half-width are left out.
-    """
+    """Compute the share of other contacts' errors that the half-widths contain."""
     coverage: ByKind = {}
-    for kind, targets in _group_pose_errors(errors).items():
-        for name, values in targets.items():
-            width = widths.get(kind, {}).get(name)
-            if width is not None:
-                coverage.setdefault(kind, {})[name] = float(np.mean(values <= width))
+    for kind, targets in widths.items():
+        for target, width in targets.items():
+            values = errors.get(f"pose/{kind}/{target}")
+            if values is not None:
+                coverage.setdefault(kind, {})[target] = float(np.mean(values <= width))
     return coverage
-
-
-def _group_pose_errors(errors: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """Group errors that are named `pose/<kind>/<target>` by kind and target."""
-    groups: dict[str, dict[str, np.ndarray]] = {}
-    for name, values in errors.items():
-        table, kind, *target = name.split("/")
-        if table == "pose":
-            groups.setdefault(kind, {})[target[0]] = values
-    return groups

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
@@ -30,18 +31,12 @@ class ContactPredictions(NamedTuple):
     pins: dict[str, np.ndarray]  # (N, P, 2) px by kind of image, of networks over pins
 
     def select(self, rows: np.ndarray) -> "ContactPredictions":
-        poses = {}
-        for kind, quantities in self.poses.items():
-            poses[kind] = {name: values[rows] for name, values in quantities.items()}
-        pins = {kind: values[rows] for kind, values in self.pins.items()}
-        return ContactPredictions(self.labels[rows], poses, pins)
+        return jax.tree.map(lambda values: values[rows], self)
 
-    def count_accepted(self) -> int:
-        """Count the contacts that have a prediction."""
-        return int(np.isfinite(next(iter(self.poses[AS_RECORDED].values()))).sum())
-
-    def count_rejected(self) -> int:
-        return len(self.labels) - self.count_accepted()
+    @property
+    def accepted(self) -> np.ndarray:
+        """Which contacts (N,) have a prediction."""
+        return np.isfinite(next(iter(self.poses[AS_RECORDED].values())))
 
 
 def predict_contacts(
@@ -50,23 +45,18 @@ def predict_contacts(
     """Predict poses and pins of all contacts, a batch at a time."""
     view = network.view or find_training_view(contacts, network.preprocess)
     count = len(contacts.files)
-    poses: dict[str, dict[str, np.ndarray]] = {}
-    pins: dict[str, np.ndarray] = {}
+    batches = []
     with Progress(title, count, "frames") as progress:
         for start in range(0, count, BATCH):
             files = contacts.files[start : start + BATCH]
-            rows = slice(start, start + len(files))
             predictions = network.predict(_read_images(files, network.preprocess, view))
-            for kind, quantities in predictions.poses.items():
-                all_quantities = poses.setdefault(kind, {})
-                for name, values in quantities.items():
-                    all_values = all_quantities.setdefault(name, np.full(count, np.nan))
-                    all_values[rows] = values[: len(files)]
-            for kind, values in predictions.pins.items():
-                all_values = pins.setdefault(kind, np.full((count, *values.shape[1:]), np.nan))
-                all_values[rows] = values[: len(files)]
+            batches.append((predictions.poses, predictions.pins))
             progress.advance(len(files))
-    return ContactPredictions(contacts.pose, poses, pins)
+
+    def join(*parts: np.ndarray) -> np.ndarray:
+        return np.concatenate(parts, dtype=np.float64)[:count]
+
+    return ContactPredictions(contacts.pose, *jax.tree.map(join, *batches))
 
 
 def _read_images(files: Sequence[Path], preprocess: Preprocess, view: View) -> np.ndarray:

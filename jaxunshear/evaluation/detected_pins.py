@@ -1,19 +1,19 @@
 """Detect pins in simulated images, to replace the simulator's true ones as on a real sensor.
 
 >>> detected = detect_pairs(pairs, lattice, FIELDS)
->>> scorer = scorer._replace(inputs=INPUTS)
->>> collect_scores(scorer, iterate_batches(detected, 32), len(detected.pairs["pose"]))
+>>> score_test(scorer, detected.make_test(batch=32))
 
 Pins are detected in slide and tap, and unsheared pins are compared with the tap's true pins. Each
 image is tracked by itself, as on a robot.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.evaluation.contact_scores import TestSet
 from jaxunshear.models.modality import IMAGES, PINS
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import track_images
@@ -33,6 +33,14 @@ class DetectedPairs(NamedTuple):
     # by "tap" and "sheared": share of images, error of their pins, number of missing ones
     reported: dict[str, dict[str, float]]
 
+    def make_test(self, batch: int) -> TestSet:
+        count = len(self.pairs[DETECTED_TAP])
+        batches: list[Batch] = []
+        for start in range(0, count, batch):
+            rows = slice(start, start + batch)
+            batches.append({name: values[rows] for name, values in self.pairs.items()})
+        return TestSet(batches, count, INPUTS, title="evaluate found pins")
+
 
 def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> DetectedPairs | None:
     """Detect the pins of test pairs; None if no pair is identified, as in images without pins."""
@@ -45,8 +53,7 @@ def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Det
     for kind, image_field, pin_field in fields_by_kind:
         motion, identified = track_images(lattice, batch[image_field][..., 0], independent=True)
         pins = (lattice.rest + motion).astype(np.float32)
-        true = batch[pin_field]
-        reported[kind] = _measure_detection(pins[identified], true[identified], len(rows))
+        reported[kind] = _measure_detection(pins[identified], batch[pin_field][identified], rows)
         detected[kind] = pins
         both_identified &= identified
     if not both_identified.any():
@@ -58,18 +65,14 @@ def detect_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> Det
     )
 
 
-def iterate_batches(detected: DetectedPairs, batch: int) -> Iterator[Batch]:
-    """Iterate over batches of detected pairs."""
-    for start in range(0, len(detected.pairs[DETECTED_TAP]), batch):
-        yield {name: values[start : start + batch] for name, values in detected.pairs.items()}
-
-
-def _measure_detection(detected: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
+def _measure_detection(
+    detected: np.ndarray, true: np.ndarray, images: np.ndarray
+) -> dict[str, float]:
     present = np.isfinite(detected).all(-1)
     squares = np.sum(np.square(detected - true), axis=-1)[present]
     return {
-        "images": images,
-        "followed": len(detected) / images,
+        "images": len(images),
+        "followed": len(detected) / len(images),
         "rms_px": float(np.sqrt(squares.mean())) if len(squares) else float("nan"),
         "missing_per_image": float((~present).sum() / max(len(detected), 1)),
     }

@@ -1,26 +1,33 @@
 """Evaluate the networks of a run on contacts that were kept out of training.
 
-The way of the data: `network_outputs.load_run` runs the networks, `collect_scores` computes one
-number per contact and metric, and `build_results` makes tables of them. Simulated and recorded
-contacts have a `build_results` each, in `simulated_results` and `recorded_results`.
+The way of the data: `network_outputs.load_run` runs the networks, `contact_scores.score_test`
+computes one number per contact and metric, and `result_tables.build_tables` averages them.
+Which contacts are tested, and what else is known of them, differs between simulated and recorded
+ones: `simulated_evaluation` and `recorded_evaluation`.
 """
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.registry import POSENETS
 from jaxunshear.data.sources import open_source
-from jaxunshear.evaluation.inference_time import measure_ms_per_image
-from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.result_tables import finish_results
 from jaxunshear.evaluation.score_files import EvaluatedRun, write_score_files
-from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.models.inference import jit_for_inference
+from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.training.checkpoint import check_finished
+from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
+
+CALLS = 40  # of each network that is timed
+WARM_UP_CALLS = 3  # not counted: the first compiles
 
 
 def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Results:
@@ -39,15 +46,27 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         check_finished(run_dir / network)
         check_origin(experiment, network, run_dir)
     evaluated: EvaluatedRun = open_source(experiment).evaluate(run_dir, data_dir)
-    results = round_values(
-        replace(
-            evaluated.results,
-            ms_per_image=measure_ms_per_image(run_dir, experiment.networks),
-            time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
-            **read_training_facts(run_dir, experiment.networks),
-            **describe_provenance(command),
-        )
+    results = replace(
+        evaluated.results,
+        ms_per_image={name: _time_network(run_dir / name) for name in experiment.networks},
+        time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
     )
+    results = finish_results(results, experiment, run_dir, command)
     write_score_files(run_dir, evaluated)
     write_record(run_dir / "results.json", results)
     return results
+
+
+def _time_network(folder: Path) -> dict[str, float]:
+    """Time a network on one sheared input at a time, as a robot would ask: ms, host to host."""
+    net, variables = read_net(folder), load_best(folder)
+    function = predict if folder.name in POSENETS else unshear
+    run = jit_for_inference(partial(function, net), variables)
+    example = get_net_modality(net).make_example(net, variables)
+    times_ms = []
+    for _ in range(WARM_UP_CALLS + CALLS):
+        started = time.perf_counter()
+        np.asarray(run(example))
+        times_ms.append(1e3 * (time.perf_counter() - started))
+    counted = times_ms[WARM_UP_CALLS:]
+    return {"median": float(np.median(counted)), "p95": float(np.percentile(counted, 95))}

@@ -13,43 +13,39 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
-from jaxunshear.evaluation.codes import Encode, make_encoder
-from jaxunshear.evaluation.leakage_scores import compute_standard_scores, measure_independence
-from jaxunshear.evaluation.probe_data import (
-    MAX_TESTED,
-    ProbeSplit,
-    read_labelled_slides,
-    read_slides,
-    read_splits,
+from jaxunshear.evaluation.codes import load_code_network
+from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, read_splits
+from jaxunshear.evaluation.probes import (
+    FAMILIES,
+    Whitening,
+    compute_r2,
+    fit_whitening,
+    prepare_task,
 )
-from jaxunshear.evaluation.probes import FAMILIES
-from jaxunshear.evaluation.slide_estimation import estimate_slides, is_slipping
+from jaxunshear.evaluation.slide_estimation import CodedSlides, estimate_slides
 from jaxunshear.files import Json, write_json
-from jaxunshear.metrics.independence import compute_r2
+from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.machine import describe_provenance
-from jaxunshear.models.modality import get_modality
-from jaxunshear.models.registry import init_like
 from jaxunshear.results.training_summaries import read_training_facts
-from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.data_origin import check_origin
-from jaxunshear.training.examples import Examples, open_examples
+from jaxunshear.training.examples import open_examples
 
 MIN_CEILING = 0.1  # R2 from the input: below it the input does not show a quantity
 SEED = 0
 CODES = ("z_s", "z_p")
+UNTRAINED = "untrained "  # prefix of the codes of an untrained network
 METRIC = (
     "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the "
     f"most that the input's pins or a code give; brackets: 95 % over {INTERVALS_OVER}"
 )
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what a code should not contain
+OWNERS = {"pose": "z_p", "slide": "z_s"}  # the code that should contain each part of a contact
 
 
 class Estimate(NamedTuple):
@@ -65,16 +61,6 @@ class Estimate(NamedTuple):
         return self.families[self.family]
 
 
-class _SplitCodes(NamedTuple):
-    """Codes (N, F) by name of training slides and of test slides."""
-
-    train: Mapping[str, np.ndarray]
-    test: Mapping[str, np.ndarray]
-
-    def get_pair(self, code: str) -> tuple[np.ndarray, np.ndarray]:
-        return self.train[code], self.test[code]
-
-
 def measure_leakage(
     experiment: Experiment, run_dir: Path, data_dir: Path, command: str, controls: bool = True
 ) -> Json:
@@ -85,38 +71,29 @@ def measure_leakage(
     Raises `UserError` if the network or the data set is missing or damaged, there is no shear code,
     or the network learnt from other data or is not trained to the end.
     """
-    folder = Path(run_dir) / DISENTANGLED
-    check_finished(folder)
-    net, variables = read_net(folder), load_best(folder)
+    network = load_code_network(Path(run_dir) / DISENTANGLED)
     check_origin(experiment, DISENTANGLED, run_dir)
-    encode = make_encoder(net, variables)
-    if encode is None:
-        raise UserError(
-            f"{folder} holds no network with a shear code: there is nothing to leak from"
-        )
-    examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
-    train, test = read_splits(experiment, examples, data_dir)
-    codes = _SplitCodes(encode(train.inputs), encode(test.inputs))
-    untrained = None
+    networks = {"": network}
     if controls:
-        encode_untrained = make_encoder(net, init_like(net, variables, jax.random.key(SEED)))
-        assert encode_untrained is not None
-        untrained = _SplitCodes(encode_untrained(train.inputs), encode_untrained(test.inputs))
-    rows = _probe_all(codes, untrained, train, test)
+        networks[UNTRAINED] = network.draw_untrained(SEED)
+    examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
+    splits = read_splits(experiment, examples, data_dir, networks)
+    train, test = splits["train"], splits["test"]
+    rows = _probe_all(train, test)
+    pairs = product(("pose", "slide"), CODES)
     results = {
         "experiment": experiment.name,
         "simulated": experiment.paired.is_simulated,
         "metric": METRIC,
         "rows": rows,
-        "summary": [
-            _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)
-        ],
-        "independence": measure_independence(codes.test, test, rows),
-        "scores": compute_standard_scores(codes, train, test, rows),
-        "exchanged": measure_exchange_errors(net, variables, examples.reader),
-        "slide": _estimate_slides(experiment, examples, encode, train, test),
+        "summary": [_summarise(rows, pair, test.poses) for pair in pairs],
+        "scores": _compute_standard_scores(train, test, rows),
+        "exchanged": measure_exchange_errors(network, examples.reader),
+        "slide": estimate_slides(
+            {name: _join_codes(split) for name, split in splits.items()}, test.batch
+        ),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
-        "sizes": {code: int(codes.test[code].shape[1]) for code in CODES},
+        "sizes": {code: int(test.features[code].shape[1]) for code in CODES},
         **read_training_facts(run_dir, experiment.networks),
         **describe_provenance(command),
     }
@@ -134,52 +111,50 @@ def probe_quantity(
     `codes` are those of training slides (N, F) and test slides (M, F). `quantity` (N, K) and `true`
     (M, K) have two columns for an angle over the full circle. `groups` (N,) are training poses.
     """
+    train_codes, test_codes = codes
+    task = prepare_task(train_codes, quantity, test_codes, groups)
     scatter = np.sum(np.square(true - true.mean(axis=0)), axis=1)
     squares = {
-        name: np.sum(np.square(probe(codes[0], quantity, codes[1], groups) - true), axis=1)
-        for name, probe in FAMILIES.items()
+        name: np.sum(np.square(task.unscale(fit(task)) - true), axis=1)
+        for name, fit in FAMILIES.items()
     }
     families = {name: compute_r2(errors, scatter) for name, errors in squares.items()}
     best = max(families, key=families.__getitem__)
     return Estimate(best, squares[best], scatter, families)
 
 
-def _probe_all(
-    codes: _SplitCodes, untrained: _SplitCodes | None, train: ProbeSplit, test: ProbeSplit
-) -> list[Json]:
-    """Return a row for each quantity and code, with controls if there are `untrained` codes."""
+def _probe_all(train: ProbeSplit, test: ProbeSplit) -> list[Json]:
+    """Return a row for each quantity and code, with controls if there are untrained codes."""
     shuffled = np.random.default_rng(SEED).permutation(len(train.poses))
     rows = []
-    for what in ("pose", "slide"):
-        for quantity, labels in train.quantities[what].items():
-            true = test.quantities[what][quantity]
-            inputs = {"pins": (train.pins, test.pins)}
-            inputs |= {code: codes.get_pair(code) for code in CODES}
-            estimates = {
-                name: probe_quantity(pair, labels, true, train.poses)
-                for name, pair in inputs.items()
-            }
-            # a code is a function of the input, so what a code shows the input shows, too
-            ceiling = max(estimate.r2 for estimate in estimates.values())
-            for code in CODES:
-                row = _make_row(what, code, quantity, estimates[code], test.poses)
-                row["ceiling"] = ceiling if ceiling >= MIN_CEILING else None
-                if untrained is not None:
-                    pair = untrained.get_pair(code)
-                    row["untrained"] = probe_quantity(pair, labels, true, train.poses).r2
-                    pair = inputs[code]
-                    row["shuffled"] = probe_quantity(pair, labels[shuffled], true, train.poses).r2
-                rows.append(row)
+    for (what, quantity), labels in train.quantities.items():
+        true = test.quantities[what, quantity]
+
+        def probe(name: str, labels: np.ndarray = labels, true: np.ndarray = true) -> Estimate:
+            codes = train.features[name], test.features[name]
+            return probe_quantity(codes, labels, true, train.poses)
+
+        estimates = {name: probe(name) for name in ("pins", *CODES)}
+        # a code is a function of the input, so what a code shows the input shows, too
+        ceiling = max(estimate.r2 for estimate in estimates.values())
+        for code in CODES:
+            row = _make_row((what, code), quantity, estimates[code], test.poses)
+            row["ceiling"] = ceiling if ceiling >= MIN_CEILING else None
+            if UNTRAINED + code in train.features:
+                row["untrained"] = probe(UNTRAINED + code).r2
+                row["shuffled"] = probe(code, labels[shuffled]).r2
+            rows.append(row)
     return rows
 
 
-def _make_row(what: str, code: str, quantity: str, estimate: Estimate, poses: np.ndarray) -> Json:
+def _make_row(pair: tuple[str, str], quantity: str, estimate: Estimate, poses: np.ndarray) -> Json:
+    what, code = pair
     return {
         "name": f"{quantity} from {code}",
         "what": what,
         "code": code,
         "quantity": quantity,
-        "leak": (what, code) in LEAKS,
+        "leak": pair in LEAKS,
         "r2": estimate.r2,
         "r2 interval": _bootstrap_r2([estimate], poses),
         "family": estimate.family,
@@ -213,26 +188,41 @@ def _summarise(rows: Sequence[Json], pair: tuple[str, str], poses: np.ndarray) -
     return summary
 
 
-def _estimate_slides(
-    experiment: Experiment,
-    examples: Examples,
-    encode: Encode,
-    train: ProbeSplit,
-    test: ProbeSplit,
-) -> list[Json]:
-    """Estimate the slide from both codes together, in mm and deg, with intervals."""
-    validation = read_labelled_slides(experiment, examples.reader, "validation", MAX_TESTED)
-    inputs = (train.inputs, validation[get_modality(experiment).sheared], test.inputs)
-    codes = [np.concatenate(list(encode(each).values()), axis=1) for each in inputs]
-    slides = [
-        train.quantities["slide"],
-        read_slides(examples.slides, validation),
-        test.quantities["slide"],
-    ]
-    slipped = None
-    if "stuck" in test.batch:
-        slipped = is_slipping(test.batch["stuck"], test.batch["slipping"])
-    return estimate_slides(codes, slides, train.poses, test.poses, slipped)
+def _compute_standard_scores(
+    train: ProbeSplit, test: ProbeSplit, rows: Sequence[Json]
+) -> dict[str, float]:
+    """Compute MIG, SAP and DCI by block over the quantities with a ceiling, on whitened codes."""
+    visible = sorted({(row["what"], row["quantity"]) for row in rows if row["ceiling"] is not None})
+    if {what for what, _ in visible} != set(OWNERS):
+        return {}
+    whitenings = {code: fit_whitening(train.features[code]) for code in OWNERS.values()}
+    train_blocks = _make_blocks(whitenings, train, visible)
+    test_blocks = _make_blocks(whitenings, test, visible)
+    dci = score_dci(train_blocks, test_blocks)
+    return {
+        "MIG": score_mig(train_blocks),
+        "SAP": score_sap(train_blocks, test_blocks),
+        **{f"DCI {name}": value for name, value in dci.items()},
+    }
+
+
+def _make_blocks(
+    whitenings: Mapping[str, Whitening], split: ProbeSplit, visible: Sequence[Quantity]
+) -> Blocks:
+    white = [whitening.apply(split.features[code]) for code, whitening in whitenings.items()]
+    factors = [split.quantities[quantity] for quantity in visible]
+    owners = [list(OWNERS).index(what) for what, _ in visible]
+    return Blocks(
+        np.concatenate(white, axis=1),
+        np.repeat([0, 1], [code.shape[1] for code in white]),
+        np.concatenate(factors, axis=1),
+        np.repeat(owners, [factor.shape[1] for factor in factors]),
+    )
+
+
+def _join_codes(split: ProbeSplit) -> CodedSlides:
+    codes = np.concatenate([split.features["z_p"], split.features["z_s"]], axis=1)
+    return CodedSlides(codes, split.select_slides(), split.poses)
 
 
 def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:

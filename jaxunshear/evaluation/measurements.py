@@ -2,12 +2,12 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jaxunshear.files import Json
 from jaxunshear.results.measurement import Measured, Measurement
-from jaxunshear.results.run import CodeSwapScore, Results, Table, Tables
+from jaxunshear.results.run import CodeSwapScore, Results, Tables
 from jaxunshear.serialization import to_builtins
 
 BARS: dict[str, tuple[str, float]] = {  # that the demo should clear, on held-out poses
@@ -34,12 +34,9 @@ def build_measurements(results: Results) -> Measured:
     rows = _build_test_rows(results, (*TABLES, "pin_error", "half_width", "coverage"), results, "")
     for test, further in results.tests.items():
         rows += _build_test_rows(further, TABLES, results, f"{test}.")
+    note = "median of one image at a time"
     for network, times in results.ms_per_image.items():
-        rows.append(
-            _make_row(
-                f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"
-            )
-        )
+        rows.append(_make_row(f"ms_per_image.{network}", times["median"], "ms", note))
     for stage, seconds in results.time_s.items():
         rows.append(_make_row(f"time_s.{stage}", seconds, "s", "wall clock"))
     return Measured(
@@ -58,28 +55,19 @@ def _build_test_rows(
     tables: Tables, names: Sequence[str], results: Results, prefix: str
 ) -> list[Measurement]:
     """Build the rows of one test: those of the tables `names`, and of other pose estimators."""
-    notes = results.metric
-    rows = []
-    for name in names:
-        rows += _build_rows(getattr(tables, name, None), name, notes.get(name, name), prefix)
+    named = [(name, getattr(tables, name, None), name) for name in names]
     if tables.pose_smooth:
-        table = tables.pose_smooth.pose_mae
-        rows += _build_rows(table, "pose_smooth", notes["pose_smooth"], prefix)
-    for estimator, table in tables.readers.items():
-        rows += _build_rows(table, estimator, notes["readers"], f"{prefix}readers.")
-    return rows
-
-
-def _build_rows(
-    table: Table | Mapping[str, CodeSwapScore] | None, name: str, metric: str | int, prefix: str
-) -> list[Measurement]:
+        named.append(("pose_smooth", tables.pose_smooth.pose_mae, "pose_smooth"))
+    named += [(f"readers.{name}", table, "readers") for name, table in tables.readers.items()]
     rows = []
-    for kind, columns in (table or {}).items():
-        values = vars(columns) if isinstance(columns, CodeSwapScore) else columns
-        for column, value in values.items():
-            if not isinstance(value, str):
-                unit = _find_unit(name, column)
-                rows.append(_make_row(f"{prefix}{name}.{kind}.{column}", value, unit, str(metric)))
+    for name, table, note in named:
+        metric = str(results.metric.get(note, note))
+        for kind, columns in (table or {}).items():
+            values = vars(columns) if isinstance(columns, CodeSwapScore) else columns
+            for column, value in values.items():
+                if not isinstance(value, str):
+                    unit = _find_unit(name, column)
+                    rows.append(_make_row(f"{prefix}{name}.{kind}.{column}", value, unit, metric))
     return rows
 
 

@@ -14,106 +14,90 @@ from jaxunshear.config.targets import Targets
 from jaxunshear.data.sources import PinLayout
 from jaxunshear.evaluation.baselines import make_baseline_images
 from jaxunshear.evaluation.code_swaps import decode_cells
-from jaxunshear.evaluation.score import DIRECT_KIND, Outputs, score_images
-from jaxunshear.files import Json
-from jaxunshear.models import pin_networks, posenet
+from jaxunshear.evaluation.score import CELLS, DIRECT_KIND, Outputs, score_images
+from jaxunshear.models import posenet
+from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 
-Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
+CELLS_BY_MODALITY = {IMAGES.name: CELLS, PINS.name: ("DC(z_p)", "DS(z_p,z_s)")}
+
+Scored = tuple[Outputs, dict[str, Array]]  # with scores of images, (B,) by name
+# tap, sheared and perhaps a detected tap: what the data set stores of a batch
+Run = Callable[..., Scored]
 
 
 def load_run(
     run_dir: Path,
     names: Sequence[str],
-    taps: np.ndarray | None = None,
+    modality: Modality,
     pins: PinLayout | None = None,
+    taps: np.ndarray | None = None,
 ) -> Run:
-    """Load networks as one compiled function (tap, sheared) -> (outputs, image scores).
+    """Load the best checkpoints of networks as one compiled function, see `make_run`.
 
-    Tap and sheared are images (B, S, S, 1) uint8 in {0, 255}; with `pins`, the networks are over
-    pins, and take (B, P, 2) px instead. Reads the best checkpoints of the networks `names`, and no
-    others. With training taps (M, S, S, 1) uint8 the outputs include the baselines.
     Raises `UserError` if a network is missing or cannot be read.
     """
     folders = {name: Path(run_dir) / name for name in names}
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
     targets = {name: read_targets(folder) for name, folder in folders.items()}
-    if pins is not None:
-        return partial(jax.jit(make_pin_run(nets, targets, pins)), variables)
-    return partial(jax.jit(make_image_run(nets, targets)), variables, taps)
+    return partial(jax.jit(make_run(nets, targets, modality, pins)), variables, taps)
 
 
-def make_image_run(
-    nets: Mapping[str, Net], targets: Mapping[str, Targets]
-) -> Callable[[Json, Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
-    """Make the function (variables, taps or None, tap, sheared) of networks over images.
+def make_run(
+    nets: Mapping[str, Net],
+    targets: Mapping[str, Targets],
+    modality: Modality,
+    pins: PinLayout | None = None,
+) -> Callable[..., Scored]:
+    """Make the function (variables, taps or None, tap, sheared) of networks by their name.
 
-    It is not compiled. `nets` and `targets` are by name of the network; images are uint8 in
-    {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
+    It is not compiled. Tap and sheared are images (B, S, S, 1) uint8 in {0, 255}, or pins (B, P, 2)
+    px, whose layout then is `pins`. With training taps (M, S, S, 1) uint8 the outputs include the
+    baselines. A fifth argument, pins that were detected in the tap, is given to PoseNet in the
+    place of the tap; all others are still compared with the tap. Images of pins are drawn as dots,
+    so that similarities stand in the same tables as those of networks over images.
     """
 
     def run(
-        variables: Variables, taps: Array | None, tap: Array, sheared: Array
-    ) -> tuple[Outputs, dict[str, Array]]:
-        tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
-        images, cells = {"tap": tap, "sheared": sheared}, {}
+        variables: Mapping[str, Variables],
+        taps: Array | None,
+        tap: Array,
+        sheared: Array,
+        detected_tap: Array | None = None,
+    ) -> Scored:
+        tap, sheared = modality.scale(tap), modality.scale(sheared)
+        outputs = {"tap": tap if detected_tap is None else detected_tap, "sheared": sheared}
+        cells = {}
         if taps is not None:
-            images |= make_baseline_images(taps, tap, sheared)
+            outputs |= make_baseline_images(taps, tap, sheared)
         for kind in UNSHEARING:
             if kind == DISENTANGLED and kind in nets:
-                cells = decode_cells(nets[kind], variables[kind], sheared)
-                images[kind] = cells["DC(z_p)"]
+                names = CELLS_BY_MODALITY[modality.name]
+                cells = decode_cells(nets[kind], variables[kind], sheared, names)
+                outputs[kind] = cells["DC(z_p)"]
+                if modality is PINS and len(cells) == 1:
+                    cells = {}  # its score is that of the pins
             elif kind in nets:
-                images[kind] = unshear(nets[kind], variables[kind], sheared)
-        poses = _predict_poses(nets, variables, targets, images)
-        return Outputs(images, cells, poses, {}), score_images(images, cells)
-
-    return run
-
-
-def make_pin_run(
-    nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: PinLayout
-) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
-    """Make the function (variables, tap pins, sheared pins) of networks over pins.
-
-    It is not compiled, and pins are (B, P, 2) px each. With `detected_tap` PoseNet is given those
-    pins of the tap, and all others are still compared with the tap pins. Images are the pins drawn
-    as dots, so that similarities stand in the same tables as those of networks over images.
-    """
-
-    def run(
-        variables: Variables, tap: Array, sheared: Array, detected_tap: Array | None = None
-    ) -> tuple[Outputs, dict[str, Array]]:
-        places = {"tap": tap if detected_tap is None else detected_tap, "sheared": sheared}
-        cells = {}
-        for kind in UNSHEARING:
-            if kind not in nets:
-                continue
-            net, weights = nets[kind], variables[kind]
-            z_p, z_s = pin_networks.encode(net, weights, sheared)
-            places[kind] = pin_networks.decode_canonical(net, weights, z_p)
-            if z_s is not None:
-                reconstructed = pin_networks.decode_sheared(net, weights, z_p, z_s)
-                cells = {"DC(z_p)": places[kind], "DS(z_p,z_s)": reconstructed}
-        poses = _predict_poses(nets, variables, targets, places)
-        images = _draw_pins(places | {"tap": tap}, pins)
-        cell_images = _draw_pins(cells, pins)
+                outputs[kind] = unshear(nets[kind], variables[kind], sheared)
+        poses = _predict_poses(nets, variables, targets, outputs)
+        images, cell_images = (_draw(x, modality, pins) for x in (outputs | {"tap": tap}, cells))
         scores = score_images(images, cell_images)
-        for kind, place in places.items():
+        if modality is IMAGES:
+            return Outputs(images, cell_images, poses, {}), scores
+        for kind, places in outputs.items():
             if kind != "tap":
-                scores[f"pins/{kind}"] = _compute_rms_px(place, tap)
-        return Outputs(images, cell_images, poses, places), scores
+                scores[f"pins/{kind}"] = _compute_rms_px(places, tap)
+        return Outputs(images, cell_images, poses, outputs), scores
 
     return run
 
 
 def _predict_poses(
     nets: Mapping[str, Net],
-    variables: Variables,
+    variables: Mapping[str, Variables],
     targets: Mapping[str, Targets],
     inputs: Mapping[str, Array],
 ) -> dict[str, dict[str, Array]]:
@@ -131,8 +115,11 @@ def _predict_poses(
     return poses
 
 
-def _draw_pins(places: Mapping[str, Array], pins: PinLayout) -> dict[str, Array]:
-    return {kind: draw_dots(place, pins.radius_px, pins.size) for kind, place in places.items()}
+def _draw(
+    outputs: Mapping[str, Array], modality: Modality, pins: PinLayout | None
+) -> dict[str, Array]:
+    radius_px, size = (0.0, 0) if pins is None else (pins.radius_px, pins.size)
+    return {kind: modality.draw(output, radius_px, size) for kind, output in outputs.items()}
 
 
 def _compute_rms_px(pins: Array, target: Array) -> Array:

@@ -4,27 +4,26 @@ A network that a PoseNet supervises, and that another PoseNet evaluates, may exp
 of that architecture. These estimators share with PoseNet only the taps of its training split.
 
 >>> estimator = fit_estimator(PIXELS, examples.reader, examples.targets)
->>> estimate_poses(estimator, compute_pixel_features(images))["edge_mm"]
+>>> estimator.estimate(compute_pixel_features(images))["edge_mm"]
 
 In simulation the estimator over pins learns from the true pins of taps, and is given the pins that
 are detected in images.
 """
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import POSENET, UNSHEARING
 from jaxunshear.config.targets import Targets, list_label_fields
 from jaxunshear.data.reader import Reader
 from jaxunshear.evaluation import kernel_ridge
 from jaxunshear.evaluation.score import Outputs, score_poses
-from jaxunshear.models.modality import IMAGES, PINS
+from jaxunshear.models.modality import IMAGES, PINS, get_modality
 from jaxunshear.models.posenet import scale_poses, unscale_outputs
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions
@@ -34,10 +33,8 @@ from jaxunshear.training.examples import open_examples
 PIXELS, PIN_PLACES = "pixels", "pins"
 MAX_TAPS = 3000  # training taps, evenly chosen
 SIDE_PX = 32  # px to which images are averaged
-INPUT_FIELDS = {  # of a tap
-    PIXELS: IMAGES.single,
-    PIN_PLACES: PINS.single,
-}
+
+Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
 
 
 class RidgeEstimator(NamedTuple):
@@ -45,9 +42,12 @@ class RidgeEstimator(NamedTuple):
     targets: Targets
     taps: int  # training taps
 
-
-Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
-BatchEstimator = Callable[[Outputs], dict[str, Poses]]  # of a batch, by kind
+    def estimate(self, features: np.ndarray) -> Poses:
+        """Estimate poses from features (B, F); those that are NaN count as their training mean."""
+        filled = np.where(np.isfinite(features), features, self.ridge.feature_mean)
+        outputs = jnp.asarray(kernel_ridge.predict(self.ridge, filled))
+        poses = unscale_outputs(outputs, self.targets)
+        return {name: np.asarray(value) for name, value in poses.items()}
 
 
 def compute_pixel_features(images: np.ndarray) -> np.ndarray:
@@ -65,6 +65,24 @@ def compute_pin_features(pins: np.ndarray) -> np.ndarray:
 
 
 FEATURES = {PIXELS: compute_pixel_features, PIN_PLACES: compute_pin_features}
+INPUT_FIELDS = {PIXELS: IMAGES.single, PIN_PLACES: PINS.single}  # of a tap
+
+
+def fit_estimators(
+    experiment: Experiment, data_dir: Path, run_dir: Path, of_images: Sequence[str]
+) -> dict[str, RidgeEstimator]:
+    """Fit estimators, by name, to the taps that the run's PoseNet learned from.
+
+    There is none if the run has no PoseNet, or too few taps. `of_images` are those that the images
+    of networks over images can be given to; images of networks over pins are drawn from the pins,
+    and show nothing else.
+    """
+    if POSENET not in experiment.networks:
+        return {}
+    examples = open_examples(experiment, POSENET, data_dir, run_dir)
+    names = (PIN_PLACES,) if get_modality(experiment) is PINS else of_images
+    fits = {name: fit_estimator(name, examples.reader, examples.targets) for name in names}
+    return {name: estimator for name, estimator in fits.items() if estimator is not None}
 
 
 def fit_estimator(
@@ -98,55 +116,11 @@ def fit_to_features(
     return RidgeEstimator(ridge, targets, len(features))
 
 
-def estimate_poses(estimator: RidgeEstimator, features: np.ndarray) -> Poses:
-    """Estimate poses from features (B, F); those that are NaN count as their training mean."""
-    mean = estimator.ridge.feature_mean
-    filled = np.where(np.isfinite(features), features, mean)
-    outputs = jnp.asarray(kernel_ridge.predict(estimator.ridge, filled))
-    poses = unscale_outputs(outputs, estimator.targets)
-    return {name: np.asarray(value) for name, value in poses.items()}
-
-
-def fit_estimators(
-    experiment: Experiment, data_dir: Path, run_dir: Path
-) -> dict[str, RidgeEstimator]:
-    """Fit estimators, by name, to the taps that the run's PoseNet learned from.
-
-    There is none if the run has no PoseNet, or too few taps.
-    """
-    if POSENET not in experiment.networks:
-        return {}
-    examples = open_examples(experiment, POSENET, data_dir, run_dir)
-    estimators = {}
-    for name in _list_estimators(experiment):
-        estimator = fit_estimator(name, examples.reader, examples.targets)
-        if estimator is not None:
-            estimators[name] = estimator
-    return estimators
-
-
-def _list_estimators(experiment: Experiment) -> tuple[str, ...]:
-    """List the estimators that the outputs of an experiment's networks can be given to."""
-    if uses_pins(experiment):
-        return (PIN_PLACES,)  # their images are drawn from the pins, and show nothing else
-    if not experiment.paired.is_simulated:
-        return (PIXELS,)  # the pins in unsheared images of recordings have no identities
-    return (PIXELS, PIN_PLACES)
-
-
-def make_batch_estimators(
-    estimators: Mapping[str, RidgeEstimator],
-) -> dict[str, BatchEstimator]:
-    """Make functions that estimate poses from the networks' outputs for a batch."""
-    return {
-        name: partial(_estimate_batch, name, estimator) for name, estimator in estimators.items()
-    }
-
-
-def _estimate_batch(name: str, estimator: RidgeEstimator, outputs: Outputs) -> dict[str, Poses]:
+def estimate_poses(name: str, estimator: RidgeEstimator, outputs: Outputs) -> dict[str, Poses]:
+    """Estimate poses from the networks' outputs for a batch, by kind."""
     inputs = outputs.images if name == PIXELS else outputs.pins
     return {
-        kind: estimate_poses(estimator, FEATURES[name](np.asarray(inputs[kind])))
+        kind: estimator.estimate(FEATURES[name](np.asarray(inputs[kind])))
         for kind in ("tap", "sheared", *UNSHEARING)
         if kind in inputs
     }
@@ -168,7 +142,7 @@ def score_detected_pins(
         if kind not in images:
             continue
         features = compute_pin_features(lattice.rest + measure_motions(lattice, images[kind]))
-        poses = {kind: estimate_poses(estimator, features)}
+        poses = {kind: estimator.estimate(features)}
         for name, score in score_poses(poses, true, f"read/{PIN_PLACES}").items():
             errors[name] = np.where(np.isfinite(features[:, 0]), score, np.nan)
     return errors

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.data import PairedData, Ranges
+from jaxunshear.config.data import PairedData
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import (
     SIMULATED_FIELDS,
-    Target,
     Targets,
     make_range_targets,
     read_true_values,
@@ -18,100 +17,89 @@ from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.bootstrap import number_poses
+from jaxunshear.evaluation.codes import CodeNetwork
 from jaxunshear.evaluation.pose_estimators import compute_pin_features
-from jaxunshear.models.modality import PINS, get_modality
+from jaxunshear.models.modality import PINS
 from jaxunshear.selection import select_evenly
 
-MAX_TRAINING, MAX_TESTED = 4000, 2000  # slides, evenly chosen
+MOST_SLIDES = {"train": 4000, "validation": 2000, "test": 2000}  # evenly chosen
 LABELS = ("pose", "move", "stimulus", "pose_id")
+OPTIONAL_LABELS = ("felt", "edge", "stuck", "slipping")  # of simulated slides
 
-Quantities = dict[str, np.ndarray]  # by name (N, 1), or (N, 2) if it is a circular angle
+Quantity = tuple[str, str]  # "pose" or "slide", and the name
 
 
 class ProbeSplit(NamedTuple):
     """Slides that probes learn from, or are tested on."""
 
-    inputs: np.ndarray  # of the network
-    pins: np.ndarray  # (N, 2 P) px, finite
-    quantities: dict[str, Quantities]  # "pose" and "slide"
+    features: dict[str, np.ndarray]  # (N, F): "pins" px, finite; codes by name
+    quantities: dict[Quantity, np.ndarray]  # (N, 1), or (N, 2) if it is a circular angle
     poses: np.ndarray  # (N,) which pose a slide belongs to
     batch: Batch
 
+    def select_slides(self) -> dict[str, np.ndarray]:
+        return {name: v for (part, name), v in self.quantities.items() if part == "slide"}
+
 
 def read_splits(
-    experiment: Experiment, examples: Examples, data_dir: Path
-) -> tuple[ProbeSplit, ProbeSplit]:
-    """Read the slides that probes learn from, and those that they are tested on."""
+    experiment: Experiment, examples: Examples, data_dir: Path, networks: dict[str, CodeNetwork]
+) -> dict[str, ProbeSplit]:
+    """Read the slides of each split, with codes by `networks`, whose names are prefixes.
+
+    Slides of the pose are scaled by their range; slides are in mm and deg, simulated ones in the
+    sensor's frame, recorded ones in the frame of their labels.
+    """
     targets = _list_pose_targets(experiment, data_dir)
-    train = _read_split(experiment, examples, targets, "train", MAX_TRAINING)
-    test = _read_split(experiment, examples, targets, "test", MAX_TESTED)
-    mean = np.nanmean(train.pins, axis=0)
-    return _fill_pins(train, mean), _fill_pins(test, mean)
+    splits = {}
+    for split, most in MOST_SLIDES.items():
+        batch = _read_labelled_slides(examples.reader, split, most, networks[""].modality.sheared)
+        quantities = {
+            **{("pose", name): value for name, value in _scale_poses(targets, batch).items()},
+            **{
+                ("slide", name): value[:, None]
+                for name, value in read_true_values(examples.slides, batch).items()
+            },
+        }
+        features = {"pins": compute_pin_features(batch[PINS.sheared])}
+        for prefix, network in networks.items():
+            codes = network.encode(batch[network.modality.sheared])
+            for name, code in codes.items():
+                features[prefix + name] = code.reshape(len(code), -1)
+        poses = number_poses(batch["stimulus"], batch["pose_id"])
+        splits[split] = ProbeSplit(features, quantities, poses, batch)
+    mean = np.nanmean(splits["train"].features["pins"], axis=0)
+    for each in splits.values():
+        pins = each.features["pins"]
+        each.features["pins"] = np.where(np.isfinite(pins), pins, mean)
+    return splits
 
 
-def _fill_pins(split: ProbeSplit, mean: np.ndarray) -> ProbeSplit:
-    """Replace missing pins by their mean."""
-    return split._replace(pins=np.where(np.isfinite(split.pins), split.pins, mean))
-
-
-def _read_split(
-    experiment: Experiment, examples: Examples, targets: Targets, split: str, most: int
-) -> ProbeSplit:
-    batch = read_labelled_slides(experiment, examples.reader, split, most)
-    return ProbeSplit(
-        batch[get_modality(experiment).sheared],
-        compute_pin_features(batch[PINS.sheared]),
-        {"pose": _scale_poses(targets, batch), "slide": read_slides(examples.slides, batch)},
-        number_poses(batch["stimulus"], batch["pose_id"]),
-        batch,
-    )
-
-
-def read_labelled_slides(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
+def _read_labelled_slides(reader: Reader, split: str, most: int, inputs: str) -> Batch:
     """Read at most `most` slides, evenly chosen, that have labels and identified pins."""
-    is_recorded = bool(open_source(experiment).pin_fields)
-    fields = (*LABELS, "sure") if is_recorded else LABELS
-    batch = reader.take(split, np.arange(reader.length(split)), fields)
-    usable = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
-    if is_recorded:
-        usable &= batch["sure"] == 1
+    stored = reader.rows(split)
+    usable = np.isfinite(stored["pose"]).all(axis=1) & np.isfinite(stored["move"]).all(axis=1)
+    if "sure" in stored:
+        usable &= stored["sure"] == 1
     rows = np.flatnonzero(usable)
     if not len(rows):
         raise UserError(
             f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
         )
     rows = rows[select_evenly(len(rows), most)]
-    inputs = dict.fromkeys((PINS.sheared, get_modality(experiment).sheared))
-    contact_state = () if is_recorded else ("felt", "edge", "stuck", "slipping")
-    return reader.take(split, rows, (*inputs, *LABELS, *contact_state))
-
-
-def read_slides(slides: Targets, batch: Batch) -> Quantities:
-    """Read the slides (N, 1) in mm and deg.
-
-    Simulated slides are in the sensor's frame, recorded ones in the frame of their labels.
-    """
-    return {name: value[:, None] for name, value in read_true_values(slides, batch).items()}
+    optional = (name for name in OPTIONAL_LABELS if name in stored)
+    return reader.take(
+        split, rows, tuple(dict.fromkeys((PINS.sheared, inputs, *LABELS, *optional)))
+    )
 
 
 def _list_pose_targets(experiment: Experiment, data_dir: Path) -> Targets:
     """List all components of the pose that the data vary."""
-    if not isinstance(experiment.paired, PairedData):
-        return open_source(experiment).open_stored(data_dir).make_targets(())
-    targets: list[Target] = []
-    for name in SIMULATED_FIELDS:
-        targets += _list_varied_targets(name, experiment.paired.ranges)
-    return tuple(targets)
+    if isinstance(experiment.paired, PairedData):
+        return make_range_targets((), experiment.paired.ranges, tuple(SIMULATED_FIELDS))
+    return open_source(experiment).open_stored(data_dir).make_targets(())
 
 
-def _list_varied_targets(name: str, ranges: Ranges) -> Targets:
-    try:
-        return make_range_targets((name,), ranges)
-    except UserError:  # it does not vary
-        return ()
-
-
-def _scale_poses(targets: Targets, batch: Batch) -> Quantities:
+def _scale_poses(targets: Targets, batch: Batch) -> dict[str, np.ndarray]:
     poses = {}
     for target in targets:
         value = batch[target.field][:, target.column].astype(np.float64)

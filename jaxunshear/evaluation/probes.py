@@ -1,17 +1,17 @@
 """Estimate one quantity from a code by probes: regressors of several families.
 
->>> probe = FAMILIES["kernel ridge"]
->>> estimates = probe(codes, quantity, others, groups)         # (N, F), (N, K), (M, F) -> (M, K)
->>> mean, deviation = fit_gaussian(codes, quantity, others, groups)  # with its uncertainty
+>>> task = prepare_task(codes, quantity, test_codes, groups)   # (N, F), (N, K), (M, F), (N,)
+>>> estimates = task.unscale(FAMILIES["kernel ridge"](task))   # (M, K)
+>>> mean, deviation = fit_gaussian(task)                       # with its uncertainty
 
 A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity
 that no family finds may still be there: report the strongest family, and compare it with what the
 same families find in the network's input.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import flax.linen as nn
 import jax
@@ -41,7 +41,8 @@ NOISE_FLOOR = 1e-5  # of the widest direction's deviation: below it lies the rou
 MAX_DIRECTIONS = 256
 _State = tuple[VariableDict, optax.OptState]
 Codes = Float[np.ndarray, "N F"]
-Probe = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Choice = TypeVar("Choice", int, float)
+_Predict = Callable[[Choice, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Whitening(NamedTuple):
@@ -63,6 +64,15 @@ def fit_whitening(codes: Codes) -> Whitening:
     return Whitening(pca.mean_, (pca.components_[varied] / deviations[varied, None]).T)
 
 
+def compute_r2(squares: Float[np.ndarray, "*N"], scatter: Float[np.ndarray, "*N"]) -> float:
+    """Compute R2 = 1 - SSE / SST from squared errors and squared distances from the mean.
+
+    NaN if nothing varies.
+    """
+    total = float(np.sum(scatter, dtype=np.float64))
+    return 1 - float(np.sum(squares, dtype=np.float64)) / total if total > 0 else float("nan")
+
+
 class MLP(nn.Module):
     outputs: int
 
@@ -74,78 +84,115 @@ class MLP(nn.Module):
         return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)
 
 
-def fit_linear(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
-) -> np.ndarray:
+class ProbeTask(NamedTuple):
+    """Codes of training and test slides, and one quantity to estimate from them.
+
+    Codes are whitened and quantities standardised; `prepare_task` makes both.
+    """
+
+    x: np.ndarray  # (N, D)
+    y: np.ndarray  # (N, K)
+    test_x: np.ndarray  # (M, D)
+    held_out: np.ndarray  # (N,) bool: examples that choose among fits
+    raw_codes: np.ndarray  # (N, F)
+    raw_test_codes: np.ndarray  # (M, F)
+    centre: np.ndarray  # (K,)
+    spread: np.ndarray  # (K,)
+
+    def unscale(self, y: np.ndarray) -> np.ndarray:
+        return self.centre + self.spread * y
+
+
+def prepare_task(
+    codes: Codes,
+    targets: Float[np.ndarray, "N K"],
+    test_codes: Float[np.ndarray, "M F"],
+    groups: Int[np.ndarray, "N"],
+) -> ProbeTask:
+    """Prepare the estimation of `targets`; every fifth group is held out."""
+    whitening = fit_whitening(codes)
+    centre = targets.mean(axis=0, dtype=np.float64)
+    spread = targets.std(axis=0, dtype=np.float64)
+    spread = np.where(spread > MIN_SPREAD, spread, 1)
+    return ProbeTask(
+        whitening.apply(codes),
+        (targets - centre) / spread,
+        whitening.apply(test_codes),
+        mark_held_out(groups),
+        np.asarray(codes, np.float64),
+        test_codes,
+        centre,
+        spread,
+    )
+
+
+def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
+    """Mark the examples (N,) of every fifth group."""
+    return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
+
+
+def fit_linear(task: ProbeTask) -> np.ndarray:
     """Predict by ridge regression; held-out groups choose the ridge."""
-    data = _prepare(codes, targets, test_codes, groups)
-    fitting, held_out = ~data.held_out, data.held_out
 
-    def predict(ridge: float, x: np.ndarray, y: np.ndarray, others: np.ndarray) -> np.ndarray:
+    def predict(ridge: float, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
         model = Ridge(ridge * len(x), fit_intercept=False).fit(x, y)
-        return model.predict(others).reshape(len(others), -1)
+        return model.predict(test_x).reshape(len(test_x), -1)
 
-    def compute_error(ridge: float) -> float:
-        predicted = predict(ridge, data.x[fitting], data.y[fitting], data.x[held_out])
-        return float(np.mean((predicted - data.y[held_out]) ** 2))
-
-    best = min(RIDGES, key=compute_error)
-    return data.unscale(predict(best, data.x, data.y, data.others))
+    return _predict_by_best(task, RIDGES, predict)
 
 
-def fit_kernel_ridge(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
-) -> np.ndarray:
+def fit_neighbours(task: ProbeTask) -> np.ndarray:
+    """Predict by the mean of the nearest codes; held-out groups choose how many."""
+
+    def predict(count: int, x: np.ndarray, y: np.ndarray, test_x: np.ndarray) -> np.ndarray:
+        return KNeighborsRegressor(count).fit(x, y).predict(test_x)
+
+    most = np.count_nonzero(~task.held_out)
+    return _predict_by_best(task, [n for n in NEIGHBOURS if n <= most] or [1], predict)
+
+
+def fit_kernel_ridge(task: ProbeTask) -> np.ndarray:
     """Predict by kernel ridge regression; held-out groups choose raw or whitened codes."""
-    data = _prepare(codes, targets, test_codes, groups)
-    choices = ((data.x, data.others), (np.asarray(codes, np.float64), test_codes))
-    fitting, held_out = np.flatnonzero(~data.held_out), data.held_out
+    choices = ((task.x, task.test_x), (task.raw_codes, task.raw_test_codes))
+    fitting = np.flatnonzero(~task.held_out)
     some = fitting[select_evenly(len(fitting), kernel_ridge.MAX_SEARCH_EXAMPLES)]
 
     def compute_error(choice: tuple[np.ndarray, np.ndarray]) -> float:
         features, _ = choice
-        ridge = kernel_ridge.fit(features[some], data.y[some])
-        predicted = kernel_ridge.predict(ridge, features[held_out])
-        return float(np.mean((predicted - data.y[held_out]) ** 2))
+        ridge = kernel_ridge.fit(features[some], task.y[some])
+        predicted = kernel_ridge.predict(ridge, features[task.held_out])
+        return _compute_error(predicted, task)
 
     features, test_features = min(choices, key=compute_error)
-    return data.unscale(kernel_ridge.predict(kernel_ridge.fit(features, data.y), test_features))
+    return kernel_ridge.predict(kernel_ridge.fit(features, task.y), test_features)
 
 
-def fit_mlp(codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray) -> np.ndarray:
-    """Predict by a network with two hidden layers; held-out groups stop its training early."""
-    data = _prepare(codes, targets, test_codes, groups)
-    return data.unscale(_train(data, gaussian=False))
-
-
-def fit_trees(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
-) -> np.ndarray:
+def fit_trees(task: ProbeTask) -> np.ndarray:
     """Predict each column by gradient-boosted trees; held-out groups stop them early."""
-    data = _prepare(codes, targets, test_codes, groups)
+    fitting, held_out = ~task.held_out, task.held_out
+
+    def predict(column: np.ndarray) -> np.ndarray:
+        trees = HistGradientBoostingRegressor(max_iter=TREES, early_stopping=True, random_state=0)
+        held = {"X_val": task.x[held_out], "y_val": column[held_out]}
+        return trees.fit(task.x[fitting], column[fitting], **held).predict(task.test_x)
+
     # threads that wait for each other on busy cores take many times as long
     with threadpool_limits(1, "openmp"):
-        columns = [_fit_forest(data, column) for column in data.y.T]
-    return data.unscale(np.stack(columns, axis=-1))
+        return np.stack([predict(column) for column in task.y.T], axis=-1)
 
 
-def fit_neighbours(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
-) -> np.ndarray:
-    """Predict by the mean of the nearest codes; held-out groups choose how many."""
-    data = _prepare(codes, targets, test_codes, groups)
-    fitting, held_out = ~data.held_out, data.held_out
+def fit_mlp(task: ProbeTask, gaussian: bool = False) -> np.ndarray:
+    """Predict by a network with two hidden layers; held-out groups stop its training early.
 
-    def compute_error(count: int) -> float:
-        nearest = KNeighborsRegressor(count).fit(data.x[fitting], data.y[fitting])
-        return float(np.mean((nearest.predict(data.x[held_out]) - data.y[held_out]) ** 2))
-
-    possible = [count for count in NEIGHBOURS if count <= np.count_nonzero(fitting)]
-    best = min(possible or [1], key=compute_error)
-    return data.unscale(KNeighborsRegressor(best).fit(data.x, data.y).predict(data.others))
+    A `gaussian` network predicts mean and log deviation (M, 2 K).
+    """
+    fitting, held_out = ~task.held_out, task.held_out
+    parts = (task.x[fitting], task.y[fitting], task.x[held_out], task.y[held_out], task.test_x)
+    arrays = [jnp.asarray(part, jnp.float32) for part in parts]
+    return np.asarray(_train_mlp(*arrays, gaussian=gaussian), np.float64)
 
 
-FAMILIES: dict[str, Probe] = {
+FAMILIES: dict[str, Callable[[ProbeTask], np.ndarray]] = {  # -> standardised quantity (M, K)
     "linear": fit_linear,
     "kernel ridge": fit_kernel_ridge,
     "mlp": fit_mlp,
@@ -154,24 +201,30 @@ FAMILIES: dict[str, Probe] = {
 }
 
 
-def fit_gaussian(
-    codes: Codes, targets: np.ndarray, test_codes: Codes, groups: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict mean and standard deviation by an MLP that is trained by a normal likelihood.
+def fit_gaussian(task: ProbeTask) -> tuple[np.ndarray, np.ndarray]:
+    """Predict mean and standard deviation (M, K) by an MLP that maximises a normal likelihood.
 
     The deviation is not calibrated.
     """
-    data = _prepare(codes, targets, test_codes, groups)
-    mean, log_deviation = np.split(_train(data, gaussian=True), 2, axis=1)
-    return data.unscale(mean), np.exp(log_deviation) * data.spread
+    mean, log_deviation = np.split(fit_mlp(task, gaussian=True), 2, axis=1)
+    return task.unscale(mean), np.exp(log_deviation) * task.spread
 
 
-def _fit_forest(data: "_Data", column: np.ndarray) -> np.ndarray:
-    """Predict one column: (N,) -> (M,)."""
-    fitting, held = ~data.held_out, data.held_out
-    trees = HistGradientBoostingRegressor(max_iter=TREES, early_stopping=True, random_state=0)
-    trees.fit(data.x[fitting], column[fitting], X_val=data.x[held], y_val=column[held])
-    return trees.predict(data.others)
+def _predict_by_best(
+    task: ProbeTask, choices: Sequence[Choice], predict: _Predict[Choice]
+) -> np.ndarray:
+    """Predict by the choice that errs least on the held-out groups."""
+    fitting, held_out = ~task.held_out, task.held_out
+
+    def compute_error(choice: Choice) -> float:
+        predicted = predict(choice, task.x[fitting], task.y[fitting], task.x[held_out])
+        return _compute_error(predicted, task)
+
+    return predict(min(choices, key=compute_error), task.x, task.y, task.test_x)
+
+
+def _compute_error(predicted: np.ndarray, task: ProbeTask) -> float:
+    return float(np.mean((predicted - task.y[task.held_out]) ** 2))
 
 
 class _Best(NamedTuple):
@@ -180,43 +233,6 @@ class _Best(NamedTuple):
     state: _State
     error: jax.Array
     params: VariableDict
-
-
-class _Data(NamedTuple):
-    """Whitened codes and standardised quantities."""
-
-    x: np.ndarray  # (N, D)
-    y: np.ndarray  # (N, K)
-    others: np.ndarray  # (M, D)
-    held_out: np.ndarray  # (N,) bool
-    centre: np.ndarray  # (K,)
-    spread: np.ndarray  # (K,)
-
-    def unscale(self, y: np.ndarray) -> np.ndarray:
-        return self.centre + self.spread * y
-
-
-def _prepare(
-    codes: Codes, targets: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]
-) -> _Data:
-    whitening = fit_whitening(codes)
-    centre = targets.mean(axis=0, dtype=np.float64)
-    spread = targets.std(axis=0, dtype=np.float64)
-    spread = np.where(spread > MIN_SPREAD, spread, 1)
-    x, z = whitening.apply(codes), whitening.apply(others)
-    return _Data(x, (targets - centre) / spread, z, mark_held_out(groups), centre, spread)
-
-
-def mark_held_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
-    """Mark the examples (N,) of every fifth group."""
-    return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
-
-
-def _train(data: _Data, gaussian: bool) -> np.ndarray:
-    fitting, held = ~data.held_out, data.held_out
-    parts = (data.x[fitting], data.y[fitting], data.x[held], data.y[held], data.others)
-    arrays = [jnp.asarray(part, jnp.float32) for part in parts]
-    return np.asarray(_train_mlp(*arrays, gaussian=gaussian), np.float64)
 
 
 @partial(jax.jit, static_argnames="gaussian")

@@ -1,4 +1,4 @@
-"""Build the results of a recorded test from its scores alone."""
+"""Build the results of a recorded test from its scores alone, and format them for people."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -6,37 +6,47 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, uses_pins
-from jaxunshear.config.targets import Targets, list_target_names, read_true_values
+from jaxunshear.config.data import SPLIT_TEXTS
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.config.targets import Targets, list_target_names
+from jaxunshear.data.reader import Reader
 from jaxunshear.data.recorded_set import RecordedSet
-from jaxunshear.evaluation.bootstrap import number_poses, resample_means
-from jaxunshear.evaluation.paper_results import PAPER
-from jaxunshear.evaluation.pin_errors import measure_pin_errors
-from jaxunshear.evaluation.recorded_descriptions import (
-    ScoredContacts,
-    count_test_contacts,
-    describe_pairing,
-    describe_recordings,
-)
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.recorded_scores import UNSHEARED, RecordedScores, RecordedTest
 from jaxunshear.evaluation.result_tables import (
-    Resampled,
-    add_estimators,
+    SEED,
     build_tables,
+    describe_run,
+    describe_similarity,
     tabulate_by_size,
 )
-from jaxunshear.evaluation.score import choose_main_kind, compute_chance_errors
-from jaxunshear.evaluation.score_collection import CollectedScores
-from jaxunshear.metrics import count_scales, format_ms_ssim_name
-from jaxunshear.models.modality import PINS
-from jaxunshear.results.run import Results, Tables
+from jaxunshear.evaluation.score import choose_main_kind
+from jaxunshear.metrics.pin_error import measure_pin_errors
+from jaxunshear.models.modality import PINS, Modality, get_modality
+from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables
+from jaxunshear.text_table import format_text_table
+
+RECORDED_COUNTS = ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")
+POSE_ROWS = ("tap", "sheared", UNSHEARED, "sheared_learnt")
+METRIC_NOTES = {
+    "pose_mae": "mean absolute error, in the labels' own frame, of a PoseNet trained on recorded "
+    "taps (sheared_learnt: on labelled slides); tap: on test taps; partner: on what a test slide "
+    "is paired with; others: on test slides",
+    "difference": "disentangled less this network, slide by slide",
+    "pin_error": "matched centroids with the partner's pins",
+    "half_width": "holds 95 % of the errors on validation contacts of the run's own session",
+    "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
+}
+PIN_METRIC_NOTES = {
+    "swap": "of drawn pins",
+    "pin_error": "of pins by identity, with the partner's",
+}
 
 Row = TypeVar("Row")
-PinErrors = dict[str, dict[str, float | None]]  # px and mm by kind
-SEED = 0  # of the bootstrap
 
 
-def build_results(
+def build_recorded_results(
     experiment: Experiment,
     stored: RecordedSet,
     targets: Targets,
@@ -44,111 +54,48 @@ def build_results(
     test: RecordedTest,
 ) -> Results:
     """Build the results that follow from the scores."""
-    labels = _get_contacts(scores).labels
-    chance = compute_chance_errors(read_true_values(targets, labels), targets)
+    modality = get_modality(experiment)
+    metric = describe_similarity(stored.size) | METRIC_NOTES
+    metric |= PIN_METRIC_NOTES if modality is PINS else {}
+    metric["input"] = modality.name
+    metric["coverage"] = f"share of the errors here, on {test.data}, that half_width holds"
+    pin_errors = {}
+    if test.paired and scores.slides is not None:
+        pin_errors = _measure_pin_errors(modality, scores.slides)
+    tables = _build_tables(scores, targets)
     return Results(
-        experiment=experiment.name,
-        claim=experiment.claim,
+        **describe_run(experiment, scores.get_main(), targets, tables),
         simulated=False,
-        metric=_describe_metrics(experiment, stored.size, test),
-        **vars(_build_tables(scores, targets)),
-        pin_error=_measure_pin_errors(experiment, scores.slides) if test.paired else {},
-        baselines={"pose_chance": chance},
+        metric=metric,
+        pin_error=pin_errors,
         test_data=test.data,
-        recordings=describe_recordings(experiment, stored),
-        pairing=describe_pairing(experiment, test.slides if test.paired else None, targets),
+        recordings=_describe_recordings(experiment, stored),
+        pairing=_describe_pairing(stored, test, targets),
         targets=targets,
-        counts=count_test_contacts(
-            stored,
-            ScoredContacts(test.slides, scores.slides),
-            ScoredContacts(test.taps, scores.taps),
-        ),
-        paper=PAPER,
+        counts=_count_contacts(stored, scores, test),
         seeds={"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
-        settings=dataclasses.asdict(experiment),
     )
 
 
-def _get_contacts(scores: RecordedScores) -> CollectedScores:
-    """Return the slides, or the taps of a test without slides."""
-    contacts = scores.taps if scores.slides is None else scores.slides
-    assert contacts is not None
-    return contacts
-
-
-def _describe_metrics(
-    experiment: Experiment, size: int, test: RecordedTest
-) -> dict[str, str | int]:
-    """Say what the names of the tables stand for."""
-    scales = count_scales(size)
-    ms_ssim = format_ms_ssim_name(scales)
-    if uses_pins(experiment):
-        swap, pin_error = "of drawn pins", "of pins by identity, with the partner's"
-    else:
-        swap = f"mean squared error, SSIM and {ms_ssim} of a decoder's image"
-        pin_error = "matched centroids with the partner's pins"
-    return {
-        "ms_ssim": ms_ssim,
-        "image_px": size,
-        "scales": scales,
-        "input": experiment.unshear.input,
-        "pose_mae": "mean absolute error, in the labels' own frame, of a PoseNet trained on "
-        "recorded taps (sheared_learnt: on labelled slides); tap: on test taps; partner: on what a "
-        "test slide is paired with; others: on test slides",
-        "pose_ratio": "error over the error on sheared images",
-        "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
-        "difference": "disentangled less this network, slide by slide",
-        "swap": swap,
-        "pin_error": pin_error,
-        "half_width": "holds 95 % of the errors on validation contacts of the run's own session",
-        "coverage": f"share of the errors here, on {test.data}, that half_width holds",
-        "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
-    }
-
-
 def _build_tables(scores: RecordedScores, targets: Targets) -> Tables:
-    """Build all tables; taps and slides are resampled separately, as they are no pairs."""
-    slides, taps = scores
-    separate = None
-    if taps is not None and taps.scores:
-        means = resample_means(taps.scores, taps.labels["number"], SEED + 1)
-        separate = Resampled(taps.scores, means)
-    labels = _get_contacts(scores).labels
-    slide_scores = {} if slides is None else slides.scores
-    poses = number_poses(labels["stimulus"], labels["number"])
-    tables = build_tables(slide_scores, (), labels["stimulus"], poses, SEED, separate)
+    """Build all tables, of poses also by indentation depth and length of the slide, if known."""
+    tables = build_tables(scores.get_main(), taps=scores.taps)
+    slides = scores.slides
     if slides is not None:
-        tables = _add_sizes(tables, slides, poses, targets)
-    estimator_scores = []
-    for contacts in (taps, slides):
-        if contacts is not None:
-            estimator_scores.append((contacts.scores, contacts.labels["number"]))
-    return _copy_main_network(add_estimators(tables, estimator_scores, SEED))
-
-
-def _add_sizes(
-    tables: Tables, slides: CollectedScores, poses: np.ndarray, targets: Targets
-) -> Tables:
-    """Add the poses by indentation depth and by length of the slide, if these are known."""
-    scores, labels = slides.scores, slides.labels
-    depth = labels["pose"][:, 2]
-    length = np.hypot(labels["move"][:, 0], labels["move"][:, 1])
-    if "z_mm" in list_target_names(targets):
-        parts = tabulate_by_size(scores, depth, float(depth.min()), float(depth.max()), poses, SEED)
-        tables = dataclasses.replace(tables, pose_by_depth=parts)
-    if np.isfinite(length).all():
-        parts = tabulate_by_size(scores, length, 0.0, float(length.max()), poses, SEED)
-        tables = dataclasses.replace(tables, pose_by_slide=parts)
-    return tables
-
-
-def _copy_main_network(tables: Tables) -> Tables:
-    """Copy the rows of the main network to UNSHEARED, the same name in every run."""
+        depth = slides.labels["pose"][:, 2]
+        length = np.hypot(slides.labels["move"][:, 0], slides.labels["move"][:, 1])
+        if "z_mm" in list_target_names(targets):
+            parts = tabulate_by_size(slides, depth, float(depth.min()), float(depth.max()))
+            tables = dataclasses.replace(tables, pose_by_depth=parts)
+        if np.isfinite(length).all():
+            parts = tabulate_by_size(slides, length, 0.0, float(length.max()))
+            tables = dataclasses.replace(tables, pose_by_slide=parts)
     kind = choose_main_kind(tables.pose_mae)
     if kind == "sheared":
         return tables
 
     def copy_row(table: Mapping[str, Row]) -> Mapping[str, Row]:
+        """Copy the row of the main network to UNSHEARED, the same name in every run."""
         return {**table, UNSHEARED: table[kind]} if kind in table else table
 
     spread = dataclasses.replace(
@@ -164,12 +111,20 @@ def _copy_main_network(tables: Tables) -> Tables:
     )
 
 
-def _measure_pin_errors(experiment: Experiment, slides: CollectedScores | None) -> PinErrors:
-    """Measure errors against the partners' pins, in px; no recording shows how many mm they are."""
-    if slides is None:
-        return {}
-    if uses_pins(experiment):
-        return _summarise_pin_scores(slides)
+def _measure_pin_errors(
+    modality: Modality, slides: ContactScores
+) -> dict[str, dict[str, float | None]]:
+    """Measure errors against the partners' pins, in px; no recording shows how many mm they are.
+
+    Networks over pins give pins with identities; in images pins are detected.
+    """
+    if modality is PINS:
+        errors_px = {}
+        for name, score in slides.scores.items():
+            if name.startswith("pins/"):
+                errors_px[name.removeprefix("pins/")] = float(np.sqrt(np.nanmean(np.square(score))))
+        errors_px["true_slide"] = errors_px.pop("sheared")
+        return {kind: {"rms_px": error, "rms_mm": None} for kind, error in errors_px.items()}
     tap_pins, sheared_pins = slides.pins[PINS.canonical], slides.pins[PINS.sheared]
     identified = np.isfinite(tap_pins).all((1, 2)) & np.isfinite(sheared_pins).all((1, 2))
     if not identified.any():
@@ -178,11 +133,92 @@ def _measure_pin_errors(experiment: Experiment, slides: CollectedScores | None) 
     return measure_pin_errors(images, tap_pins[identified], sheared_pins[identified], None)
 
 
-def _summarise_pin_scores(slides: CollectedScores) -> PinErrors:
-    """Summarise the errors of networks over pins, whose pins have identities."""
-    errors_px = {}
-    for name, score in slides.scores.items():
-        if name.startswith("pins/"):
-            errors_px[name.removeprefix("pins/")] = float(np.sqrt(np.nanmean(np.square(score))))
-    errors_px["true_slide"] = errors_px.pop("sheared")
-    return {kind: {"rms_px": error, "rms_mm": None} for kind, error in errors_px.items()}
+def _describe_recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:
+    settings, counts = stored.settings, stored.metadata["counts"]
+    return Recordings(
+        tap_folder=settings.tap_folder,
+        slide_folder=settings.slide_folder,
+        digest=settings.digest,
+        sensor=experiment.sensor.name,
+        pins=experiment.sensor.pins,
+        pins_sure=stored.metadata["pins"]["sure"],
+        **{name: counts[name] for name in RECORDED_COUNTS},
+        labelled=settings.labelled,
+        notes=stored.metadata["notes"][:20],
+    )
+
+
+def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets) -> Pairing:
+    """Describe how slides are paired, and how far the partners' poses are from theirs."""
+    slides = test.slides
+    if slides is None or not test.paired:
+        return Pairing("none", {})
+    gaps: dict[str, dict[str, Scores | int]] = {}
+    for split in ("train", "test"):
+        count = slides.length(split)
+        if not count:
+            continue
+        gap = slides.take(split, np.arange(count), ("gap",))["gap"]
+        gaps[split] = {"pairs": count}
+        for target in targets:
+            median, p95 = np.quantile(gap[:, target.column], (0.5, 0.95)).tolist()
+            gaps[split][target.name] = {"median": median, "p95": p95}
+    return Pairing(stored.settings.pairing, gaps)
+
+
+def _count_contacts(stored: RecordedSet, scores: RecordedScores, test: RecordedTest) -> Counts:
+    """Count contacts by split, and those of the test that were scored and left out."""
+
+    def count_tested(reader: Reader | None) -> int:
+        return 0 if reader is None else reader.length("test")
+
+    slides = 0 if scores.slides is None else scores.slides.total
+    taps = 0 if scores.taps is None else scores.taps.total
+    written = stored.metadata["counts"]["written"]
+    return Counts(
+        **{split: written[split] for split in SPLITS},
+        test_poses=slides,
+        test_taps=taps,
+        test_unsure=count_tested(test.slides) - slides,
+        unread_taps=count_tested(test.taps) - taps,
+        pin_images=0 if scores.slides is None else len(scores.slides.kept_rows),
+    )
+
+
+def describe_test(results: Results) -> str:
+    """Name the recorded contacts that a run is tested on.
+
+    Results of earlier versions do not say: they are of a random split of the run's own session.
+    """
+    if results.test_data == "other recordings":
+        return results.test_data
+    return f"same session, {SPLIT_TEXTS[results.settings['paired'].get('split', 'random')]}"
+
+
+def format_table(results: Results) -> str:
+    """Format pose errors, PoseNet's and those of other estimators, for people."""
+    names, errors = [target.name for target in results.targets or ()], results.pose_mae
+    rows = [{"error": kind, **errors[kind]} for kind in POSE_ROWS if kind in errors]
+    if UNSHEARED in results.pose_recovery:
+        rows.append({"error": "recovery", **results.pose_recovery[UNSHEARED]})
+    for name, table in results.readers.items():
+        title = f"reader {name}, "
+        rows += [{"error": title + kind, **table[kind]} for kind in POSE_ROWS if kind in table]
+    lines = [format_text_table(rows, ("error", *names))]
+    if results.coverage:
+        lines.append(
+            f"95 % half-widths of the run's own session, tried on {describe_test(results)}:"
+        )
+    for kind, shares in (results.coverage or {}).items():
+        widths = (results.half_width or {})[kind]
+        covered = [
+            f"{name} {share:.1%} within {widths[name]:.3g}" for name, share in shares.items()
+        ]
+        lines.append(f"{kind}: {', '.join(covered)}")
+    counts = results.counts
+    lines.append(
+        f"test, {describe_test(results)}: {counts.test_taps} taps, {counts.test_poses} slides; "
+        f"left out: {counts.unread_taps or 0} taps and {counts.test_unsure or 0} slides "
+        "were not understood"
+    )
+    return "\n".join(lines)

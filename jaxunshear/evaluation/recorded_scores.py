@@ -7,12 +7,11 @@ tap or rendered.
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.experiment import Experiment, uses_pins
+from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import POSENET, POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.reader import Batch, Reader
@@ -20,15 +19,15 @@ from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.recorded_source import read_pin_layout
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.network_outputs import Run, load_run
-from jaxunshear.evaluation.pose_estimators import BatchEstimator
-from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind
-from jaxunshear.evaluation.score_collection import (
+from jaxunshear.evaluation.contact_scores import (
     BATCH,
-    CollectedScores,
+    ContactScores,
     Scorer,
-    collect_scores,
+    TestSet,
+    score_test,
 )
+from jaxunshear.evaluation.network_outputs import load_run
+from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind
 from jaxunshear.models.modality import IMAGES, PINS, Modality, get_modality
 from jaxunshear.results.run import TestData
 from jaxunshear.training.examples import RunInputs
@@ -51,8 +50,28 @@ class RecordedTest(NamedTuple):
 class RecordedScores(NamedTuple):
     """Scores of the slides and of the taps of a recorded test; None if there are none."""
 
-    slides: CollectedScores | None
-    taps: CollectedScores | None
+    slides: ContactScores | None
+    taps: ContactScores | None
+
+    def get_main(self) -> ContactScores:
+        """Return the slides; of a test without slides the taps, without their scores."""
+        if self.slides is not None:
+            return self.slides
+        assert self.taps is not None
+        return self.taps._replace(scores={})
+
+    def list_pose_errors(self) -> dict[str, np.ndarray]:
+        """List pose errors (N,) by `pose/<kind>/<target>`; the main network's are UNSHEARED."""
+        slide_scores = {} if self.slides is None else self.slides.scores
+        main_kind = choose_main_kind(
+            {name.split("/")[1] for name in slide_scores if name.startswith("pose/")}
+        )
+        errors = {} if self.taps is None else dict(self.taps.scores)
+        for name, score in slide_scores.items():
+            if main_kind != "sheared":
+                name = name.replace(f"pose/{main_kind}/", f"pose/{UNSHEARED}/")
+            errors[name] = score
+        return errors
 
 
 def choose_test(
@@ -68,128 +87,95 @@ def choose_test(
     """
     unshears = any(name not in POSENETS for name in experiment.networks)
     slides = taps = None
-    paired = False
-    if stored.count_contacts("slides", "test"):
-        if data_dir is not None and unshears:
-            inputs = RunInputs(experiment, data_dir, run_dir)
-            images = not uses_pins(experiment)
-            slides = open_source(experiment).open_pairs(stored, targets, inputs, images)
-            paired = True
-        else:
-            slides = stored.read_slides()
+    paired = data_dir is not None and unshears and stored.count_contacts("slides", "test") > 0
+    if paired:
+        assert data_dir is not None
+        inputs = RunInputs(experiment, data_dir, run_dir)
+        images = get_modality(experiment) is IMAGES
+        slides = open_source(experiment).open_pairs(stored, targets, inputs, images)
+    elif stored.count_contacts("slides", "test"):
+        slides = stored.read_slides()
     if stored.count_contacts("taps", "test") and POSENET in experiment.networks:
         taps = stored.read_taps()
     return RecordedTest(slides, taps, paired, "same session" if data_dir else "other recordings")
 
 
-def load_recorded_run(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
+def load_scorer(
+    experiment: Experiment, run_dir: Path, stored: RecordedSet, targets: Targets
+) -> Scorer:
     """Load a run's networks for contacts of a recorded set. Raises UserError if one is missing."""
-    pins = read_pin_layout(stored.frame) if uses_pins(experiment) else None
-    return load_run(run_dir, experiment.networks, None, pins)
+    pins = read_pin_layout(stored.frame)
+    return Scorer(load_run(run_dir, experiment.networks, get_modality(experiment), pins), targets)
 
 
-def collect_recorded_scores(
-    experiment: Experiment,
-    run: Run,
-    test: RecordedTest,
-    targets: Targets,
-    estimators: Mapping[str, BatchEstimator] = MappingProxyType({}),
-    split: str = "test",
+def score_contacts(
+    scorer: Scorer, modality: Modality, test: RecordedTest, split: str = "test"
 ) -> RecordedScores:
-    """Score the slides and the taps of a split by the networks `run` and by `estimators`.
+    """Score the slides and the taps of a split.
 
     Networks over pins are scored on those contacts alone whose pins were identified.
     Raises UserError if no slide and no tap is labelled, or identified.
     """
-    modality = get_modality(experiment)
-    scorer = Scorer(run, targets, modality.pair, LABELS, estimators)
-    scores = RecordedScores(
-        _score_slides(scorer, modality, test, split), _score_taps(scorer, modality, test, split)
-    )
-    if scores.slides is None and scores.taps is None:
+    slides = taps = None
+    if test.slides is not None:
+        # a slide without partner stands in for its tap
+        stand_ins = {} if test.paired else {each.canonical: each.sheared for each in (IMAGES, PINS)}
+        slides = _score_split(scorer, modality, test.slides, split, stand_ins)
+    if slides is not None:
+        slides = slides._replace(scores=_select_slide_scores(slides.scores, test.paired))
+    if test.taps is not None:
+        stand_ins = {field: each.single for each in (IMAGES, PINS) for field in each.pair}
+        taps = _score_split(scorer, modality, test.taps, split, stand_ins)
+    if taps is not None:
+        prefixes = ("pose/tap/", *(f"read/{name}/tap/" for name in scorer.estimators))
+        chosen = {name: score for name, score in taps.scores.items() if name.startswith(prefixes)}
+        taps = taps._replace(scores=chosen)
+    if slides is None and taps is None:
         requirement = " and pins that are identified" if modality.needs_identified_pins else ""
         raise UserError(f"nothing can be scored: no {split} slide or tap has a label{requirement}")
-    return scores
+    return RecordedScores(slides, taps)
 
 
-def _score_slides(
-    scorer: Scorer, modality: Modality, test: RecordedTest, split: str
-) -> CollectedScores | None:
-    if test.slides is None:
-        return None
-    pin_fields = PINS.pair if test.paired else (PINS.sheared,)
-    rows = _select_usable(modality, test.slides, split, pin_fields)
-    if not len(rows):
-        return None
-    if test.paired:
-        fields = (*scorer.inputs, *PINS.pair, *LABELS)
-        batches = _iterate_batches(test.slides, split, rows, fields)
-    else:
-        fields = (IMAGES.sheared, PINS.sheared, *LABELS)
-        batches = _add_empty_taps(_iterate_batches(test.slides, split, rows, fields))
-    scores = collect_scores(scorer, batches, len(rows), KEPT_SLIDES)
-    return scores._replace(scores=_select_slide_scores(scores.scores, test.paired))
+def _score_split(
+    scorer: Scorer, modality: Modality, reader: Reader, split: str, stand_ins: Mapping[str, str]
+) -> ContactScores | None:
+    """Score the rows of a split that networks can be given; None if there are none.
 
-
-def _score_taps(
-    scorer: Scorer, modality: Modality, test: RecordedTest, split: str
-) -> CollectedScores | None:
-    if test.taps is None:
-        return None
-    rows = _select_usable(modality, test.taps, split, (PINS.single,))
-    if not len(rows):
-        return None
-    fields = (IMAGES.single, PINS.single, *TAP_LABELS)
-    batches = _make_tap_pairs(_iterate_batches(test.taps, split, rows, fields))
-    title = f"evaluate taps ({modality.single})"
-    scores = collect_scores(scorer._replace(labels=TAP_LABELS), batches, len(rows), title=title)
-    prefixes = ("pose/tap/", *(f"read/{name}/tap/" for name in scorer.estimators))
-    selected = {name: score for name, score in scores.scores.items() if name.startswith(prefixes)}
-    return scores._replace(scores=selected)
-
-
-def _select_usable(
-    modality: Modality, reader: Reader, split: str, pin_fields: Sequence[str]
-) -> np.ndarray:
-    """Select the rows of a split that networks can be given.
-
-    Networks over pins can be given contacts whose pins were identified in all `pin_fields`.
+    `stand_ins` are fields of the reader, by the fields of pairs in whose place they are given.
     """
+    sources = {name: stand_ins.get(name, name) for name in (*IMAGES.pair, *PINS.pair)}
+    if not stand_ins and modality is PINS:  # partners may be pins alone
+        sources = {name: name for name in PINS.pair}
     rows = np.arange(reader.length(split))
-    if not modality.needs_identified_pins:
-        return rows
-    pins = reader.take(split, rows, pin_fields)
-    identified = [np.isfinite(pins[name]).any(axis=(1, 2)) for name in pin_fields]
-    return rows[np.all(identified, axis=0)]
+    if modality.needs_identified_pins:
+        fields = {sources[name] for name in PINS.pair}
+        pins = reader.take(split, rows, tuple(fields))
+        identified = [np.isfinite(pins[name]).any(axis=(1, 2)) for name in fields]
+        rows = rows[np.all(identified, axis=0)]
+    if not len(rows):
+        return None
+    is_tap = IMAGES.single in stand_ins.values()
+    labels = TAP_LABELS if is_tap else LABELS
+    batches = _iterate_batches(reader, split, rows, sources, labels)
+    keep, title = (0, f"evaluate taps ({modality.single})") if is_tap else (KEPT_SLIDES, "evaluate")
+    return score_test(scorer, TestSet(batches, len(rows), modality.pair, labels, keep, title))
 
 
 def _iterate_batches(
-    reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]
+    reader: Reader,
+    split: str,
+    rows: np.ndarray,
+    sources: Mapping[str, str],
+    labels: Sequence[str],
 ) -> Iterator[Batch]:
+    fields = (*dict.fromkeys(sources.values()), *labels)
     for start in range(0, len(rows), BATCH):
-        yield reader.take(split, rows[start : start + BATCH], fields)
+        batch = reader.take(split, rows[start : start + BATCH], fields)
+        yield batch | {name: batch[source] for name, source in sources.items()}
 
 
-def _add_empty_taps(batches: Iterator[Batch]) -> Iterator[Batch]:
-    """Make pairs of slides without partners: each slide stands in for its tap."""
-    for batch in batches:
-        yield batch | {each.canonical: batch[each.sheared] for each in (IMAGES, PINS)}
-
-
-def _make_tap_pairs(batches: Iterator[Batch]) -> Iterator[Batch]:
-    """Make pairs of taps: each tap stands in for its slide."""
-    for batch in batches:
-        for each in (IMAGES, PINS):
-            batch = batch | dict.fromkeys(each.pair, batch[each.single])
-        yield batch
-
-
-def _select_slide_scores(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
-    """Select the scores of slides, and rename those of the kind "tap" to TARGET_KIND.
-
-    That kind is the partner of a slide, not a recorded tap. Slides without partners have pose
-    errors alone.
-    """
+def _select_slide_scores(scores: Mapping[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
+    """Name the tap of a pair TARGET_KIND; of slides without partners select the poses alone."""
     selected = {}
     for name, score in scores.items():
         table, kind, *rest = name.split("/")
@@ -204,21 +190,7 @@ def _select_slide_scores(scores: dict[str, np.ndarray], paired: bool) -> dict[st
     return selected
 
 
-def list_pose_errors(scores: RecordedScores) -> dict[str, np.ndarray]:
-    """List pose errors (N,) by `pose/<kind>/<target>`, with the main network's as `UNSHEARED`."""
-    slide_scores = {} if scores.slides is None else scores.slides.scores
-    kinds = {name.split("/")[1] for name in slide_scores if name.startswith("pose/")}
-    main_kind = choose_main_kind(kinds)
-    errors = {} if scores.taps is None else dict(scores.taps.scores)
-    for name, score in slide_scores.items():
-        if main_kind != "sheared":
-            name = name.replace(f"pose/{main_kind}/", f"pose/{UNSHEARED}/")
-        errors[name] = score
-    return errors
-
-
-def convert_montage_labels(slides: CollectedScores) -> CollectedScores:
+def convert_montage_labels(slides: ContactScores) -> ContactScores:
     """Convert labels to those of a montage: depth in the fourth column, slides along x and y."""
-    labels = slides.labels
-    pose = labels["pose"][:, [0, 1, 5, 2]]
-    return slides._replace(labels=labels | {"pose": pose, "move": labels["move"][:, :2]})
+    pose, move = slides.labels["pose"][:, [0, 1, 5, 2]], slides.labels["move"][:, :2]
+    return slides._replace(labels=slides.labels | {"pose": pose, "move": move})

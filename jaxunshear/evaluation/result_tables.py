@@ -1,13 +1,17 @@
-"""Build the tables of results from one number per contact, by pure functions of arrays."""
+"""Build the tables of results from the scores of contacts, by pure functions of arrays."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from operator import itemgetter
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from jaxunshear.config.experiment import Experiment
+from jaxunshear.config.targets import Targets, read_true_values
 from jaxunshear.evaluation.bootstrap import (
     INTERVALS_OVER,
     LEVEL,
@@ -15,32 +19,40 @@ from jaxunshear.evaluation.bootstrap import (
     compute_interval,
     resample_means,
 )
+from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.measurements import round_values
+from jaxunshear.evaluation.paper_results import PAPER
 from jaxunshear.evaluation.score import (
     CELL_METRICS,
     CELLS,
+    compute_chance_errors,
     get_cell_target,
     list_kinds,
     list_pose_kinds,
 )
+from jaxunshear.files import Json
+from jaxunshear.metrics import count_scales, format_ms_ssim_name
+from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.results.run import (
     CodeSwapScore,
     PartPoses,
     Parts,
     PoseSpread,
+    Results,
     Span,
     Spread,
     Tables,
 )
+from jaxunshear.results.training_summaries import read_training_facts
 
 Figure = TypeVar("Figure")
 OVERALL = "overall"
 PARTS = 3  # equal parts of the range of a size
-QUANTILES = (0.1, 0.5, 0.9)  # of the score of the contacts that are shown
-CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
+SEED = 0  # of the bootstrap
 
 
 class Resampled(NamedTuple):
-    """Scores (N,) of some contacts by the names of `score.py`, with their resampled means."""
+    """Scores (N,) of some contacts by the names of `score`, with their resampled means."""
 
     scores: Mapping[str, np.ndarray]
     means: Mapping[str, np.ndarray]  # (RESAMPLES,)
@@ -53,69 +65,104 @@ class Resampled(NamedTuple):
         return compute_interval(self.means[name])
 
 
-def resample_part(
-    scores: Mapping[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
+def resample(
+    scores: Mapping[str, np.ndarray], poses: np.ndarray, inside: np.ndarray | None = None
 ) -> Resampled | None:
-    """Resample the scores of the contacts `inside` (N,) alone; None if there is none."""
-    if not inside.any():
-        return None
-    selected = {name: score[inside] for name, score in scores.items()}
-    return Resampled(selected, resample_means(selected, poses[inside], seed))
+    """Resample the scores (N,) of all contacts, or of those `inside`; None if there is none."""
+    if inside is not None:
+        scores = {name: score[inside] for name, score in scores.items()}
+        poses = poses[inside]
+    return Resampled(scores, resample_means(scores, poses, SEED)) if len(poses) else None
 
 
 def build_tables(
-    scores: dict[str, np.ndarray],
-    names: Sequence[str],
-    stimulus: np.ndarray,
-    poses: np.ndarray,
-    seed: int,
-    separate: Resampled | None = None,
+    contacts: ContactScores, stimuli: Sequence[str] = (), taps: ContactScores | None = None
 ) -> Tables:
     """Build the tables of a test, with their 95 % intervals under `spread`.
 
     A stimulus without test contacts is None. `pose_ratio` is the error over that on sheared images;
     `pose_recovery` is the part of the slide's damage undone, (sheared - unsheared) / (sheared -
     tap), None if the slide does no damage; `difference` is disentangled less another network,
-    contact by contact.
+    contact by contact. `readers` are the errors of pose estimators other than PoseNet, and
+    `reader_images` the number of images that they come from.
 
     Args:
-        scores: (N,) by the names of `score.py`, of whichever networks there are.
-        names: Stimuli, indexed by `stimulus` (N,).
-        poses: (N,) poses of the contacts, as `number_poses` numbers them.
-        separate: Scores of other contacts that join the tables of poses.
+        contacts: The contacts, or none with a score if there are taps alone.
+        stimuli: Names, indexed by the label `stimulus`.
+        taps: Further taps, which join the tables of poses.
     """
-    parts = {
-        name: resample_part(scores, stimulus == index, poses, seed)
-        for index, name in enumerate(names)
-    }
-    overall = Resampled(scores, resample_means(scores, poses, seed))
+    scores, poses, stimulus = contacts.scores, contacts.poses, contacts.labels["stimulus"]
+    parts = {name: resample(scores, poses, stimulus == index) for index, name in enumerate(stimuli)}
+    overall = Resampled(scores, resample_means(scores, poses, SEED))
     tested_poses = overall
-    if separate is not None:
-        tested_poses = Resampled({**scores, **separate.scores}, {**overall.means, **separate.means})
-    pose_table = _tabulate_poses(tested_poses)
+    if taps is not None and taps.scores:  # resampled separately, as they are no pairs
+        means = resample_means(taps.scores, taps.poses, SEED + 1)
+        tested_poses = Resampled({**scores, **taps.scores}, {**overall.means, **means})
+    pose_table = tabulate_poses(tested_poses)
     groups = {**parts, OVERALL: overall}
+    readers = _tabulate_estimators([contacts] if taps is None else [taps, contacts])
     return Tables(
         ms_ssim=_tabulate_similarity(groups, Resampled.compute_mean),
         pose_mae=pose_table.pose_mae,
         pose_ratio=pose_table.pose_ratio,
         pose_recovery=pose_table.pose_recovery,
         pose_by_stimulus={
-            name: None if part is None else _tabulate_poses(part) for name, part in parts.items()
+            name: None if part is None else tabulate_poses(part) for name, part in parts.items()
         },
         difference=_tabulate_differences(overall, Resampled.compute_mean),
         swap=_tabulate_swaps(overall),
+        readers=readers.means,
+        reader_images=readers.counts,
         spread=Spread(
             what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, "
             "each with all its slides",
             over=INTERVALS_OVER,
             resamples=RESAMPLES,
-            seed=seed,
+            seed=SEED,
             ms_ssim=_tabulate_similarity(groups, Resampled.compute_interval),
             pose_mae=pose_table.spread.pose_mae,
             pose_recovery=pose_table.spread.pose_recovery,
             difference=_tabulate_differences(overall, Resampled.compute_interval),
+            readers=readers.intervals,
         ),
     )
+
+
+def describe_run(
+    experiment: Experiment, contacts: ContactScores, targets: Targets, tables: Tables
+) -> Json:
+    """Return the fields that results of every test have."""
+    chance = compute_chance_errors(read_true_values(targets, contacts.labels), targets)
+    return {
+        "experiment": experiment.name,
+        "claim": experiment.claim,
+        "baselines": {"pose_chance": chance},
+        "paper": PAPER,
+        "settings": dataclasses.asdict(experiment),
+        **vars(tables),
+    }
+
+
+def finish_results(
+    results: Results, experiment: Experiment, run_dir: Path, command: str
+) -> Results:
+    """Add what evaluated and trained the networks in `run_dir`, and round all numbers."""
+    facts = read_training_facts(run_dir, experiment.networks) | describe_provenance(command)
+    return round_values(dataclasses.replace(results, **facts))
+
+
+def describe_similarity(size: int) -> dict[str, str | int]:
+    """Say what the names of tables stand for that all tests have, over images of `size` px."""
+    scales = count_scales(size)
+    ms_ssim = format_ms_ssim_name(scales)
+    return {
+        "ms_ssim": ms_ssim,
+        "image_px": size,
+        "scales": scales,
+        "pose_ratio": "error over the error on sheared images",
+        "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+        "swap": f"mean squared error, SSIM and {ms_ssim} of a decoder's image",
+    }
 
 
 def _tabulate_similarity(
@@ -156,22 +203,49 @@ def _tabulate_swaps(overall: Resampled) -> dict[str, CodeSwapScore]:
     return table
 
 
-def tabulate_by_size(
-    scores: dict[str, np.ndarray],
-    size: np.ndarray,
-    least: float,
-    most: float,
-    poses: np.ndarray,
-    seed: int,
-) -> Parts:
+class _EstimatorTables(NamedTuple):
+    """By estimator, kind and quantity; counts of images by estimator and kind."""
+
+    means: dict[str, dict[str, dict[str, float | None]]]
+    intervals: dict[str, dict[str, dict[str, Span]]]
+    counts: dict[str, dict[str, dict[str, int]]]
+
+
+def _tabulate_estimators(tests: Sequence[ContactScores]) -> _EstimatorTables:
+    """Tabulate `read/<estimator>/<kind>/<quantity>`, NaN for images without an estimate."""
+    tables = _EstimatorTables({}, {}, {})
+    scored = []
+    for test in tests:
+        poses = test.poses
+        scored += [(name, score, poses) for name, score in test.scores.items()]
+        kept = poses[test.kept_rows]
+        scored += [(name, score, kept) for name, score in test.estimates.items()]
+    for name, score, poses in scored:
+        if not name.startswith("read/"):
+            continue
+        _, estimator, kind, quantity = name.split("/")
+        finite = np.isfinite(score)
+        part = resample({name: score}, poses, finite)
+        mean = None if part is None else part.compute_mean(name)
+        interval = None if part is None else part.compute_interval(name)
+        tables.means.setdefault(estimator, {}).setdefault(kind, {})[quantity] = mean
+        tables.intervals.setdefault(estimator, {}).setdefault(kind, {})[quantity] = interval
+        tables.counts.setdefault(estimator, {})[kind] = {
+            "read": int(finite.sum()),
+            "left_out": int((~finite).sum()),
+        }
+    return tables
+
+
+def tabulate_by_size(contacts: ContactScores, size: np.ndarray, least: float, most: float) -> Parts:
     """Tabulate poses by a size (N,) of the slides, mm, in PARTS equal parts of its range.
 
     The size is an indentation depth, as a shallow touch shows little of a pose even as a tap, or a
     length. A part without test contacts is None; a range of zero has no parts, nor has a test
     without poses.
     """
-    pose_scores = {name: score for name, score in scores.items() if name.startswith("pose/")}
-    if least == most or not pose_scores:
+    scores = {name: score for name, score in contacts.scores.items() if name.startswith("pose/")}
+    if least == most or not scores:
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
     part = np.digitize(size, bounds[1:-1])
@@ -180,154 +254,74 @@ def tabulate_by_size(
     table: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
         name = f"{low:.{digits}f}-{high:.{digits}f} mm"
-        table[name] = tabulate_part(pose_scores, part == index, poses, seed)
+        table[name] = tabulate_part(scores, contacts.poses, part == index)
     return table
 
 
 def tabulate_part(
-    scores: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int
+    scores: Mapping[str, np.ndarray], poses: np.ndarray, inside: np.ndarray
 ) -> PartPoses | None:
     """Tabulate poses over the contacts `inside` (N,) alone; None if there is none."""
-    part = resample_part(scores, inside, poses, seed)
-    return None if part is None else _tabulate_poses(part)
+    part = resample(scores, poses, inside)
+    return None if part is None else tabulate_poses(part)
 
 
-def add_estimators(
-    tables: Tables, scored: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
-) -> Tables:
-    """Add the errors of pose estimators other than PoseNet, with their intervals.
-
-    `readers` are the errors by estimator, kind and quantity, and `reader_images` the number of
-    images that they come from.
-
-    Args:
-        tables: The tables of `build_tables`.
-        scored: Scores (N,) by `read/<estimator>/<kind>/<quantity>`, among others, NaN for images
-            without an estimate; and the poses (N,) of these contacts.
-        seed: Seed of the bootstrap.
-    """
-    means: dict[str, dict[str, dict[str, float | None]]] = {}
-    spans: dict[str, dict[str, dict[str, Span]]] = {}
-    counts: dict[str, dict[str, dict[str, int]]] = {}
-    for scores, poses in scored:
-        for name, score in scores.items():
-            if not name.startswith("read/"):
-                continue
-            _, estimator, kind, quantity = name.split("/")
-            finite = np.isfinite(score)
-            part = resample_part({name: score}, finite, poses, seed)
-            mean = None if part is None else part.compute_mean(name)
-            span = None if part is None else part.compute_interval(name)
-            means.setdefault(estimator, {}).setdefault(kind, {})[quantity] = mean
-            spans.setdefault(estimator, {}).setdefault(kind, {})[quantity] = span
-            counts.setdefault(estimator, {})[kind] = {
-                "read": int(finite.sum()),
-                "left_out": int((~finite).sum()),
-            }
-    return replace(
-        tables, readers=means, reader_images=counts, spread=replace(tables.spread, readers=spans)
-    )
-
-
-class _PoseErrors(NamedTuple):
-    """Errors of one kind of contact by quantity: their mean, and resampled means (RESAMPLES,)."""
-
-    mean: dict[str, float | None]
-    resampled: dict[str, np.ndarray]
-
-
-def _tabulate_poses(part: Resampled) -> PartPoses:
+def tabulate_poses(part: Resampled) -> PartPoses:
     """Tabulate pose errors, their ratios and recoveries, with intervals."""
-    errors = _group_pose_errors(part)
+    errors: dict[str, dict[str, float | None]] = {}
+    resampled: dict[str, dict[str, np.ndarray]] = {}
+    for kind in list_pose_kinds():
+        prefix = f"pose/{kind}/"
+        for name in part.scores:
+            if name.startswith(prefix):
+                quantity = name.removeprefix(prefix)
+                errors.setdefault(kind, {})[quantity] = part.compute_mean(name)
+                resampled.setdefault(kind, {})[quantity] = part.means[name]
     ratios: dict[str, dict[str, float | None]] = {}
     recoveries: dict[str, dict[str, float | None]] = {}
-    recovery_spans: dict[str, dict[str, Span]] = {}
-    tap, sheared = errors.get("tap"), errors.get("sheared")
-    for kind, unsheared in errors.items():
-        if sheared is None or kind in ("tap", "sheared"):
+    intervals: dict[str, dict[str, Span]] = {}
+    for kind in errors if "sheared" in errors else ():
+        if kind in ("tap", "sheared"):
             continue
-        ratios[kind] = {
-            name: _compute_ratio(error, sheared.mean[name])
-            for name, error in unsheared.mean.items()
-        }
-        if tap is None:
-            continue
-        recoveries[kind] = {
-            name: _compute_recovery(sheared.mean[name], error, tap.mean[name])
-            for name, error in unsheared.mean.items()
-        }
-        recovery_spans[kind] = {
-            name: _compute_recovery_interval(sheared.resampled[name], means, tap.resampled[name])
-            for name, means in unsheared.resampled.items()
-        }
+        ratios[kind] = combine_kinds(_compute_ratio, errors, (kind, "sheared"))
+        if "tap" in errors:
+            kinds = (kind, "sheared", "tap")
+            recoveries[kind] = combine_kinds(compute_recovery, errors, kinds)
+            intervals[kind] = combine_kinds(_compute_recovery_interval, resampled, kinds)
     return PartPoses(
-        pose_mae={kind: error.mean for kind, error in errors.items()},
+        pose_mae=errors,
         pose_ratio=ratios,
         pose_recovery=recoveries,
         spread=PoseSpread(
-            pose_mae={kind: _compute_spans(error.resampled) for kind, error in errors.items()},
-            pose_recovery=recovery_spans,
+            pose_mae={
+                kind: combine_kinds(compute_interval, resampled, (kind,)) for kind in resampled
+            },
+            pose_recovery=intervals,
         ),
     )
 
 
-def _group_pose_errors(part: Resampled) -> dict[str, _PoseErrors]:
-    """Group pose errors by kind."""
-    errors = {}
-    for kind in list_pose_kinds():
-        prefix = f"pose/{kind}/"
-        names = {name.removeprefix(prefix): name for name in part.scores if name.startswith(prefix)}
-        if names:
-            errors[kind] = _PoseErrors(
-                {quantity: part.compute_mean(name) for quantity, name in names.items()},
-                {quantity: part.means[name] for quantity, name in names.items()},
-            )
-    return errors
-
-
-def _compute_spans(resampled: Mapping[str, np.ndarray]) -> dict[str, Span]:
-    return {name: compute_interval(means) for name, means in resampled.items()}
-
-
-def summarise_contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """Summarise what the simulator reports of its contacts, each field (N,)."""
-    return {
-        name: {
-            "mean": float(np.mean(values, dtype=np.float64)),
-            "median": float(np.median(values)),
-            "p95": float(np.quantile(values, 0.95)),
-            "max": float(np.max(values)),
-        }
-        for name, values in fields.items()
-    }
-
-
-def select_typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
-    """Select contacts to show: for each stimulus those at QUANTILES of the score, worst first.
-
-    Returns indices, none twice.
-    """
-    chosen: list[int] = []
-    for index in np.unique(stimulus):
-        inside = np.flatnonzero(stimulus == index)
-        ranked = inside[np.argsort(scores[inside], kind="stable")]
-        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in QUANTILES)
-    return np.array(chosen, np.int64)
+def combine_kinds(
+    compute: Callable[..., Figure], table: Mapping[str, Mapping[str, object]], kinds: Sequence[str]
+) -> dict[str, Figure]:
+    """Compute a figure of each quantity from its values for several kinds."""
+    rows = [table[kind] for kind in kinds]
+    return {name: compute(*map(itemgetter(name), rows)) for name in rows[0]}
 
 
 def _compute_ratio(error: float | None, sheared: float | None) -> float | None:
     return error / sheared if error is not None and sheared else None
 
 
-def _compute_recovery(
-    sheared: float | None, unsheared: float | None, tap: float | None
+def compute_recovery(
+    unsheared: float | None, sheared: float | None, tap: float | None
 ) -> float | None:
     if sheared is None or unsheared is None or tap is None or sheared <= tap:
         return None
     return (sheared - unsheared) / (sheared - tap)
 
 
-def _compute_recovery_interval(sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray) -> Span:
+def _compute_recovery_interval(unsheared: np.ndarray, sheared: np.ndarray, tap: np.ndarray) -> Span:
     """Compute the interval of the recovery from resampled errors.
 
     None if the slide does no damage in one of the resamples, as the recovery then has no bounds.

@@ -1,9 +1,11 @@
 """Score the networks' outputs: one number per contact and metric, by pure functions of arrays.
 
-`Outputs` is all that the scores need to know of networks; `network_outputs.py` fills it.
+Scores are (N,) by name: `ms_ssim/<kind>`, `swap/<cell>/<metric>`, `pins/<kind>` px,
+`pose/<kind>/<quantity>` mm or deg, `read/<estimator>/<kind>/<quantity>` likewise, and
+`difference/<kind>/<ms_ssim or quantity>`.
 """
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -47,29 +49,35 @@ def get_cell_target(cell: str) -> str:
     return "tap" if cell.startswith("DC") else "sheared"
 
 
-def make_cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
-    """Make CELL_METRICS, functions of two batches of images of `size` px.
-
-    MS-SSIM has as many scales as fit the images, at most five.
-    """
-    scales = count_scales(size)
-    return {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
-
-
-def score_images(images: dict[str, Array], cells: dict[str, Array]) -> dict[str, Array]:
+def score_images(images: Mapping[str, Array], cells: Mapping[str, Array]) -> dict[str, Array]:
     """Score the similarity of images with their tap, and of cells with their target: (B,) each.
 
-    Scores are named `ms_ssim/<kind>` and `swap/<cell>/<metric>`. The function can be compiled.
+    MS-SSIM has as many scales as fit the images, at most five. The function can be compiled.
     """
-    metrics = make_cell_metrics(images["tap"].shape[1])
+    scales = count_scales(images["tap"].shape[1])
     scores = {}
     for kind in list_kinds():
         if kind in images and kind != "tap":
-            scores[f"ms_ssim/{kind}"] = metrics["ms_ssim"](images[kind], images["tap"])
+            scores[f"ms_ssim/{kind}"] = ms_ssim(images[kind], images["tap"], scales)
+    return scores | score_cells(cells, images)
+
+
+def score_cells(
+    cells: Mapping[str, Array], targets: Mapping[str, Array], other: Array | None = None
+) -> dict[str, Array]:
+    """Score images (B, S, S, 1) of cells against the targets "tap" and "sheared": (B,) each.
+
+    A cell that got a code of another image is also compared with `other`, under the name
+    `swap/<cell>/<metric> to the other`.
+    """
+    scales = count_scales(targets["tap"].shape[1])
+    metrics = {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
+    scores = {}
     for cell, image in cells.items():
-        target = images[get_cell_target(cell)]
-        for metric in CELL_METRICS:
-            scores[f"swap/{cell}/{metric}"] = metrics[metric](image, target)
+        for name in CELL_METRICS:
+            scores[f"swap/{cell}/{name}"] = metrics[name](image, targets[get_cell_target(cell)])
+            if other is not None and "another" in cell:
+                scores[f"swap/{cell}/{name} to the other"] = metrics[name](image, other)
     return scores
 
 
@@ -89,8 +97,8 @@ def score_poses(
 def compute_differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Subtract the scores of every other network from the disentangled one's, by contact: (N,).
 
-    Differences are named `difference/<kind>/<ms_ssim or quantity>`. Their means have far narrower
-    intervals than the two means alone, since both networks are tested on the same contacts.
+    Their means have far narrower intervals than the two means alone, since both networks are tested
+    on the same contacts.
     """
     differences = {}
     for name, score in scores.items():
@@ -119,3 +127,11 @@ def compute_chance_errors(true: dict[str, np.ndarray], targets: Targets) -> dict
                 np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
             )
     return {name: float(error.mean()) for name, error in compute_pose_errors(middle, true).items()}
+
+
+def concatenate_batches(batches: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Concatenate the arrays of all batches, name by name."""
+    arrays = {}
+    for name in batches[0]:
+        arrays[name] = np.concatenate([batch[name] for batch in batches])
+    return arrays

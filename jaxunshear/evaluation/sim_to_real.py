@@ -27,7 +27,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
 from jaxunshear.data.digests import compute_digest
 from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.data.recorded_contacts import RecordedContacts, read_test_contacts
+from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.contact_predictions import ContactPredictions, predict_contacts
 from jaxunshear.evaluation.label_alignment import (
@@ -36,20 +36,16 @@ from jaxunshear.evaluation.label_alignment import (
     choose_scored_labels,
     get_label,
 )
-from jaxunshear.evaluation.measurements import round_values
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
-    RidgeEstimator,
     compute_pin_features,
-    estimate_poses,
     fit_to_features,
 )
+from jaxunshear.evaluation.result_tables import combine_kinds, compute_recovery, finish_results
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.metrics.machine import describe_provenance
 from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.results.run import Counts, Results
-from jaxunshear.results.training_summaries import read_training_facts
 
 SEED = 0  # of the taps that align predictions with labels
 UNSHEARED_RAW_OFFSET = "unsheared_raw_zero"  # unsheared slides, aligned by taps as recorded
@@ -94,6 +90,7 @@ def score_transfer(
         predictions.alignment_taps.poses[AS_RECORDED], predictions.alignment_taps.labels
     )
     pose_mae = _score_networks(labels, predictions)
+    recovery = combine_kinds(compute_recovery, pose_mae, ("unsheared", "sheared", "tap"))
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
@@ -103,14 +100,12 @@ def score_transfer(
         test_data="other recordings",
         targets=tuple(Target(name, *RECORDED_FIELDS[name]) for name in labels),
         pose_mae=pose_mae,
-        pose_recovery={"unsheared": _compute_recovery(pose_mae)},
+        pose_recovery={"unsheared": recovery},
         readers=_score_ridge(labels, predictions),
         counts=_count_contacts(predictions),
         time_s={"evaluate": time.perf_counter() - started},
-        **read_training_facts(model, experiment.networks),
-        **describe_provenance(command),
     )
-    return round_values(results)
+    return finish_results(results, experiment, model, command)
 
 
 def _predict_all(
@@ -133,10 +128,10 @@ def _predict_all(
             )
     predictions = {}
     for kind, group in groups.items():
-        perceiver = network
-        if perceiver is None:
-            perceiver = _load_network(experiment, model, group, settings)
-        predictions[kind] = predict_contacts(perceiver, group, f"read {kind}")
+        trained = network or TrainedModel(model, experiment)
+        if network is None and trained.reads_pins:  # rest positions are found in the contacts
+            trained.frame = find_sensor_frame(group, settings, experiment.sensor)
+        predictions[kind] = predict_contacts(trained, group, f"read {kind}")
         if not predictions[kind].poses:
             raise UserError(
                 f"{model} holds no trained PoseNet: what it reads off recordings is what is scored"
@@ -148,21 +143,15 @@ def _predict_all(
     return _Predictions(taps.select(aligns), taps.select(~aligns), slides)
 
 
-def _load_network(
-    experiment: Experiment, model: Path, contacts: RecordedContacts, settings: Recorded
-) -> TrainedModel:
-    """Load networks; those over pins need the rest positions, which are found in the contacts."""
-    network = TrainedModel(model, experiment)
-    if network.reads_pins:
-        network.frame = find_sensor_frame(contacts, settings, experiment.sensor)
-    return network
-
-
 def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[str, Errors]:
     """Compute the errors of the networks by kind of contact."""
     alignment_taps, taps, slides = predictions
-    raw = _align(labels, alignment_taps, AS_RECORDED)
-    unsheared = _align(labels, alignment_taps, UNSHEARED)
+
+    def align(kind: str) -> dict[str, LabelAlignment]:
+        poses = alignment_taps.poses[kind]
+        return {name: align_to_labels(name, poses, alignment_taps.labels) for name in labels}
+
+    raw, unsheared = align(AS_RECORDED), align(UNSHEARED)
     return {
         "tap": _compute_network_errors(raw, taps, AS_RECORDED),
         "sheared": _compute_network_errors(raw, slides, AS_RECORDED),
@@ -171,20 +160,13 @@ def _score_networks(labels: Sequence[str], predictions: _Predictions) -> dict[st
     }
 
 
-def _align(labels: Sequence[str], taps: ContactPredictions, kind: str) -> dict[str, LabelAlignment]:
-    return {name: align_to_labels(name, taps.poses[kind], taps.labels) for name in labels}
-
-
 def _compute_network_errors(
     alignments: dict[str, LabelAlignment], contacts: ContactPredictions, kind: str
 ) -> Errors:
-    poses = contacts.poses[kind]
-    finite = np.isfinite(next(iter(poses.values())))
-    if not finite.any():
-        return dict.fromkeys(alignments, float("nan"))
-    accepted = {name: values[finite] for name, values in poses.items()}
-    aligned = {name: alignment.apply(accepted) for name, alignment in alignments.items()}
-    return _compute_mean_errors(aligned, contacts.labels[finite])
+    accepted = contacts.accepted
+    poses = {name: values[accepted] for name, values in contacts.poses[kind].items()}
+    aligned = {name: alignment.apply(poses) for name, alignment in alignments.items()}
+    return _compute_mean_errors(aligned, contacts.labels[accepted])
 
 
 def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, dict[str, Errors]]:
@@ -195,55 +177,47 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
     alignment_taps, taps, slides = predictions
     if not alignment_taps.pins:
         return {}
-    pins = alignment_taps.pins[AS_RECORDED]
-    identified = np.isfinite(pins).all(axis=(1, 2))
-    poses = alignment_taps.labels[identified]
-    estimator = fit_to_features(
-        compute_pin_features(pins[identified]), {"pose": poses}, make_label_targets(labels, poses)
-    )
+    features, poses = _select_identified(alignment_taps, AS_RECORDED)
+    estimator = fit_to_features(features, {"pose": poses}, make_label_targets(labels, poses))
     if estimator is None:
         return {}
-    errors = {
-        "tap": _compute_ridge_errors(estimator, taps, AS_RECORDED),
-        "sheared": _compute_ridge_errors(estimator, slides, AS_RECORDED),
-        "unsheared": _compute_ridge_errors(estimator, slides, UNSHEARED),
-    }
+    errors = {}
+    for name, contacts, kind in (
+        ("tap", taps, AS_RECORDED),
+        ("sheared", slides, AS_RECORDED),
+        ("unsheared", slides, UNSHEARED),
+    ):
+        features, poses = _select_identified(contacts, kind)
+        estimates = dict.fromkeys(list_target_names(estimator.targets), np.zeros(0))
+        if len(features):
+            estimates = estimator.estimate(features)
+        errors[name] = _compute_mean_errors(estimates, poses)
     return {PIN_PLACES: errors}
 
 
-def _compute_ridge_errors(
-    estimator: RidgeEstimator, contacts: ContactPredictions, kind: str
-) -> Errors:
-    """Compute errors over the contacts whose pins were identified."""
+def _select_identified(contacts: ContactPredictions, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Select the features and labels of the contacts whose pins were identified."""
     pins = contacts.pins[kind]
     identified = np.isfinite(pins).all(axis=(1, 2))
-    if not identified.any():
-        return dict.fromkeys(list_target_names(estimator.targets), float("nan"))
-    poses = estimate_poses(estimator, compute_pin_features(pins[identified]))
-    return _compute_mean_errors(poses, contacts.labels[identified])
+    return compute_pin_features(pins[identified]), contacts.labels[identified]
 
 
 def _compute_mean_errors(poses: dict[str, np.ndarray], labels: np.ndarray) -> Errors:
+    if not len(labels):
+        return dict.fromkeys(poses, float("nan"))
     true = {name: get_label(name, labels) for name in poses}
     return {name: float(error.mean()) for name, error in compute_pose_errors(poses, true).items()}
 
 
-def _compute_recovery(pose_mae: dict[str, Errors]) -> dict[str, float | None]:
-    """Compute the share of the slide's damage that is undone; None if the slide does none."""
-    recovery: dict[str, float | None] = {}
-    for name, tap in pose_mae["tap"].items():
-        sheared, unsheared = pose_mae["sheared"][name], pose_mae["unsheared"][name]
-        damage = sheared - tap
-        recovery[name] = (sheared - unsheared) / damage if damage > 0 else None
-    return recovery
-
-
 def _count_contacts(predictions: _Predictions) -> Counts:
-    alignment_taps, taps, slides = predictions
+    accepted, rejected = [], []
+    for contacts in predictions:
+        accepted.append(int(contacts.accepted.sum()))
+        rejected.append(len(contacts.labels) - accepted[-1])
     return Counts(
-        known_taps=alignment_taps.count_accepted(),
-        test_taps=taps.count_accepted(),
-        test_poses=slides.count_accepted(),
-        unread_taps=alignment_taps.count_rejected() + taps.count_rejected(),
-        test_unsure=slides.count_rejected(),
+        known_taps=accepted[0],
+        test_taps=accepted[1],
+        test_poses=accepted[2],
+        unread_taps=rejected[0] + rejected[1],
+        test_unsure=rejected[2],
     )

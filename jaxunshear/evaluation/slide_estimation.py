@@ -8,64 +8,63 @@ Once all the skin that touches slips, the camera does not show how far the senso
 commanded slide and the shear of the skin differ.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxunshear.config.splits import SPLITS
 from jaxunshear.evaluation.bootstrap import LEVEL, compute_interval, resample_means
-from jaxunshear.evaluation.probes import fit_gaussian
+from jaxunshear.evaluation.probes import fit_gaussian, prepare_task
 from jaxunshear.files import Json
 
 MIN_SLIP_SHARE = 0.99  # share of the touching skin that slips in a slide that counts as slipped
 SEED = 0
 
-Quantities = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
+
+class CodedSlides(NamedTuple):
+    codes: np.ndarray  # (N, F)
+    slides: Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
+    poses: np.ndarray  # (N,) which pose a slide belongs to
+
+    def stack_slides(self) -> np.ndarray:
+        return np.concatenate(list(self.slides.values()), axis=1)
 
 
 def estimate_slides(
-    codes: Sequence[np.ndarray],
-    targets: Sequence[Quantities],
-    groups: np.ndarray,
-    poses: np.ndarray,
-    slipped: np.ndarray | None = None,
+    splits: Mapping[str, CodedSlides], contact_state: Mapping[str, np.ndarray]
 ) -> list[Json]:
-    """Estimate the slides of a test, and return a row of errors for each quantity.
-
-    Args:
-        codes: (N, F) of training, validation and test slides.
-        targets: The slides of these three.
-        groups: (N,) poses of training slides.
-        poses: (M,) poses of test slides.
-        slipped: (M,) which test slides have slipped, if that is known.
-    """
-    training_codes, *other_codes = codes
-    training, validation, true = [_stack_quantities(each) for each in targets]
-    count = len(validation)
-    mean, deviation = fit_gaussian(training_codes, training, np.concatenate(other_codes), groups)
-    scores = np.abs(mean[:count] - validation) / deviation[:count]
+    """Estimate the slides of the test split; return errors by quantity and `split_by_slip`."""
+    train, validation, test = (splits[name] for name in SPLITS)
+    codes = np.concatenate([validation.codes, test.codes])
+    task = prepare_task(train.codes, train.stack_slides(), codes, train.poses)
+    mean, deviation = fit_gaussian(task)
+    count, true = len(validation.codes), test.stack_slides()
+    scores = np.abs(mean[:count] - validation.stack_slides()) / deviation[:count]
     scale = np.quantile(scores, min(1.0, LEVEL * (1 + 1 / count)), axis=0)
     error, half_width = mean[count:] - true, scale * deviation[count:]
-    parts = {"all": np.ones(len(true), bool)}
-    if slipped is not None:
-        parts |= {"sticking": ~slipped, "slipped": slipped}
+    parts = {"all": np.ones(len(true), bool), **split_by_slip(contact_state)}
     rows = []
-    for column, name in enumerate(targets[0]):
+    for column, name in enumerate(test.slides):
         for part, inside in parts.items():
             if inside.any():
                 row = {"name": name, "part": part, "slides": int(inside.sum())}
-                rows.append(
-                    row | _score(error[inside, column], half_width[inside, column], poses[inside])
-                )
+                errors = error[inside, column], half_width[inside, column]
+                rows.append(row | _score(*errors, test.poses[inside]))
     return rows
 
 
-def is_slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Say (N,) which slides have slipped, by the numbers of nodes that stick and that slip."""
-    return slips >= MIN_SLIP_SHARE * np.maximum(stuck + slips, 1)
+def split_by_slip(contact_state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Say (N,) which slides still stick somewhere, and which slip everywhere.
 
-
-def _stack_quantities(quantities: Quantities) -> np.ndarray:
-    return np.concatenate(list(quantities.values()), axis=1)
+    `contact_state` has the numbers of nodes that are `stuck` and `slipping`; nothing is known of
+    recorded slides, which lack both.
+    """
+    if "stuck" not in contact_state:
+        return {}
+    stuck, slipping = contact_state["stuck"], contact_state["slipping"]
+    slipped = slipping >= MIN_SLIP_SHARE * np.maximum(stuck + slipping, 1)
+    return {"sticking": ~slipped, "slipped": slipped}
 
 
 def _score(error: np.ndarray, half_width: np.ndarray, poses: np.ndarray) -> Json:

@@ -51,13 +51,11 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
     a 2x2 mean. Values and gradients of finite images are finite; if a clamped factor makes the
     value 0, the gradient is 0, too. An image with a NaN scores NaN.
 
-    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales
-    that are no integer.
+    Raises `ValueError` for shapes that differ, integers, or an image too small for `scales`.
     """
     a, b = _check_images(a, b)
-    if not isinstance(scales, int | np.integer) or not 1 <= scales <= len(WEIGHTS):
-        raise ValueError(f"scales must be an integer, 1 to {len(WEIGHTS)}, not {scales}")
-    scales = int(scales)
+    if not 1 <= scales <= len(WEIGHTS):
+        raise ValueError(f"scales = {scales}: must be 1 to {len(WEIGHTS)}")
     size = min(a.shape[1:3])
     if scales > (fit := count_scales(size)):
         height, width = a.shape[1:3]

@@ -4,11 +4,13 @@ Similarity of images does not change if the lattice is shifted by a full pitch; 
 centroids that are matched one to one does.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
 
 from jaxunshear.perception.pin_detection import find_pins
 
@@ -54,3 +56,35 @@ def measure_pin_error(
         "missed_per_image": float(np.mean([match.missed for match in matches])),
         "extra_per_image": float(np.mean([match.extra for match in matches])),
     }
+
+
+def measure_pin_errors(
+    images: Mapping[str, np.ndarray],
+    tap_pins: np.ndarray,
+    sheared_pins: np.ndarray,
+    mm_per_px: float | None,
+) -> dict[str, dict[str, float | None]]:
+    """Measure pin errors, and missed and extra pins per image, by kind of image.
+
+    Detected and true pins match within half the median pitch. A lattice shifted by a full pitch
+    matches itself again except at its rim, so the error needs the numbers of missed and extra pins.
+    `true_slide` is the distance of the true pins of slides and taps. A mm is one at the height of
+    the apex pin: pins of the rim, nearer to the camera, move by less (`tactip331-fitted`: by a
+    tenth less).
+
+    Args:
+        images: (N, S, S) uint8 by kind.
+        tap_pins: (N, P, 2) true (column, row), px.
+        sheared_pins: (N, P, 2) likewise.
+        mm_per_px: None if unknown; errors in mm are then None, too.
+    """
+    pitches = [cKDTree(points).query(points, k=2)[0][:, 1] for points in tap_pins]
+    limit = 0.5 * float(np.median(pitches))
+    errors = {kind: measure_pin_error(stack, tap_pins, limit) for kind, stack in images.items()}
+    squares = np.sum(np.square(sheared_pins.astype(np.float64) - tap_pins), axis=-1)
+    errors["true_slide"] = {"rms_px": float(np.sqrt(squares.mean()))}
+    rows: dict[str, dict[str, float | None]] = {}
+    for kind, error in errors.items():
+        rms_mm = None if mm_per_px is None else error["rms_px"] * mm_per_px
+        rows[kind] = {"rms_px": error["rms_px"], "rms_mm": rms_mm, **error}
+    return rows

@@ -146,7 +146,8 @@ def _run_row(order: TaskOrder, folder: Path) -> Outcome:
 def _measure_codes(
     experiment: Experiment, folder: Path, data: Path, command: str
 ) -> list[dict[str, object]]:
-    from jaxunshear.evaluation.code_swap_test import ablate
+    """Measure the decoders on swapped codes, and the leakage of each code."""
+    from jaxunshear.evaluation.code_swaps import ablate
     from jaxunshear.evaluation.leakage import measure_leakage
     from jaxunshear.evaluation.leakage_table import build_sweep_rows
 

@@ -1,6 +1,5 @@
 """Pins detected in simulated images: which pairs are scored, and what is compared with what."""
 
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -18,11 +17,11 @@ from jaxunshear.evaluation.detected_pins import (
     DETECTED,
     DETECTED_TAP,
     detect_pairs,
-    iterate_batches,
 )
-from jaxunshear.evaluation.network_outputs import make_pin_run
-from jaxunshear.evaluation.simulated_results import build_results
+from jaxunshear.evaluation.network_outputs import make_run
+from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.models import pin_networks, posenet
+from jaxunshear.models.modality import PINS
 from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.report import score_sections, wording
@@ -82,7 +81,7 @@ def test_pairs_that_are_followed_are_scored_and_the_others_counted():
     )  # as it is
     np.testing.assert_allclose(found.pairs[DETECTED_TAP][0], LATTICE.rest, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.rest, atol=0.7)
-    assert [len(batch["pose_id"]) for batch in iterate_batches(found, 1)] == [1, 1]
+    assert [len(batch["pose_id"]) for batch in found.make_test(1).batches] == [1, 1]
     assert detect_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
 
 
@@ -98,9 +97,10 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
     }
     run = partial(
         jax.jit(
-            make_pin_run(nets, dict.fromkeys(nets, TARGETS), PinLayout(LATTICE.rest, 1.6, SIZE))
+            make_run(nets, dict.fromkeys(nets, TARGETS), PINS, PinLayout(LATTICE.rest, 1.6, SIZE))
         ),
         variables,
+        None,
     )
     tap = LATTICE.rest[None].astype(np.float32)
     noisy = tap + np.random.default_rng(0).normal(0, 1, tap.shape).astype(np.float32)
@@ -118,11 +118,10 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
 
 def test_the_page_gives_how_many_were_followed():
     gathered = made_up_gathered()
-    results = build_results(Experiment("made up", "none"), gathered, {DETECTED: gathered})
     reported = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
-    followed = {"tap": reported, "sheared": reported | {"followed": 0.5}}
-    results = replace(
-        results, tests={DETECTED: replace(results.tests[DETECTED], followed=followed)}
+    followed = {DETECTED: {"tap": reported, "sheared": reported | {"followed": 0.5}}}
+    results = build_simulated_results(
+        Experiment("made up", "none"), gathered, {DETECTED: gathered}, followed
     )
     page = score_sections.build_further_tests(results, wording.describe(results))
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

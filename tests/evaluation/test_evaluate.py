@@ -9,12 +9,13 @@ import pytest
 from jaxunshear.config.data import PairedData, Ranges
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import make_range_targets, read_true_values
+from jaxunshear.evaluation import contact_scores
+from jaxunshear.evaluation.contact_scores import BATCH, FIELDS, Scorer, score_test
 from jaxunshear.evaluation.measurements import build_measurements, select_reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, compute_chance_errors, score_images
-from jaxunshear.evaluation.score_collection import BATCH, FIELDS, Scorer, collect_scores
 from jaxunshear.evaluation.score_files import encode_montage, encode_scores
-from jaxunshear.evaluation.simulated_results import build_results
-from jaxunshear.evaluation.unambiguous_edges import mark_smooth
+from jaxunshear.evaluation.simulated_evaluation import build_simulated_results, mark_smooth
+from jaxunshear.models.modality import IMAGES
 
 SIZE, PITCH = 128, 8
 TARGETS = make_range_targets((), Ranges())
@@ -53,11 +54,15 @@ def contacts(count=9):
     return batch
 
 
-def batches(full, size):
+def score(full, run, size, keep):
+    """Score contacts in batches of a size."""
     count = len(full["sheared"])
-    return [
+    batches = [
         {name: value[i : i + size] for name, value in full.items()} for i in range(0, count, size)
     ]
+    return score_test(
+        Scorer(run, TARGETS), contact_scores.TestSet(batches, count, IMAGES.pair, keep=keep)
+    )
 
 
 def oracle(full, sizes=None, step=4):
@@ -88,12 +93,12 @@ def oracle(full, sizes=None, step=4):
 @pytest.fixture(scope="module")
 def gathered():
     full = contacts()
-    return collect_scores(Scorer(oracle(full), TARGETS), batches(full, 4), total=9, keep=7)
+    return score(full, oracle(full), 4, keep=7)
 
 
 @pytest.fixture(scope="module")
 def results(gathered):
-    return build_results(Experiment(name="made up", claim="none"), gathered)
+    return build_simulated_results(Experiment(name="made up", claim="none"), gathered)
 
 
 def test_an_oracle_is_perfect_and_doing_nothing_changes_nothing(results):
@@ -137,7 +142,7 @@ def test_what_is_measured_is_named(results):
 
 
 def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
-    again = build_results(Experiment(name="made up", claim="none"), gathered)
+    again = build_simulated_results(Experiment(name="made up", claim="none"), gathered)
     assert json.dumps(select_reproducible(again)) == json.dumps(select_reproducible(results))
 
 
@@ -157,7 +162,7 @@ def test_networks_are_compared_contact_by_contact(gathered, results):
 
 def test_a_test_of_its_own_has_tables_of_its_own(gathered):
     experiment = Experiment(name="made up", claim="none", unseen=("flower", "leaf", "spiral_1"))
-    found = build_results(experiment, gathered, {"unseen": gathered})
+    found = build_simulated_results(experiment, gathered, {"unseen": gathered})
     test = found.tests["unseen"]
     assert list(test.ms_ssim["disentangled"]) == ["flower", "leaf", "spiral_1", "overall"]
     assert test.contacts == 9
@@ -180,7 +185,7 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
     experiment = Experiment(name="made up", claim="none")
     smooth = np.arange(len(gathered.labels["stimulus"])) < 5
     marks = gathered._replace(labels=gathered.labels | {"smooth": smooth})
-    found = build_results(experiment, marks)
+    found = build_simulated_results(experiment, marks)
     assert found.counts.test_smooth == 5
     for kind, errors in found.pose_smooth.pose_mae.items():
         assert errors == {
@@ -191,8 +196,8 @@ def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
     assert "pose_smooth.disentangled.edge_deg" in {
         row.name for row in build_measurements(found).rows
     }
-    assert found.pose_mae == build_results(experiment, gathered).pose_mae
-    assert build_results(experiment, gathered).pose_smooth is None
+    assert found.pose_mae == build_simulated_results(experiment, gathered).pose_mae
+    assert build_simulated_results(experiment, gathered).pose_smooth is None
     with np.load(io.BytesIO(encode_scores(marks))) as kept:
         np.testing.assert_array_equal(kept["smooth"], smooth)
 
@@ -219,8 +224,7 @@ def test_measurements_of_results_have_the_bars(results):
 
 def test_batches_of_any_size_gather_the_same(gathered):
     full, sizes = contacts(), []
-    scorer = Scorer(oracle(full, sizes, 9), TARGETS)
-    other = collect_scores(scorer, batches(full, 9), total=9, keep=7)
+    other = score(full, oracle(full, sizes, 9), 9, keep=7)
     assert sizes == [(BATCH, BATCH)]
     for name in gathered.scores:
         np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
@@ -231,8 +235,7 @@ def test_batches_of_any_size_gather_the_same(gathered):
 
 def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
     full, sizes = contacts(), []
-    scorer = Scorer(oracle(full, sizes), TARGETS)
-    found = collect_scores(scorer, batches(full, 4), total=9, keep=3)
+    found = score(full, oracle(full, sizes), 4, keep=3)
     assert sizes == [(BATCH, BATCH)] * 3
     assert all(len(value) == 9 for value in found.scores.values())
     assert found.kept_rows.tolist() == [0, 4, 8]

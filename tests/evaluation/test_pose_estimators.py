@@ -6,6 +6,7 @@ import pytest
 from jaxunshear.config.data import Ranges
 from jaxunshear.config.targets import make_range_targets
 from jaxunshear.evaluation import kernel_ridge
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.pose_estimators import (
     PIN_PLACES,
     PIXELS,
@@ -13,13 +14,11 @@ from jaxunshear.evaluation.pose_estimators import (
     compute_pixel_features,
     estimate_poses,
     fit_estimator,
-    make_batch_estimators,
     score_detected_pins,
 )
-from jaxunshear.evaluation.result_tables import add_estimators
+from jaxunshear.evaluation.result_tables import build_tables
 from jaxunshear.evaluation.score import Outputs
 from jaxunshear.perception.lattice import make_lattice
-from jaxunshear.results.run import Tables
 
 SIZE = 128
 TARGETS = make_range_targets(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())
@@ -76,7 +75,7 @@ def reader():
 
 def test_a_linear_pose_is_recovered_exactly(reader):
     pose, edge = poses(50, 1)
-    found = estimate_poses(reader, compute_pin_features(pins_of(pose, edge)))
+    found = reader.estimate(compute_pin_features(pins_of(pose, edge)))
     np.testing.assert_allclose(found["x_mm"], pose[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_mm"], edge[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_deg"], edge[:, 1], atol=0.05)
@@ -113,7 +112,7 @@ def test_pins_that_are_not_seen_count_as_they_are_on_average(reader):
     pose, edge = poses(50, 1)
     pins = pins_of(pose, edge)
     pins[:, 7] = np.nan
-    found = estimate_poses(some, compute_pin_features(pins))
+    found = some.estimate(compute_pin_features(pins))
     assert np.abs(found["x_mm"] - pose[:, 0]).max() < 0.5
 
 
@@ -132,8 +131,8 @@ def test_pixels_give_a_pose():
     reader = fit_estimator(PIXELS, taps, TARGETS)
     pose, edge = poses(20, 1)
     images = drawn(pins_of(pose, edge))[..., None] / 255
-    reads = make_batch_estimators({PIXELS: reader})[PIXELS]
-    found = reads(Outputs({"tap": images, "disentangled": images, "mean_tap": images}, {}, {}, {}))
+    outputs = Outputs({"tap": images, "disentangled": images, "mean_tap": images}, {}, {}, {})
+    found = estimate_poses(PIXELS, reader, outputs)
     assert set(found) == {"tap", "disentangled"}  # of baselines nothing is asked
     assert np.abs(found["tap"]["x_mm"] - pose[:, 0]).mean() < 0.4 * np.abs(pose[:, 0]).mean()
 
@@ -153,7 +152,7 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
         False,
         False,
     ]
-    found = add_estimators(Tables(), [(scores, np.arange(6))], 0)
+    found = tabulate(scores)
     assert found.reader_images["pins"] == {
         "tap": {"read": 6, "left_out": 0},
         "sheared": {"read": 5, "left_out": 1},
@@ -163,7 +162,9 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     low, high = found.spread.readers["pins"]["sheared"]["edge_mm"]
     assert low <= error <= high
     nothing = {name: np.full(6, np.nan) for name in scores}
-    assert (
-        add_estimators(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"]
-        is None
-    )
+    assert tabulate(nothing).readers["pins"]["tap"]["x_mm"] is None
+
+
+def tabulate(estimates):
+    labels = {"stimulus": np.zeros(6, int), "pose_id": np.arange(6)}
+    return build_tables(ContactScores({}, labels, np.arange(6), {}, {}, estimates))

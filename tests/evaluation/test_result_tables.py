@@ -3,43 +3,43 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.bootstrap import compute_intervals, number_poses
-from jaxunshear.evaluation.result_tables import (
-    build_tables,
-    select_typical,
-    summarise_contact_quality,
-    tabulate_by_size,
-)
-from jaxunshear.evaluation.score import CELLS
+from jaxunshear.evaluation.bootstrap import compute_intervals
+from jaxunshear.evaluation.contact_scores import ContactScores
+from jaxunshear.evaluation.result_tables import build_tables, tabulate_by_size
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS
+from jaxunshear.evaluation.score_files import select_typical
+from jaxunshear.evaluation.simulated_evaluation import summarise_contact_quality
 
 QUANTITIES = ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
 KINDS = ("tap", "sheared", "entangled", "disentangled")
 NAMES = ("disk", "clover", "teardrop")
 STIMULUS = np.array([0, 0, 0, 0, 1, 1])  # no teardrop
-POSES = number_poses(STIMULUS, np.array([0, 0, 1, 1, 0, 1]))
+POSE_ID = np.array([0, 0, 1, 1, 0, 1])
+ERRORS = {"tap": 1.0, "sheared": 5.0, "entangled": 3.0, "disentangled": 2.0}
 
 
-def made_up(error_by_kind=None):
-    errors = error_by_kind or {"tap": 1.0, "sheared": 5.0, "entangled": 3.0, "disentangled": 2.0}
-    scores = {
-        f"ms_ssim/{kind}": np.array([0.1, 0.2, 0.3, 0.4, 0.9, 0.7], np.float32)
-        for kind in KINDS[1:]
-    }
-    scores |= {
-        f"pose/{kind}/{name}": np.full(6, errors[kind], np.float32)
-        for kind in KINDS
-        for name in QUANTITIES
-    }
-    scores |= {
-        f"swap/{cell}/{metric}": np.full(6, 0.5)
-        for cell in CELLS
-        for metric in ("mse", "ssim", "ms_ssim")
-    }
-    return scores
+def made_up(errors=ERRORS, without=(), **changed):
+    """Make scores of six contacts, those of two poses of a disk and two of a clover."""
+    similarity = np.array([0.1, 0.2, 0.3, 0.4, 0.9, 0.7], np.float32)
+    scores = {f"ms_ssim/{kind}": similarity for kind in KINDS[1:]}
+    for kind in KINDS:
+        scores |= {f"pose/{kind}/{name}": np.full(6, errors[kind]) for name in QUANTITIES}
+    for cell in CELLS:
+        scores |= {f"swap/{cell}/{metric}": np.full(6, 0.5) for metric in CELL_METRICS}
+    scores = {name: score for name, score in scores.items() if not name.startswith(without)}
+    return as_contacts(scores | changed)
+
+
+def as_contacts(scores, stimulus=STIMULUS, pose_id=POSE_ID):
+    labels = {"stimulus": stimulus, "pose_id": pose_id}
+    return ContactScores(scores, labels, np.zeros(0, int), {}, {})
+
+
+UNEVEN = {"pose/disentangled/x_mm": np.array([1, 1, 2, 2, 4, 5], np.float32)}
 
 
 def test_means_by_stimulus_and_overall():
-    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(made_up(), NAMES)
     row = found.ms_ssim["disentangled"]
     assert row["disk"] == pytest.approx(0.25)
     assert row["clover"] == pytest.approx(0.8)
@@ -48,107 +48,66 @@ def test_means_by_stimulus_and_overall():
     low, high = found.spread.ms_ssim["disentangled"]["overall"]
     assert low < row["overall"] < high
     assert found.spread.ms_ssim["disentangled"]["teardrop"] is None
-
-
-def test_intervals_of_one_run_say_that_they_are_of_one_training():
-    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
     assert found.spread.over == "test poses of one training"
 
 
 def test_ratio_and_recovery():
-    found = build_tables(made_up(), NAMES, STIMULUS, POSES, seed=0)
+    found = build_tables(made_up(), NAMES)
     assert found.pose_mae["sheared"]["edge_mm"] == 5
     assert found.pose_ratio["disentangled"]["edge_mm"] == pytest.approx(0.4)
     assert found.pose_recovery["disentangled"]["edge_mm"] == pytest.approx(0.75)
     assert found.pose_recovery["entangled"]["edge_deg"] == pytest.approx(0.5)
+    undamaged = build_tables(made_up(dict.fromkeys(KINDS, 2.0)), NAMES)
+    assert undamaged.pose_recovery["entangled"]["x_mm"] is None
+    perfect = build_tables(made_up(dict.fromkeys(KINDS, 0.0)), NAMES)
+    assert perfect.pose_ratio["entangled"]["x_mm"] is None
 
 
 def test_poses_of_each_stimulus_are_those_of_its_contacts_alone():
-    scores = made_up()
-    scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
-    found = build_tables(scores, NAMES, STIMULUS, POSES, seed=0).pose_by_stimulus
+    contacts = made_up(**UNEVEN)
+    found = build_tables(contacts, NAMES).pose_by_stimulus
     assert found["disk"].pose_mae["disentangled"]["x_mm"] == pytest.approx(1.5)
     assert found["disk"].pose_recovery["disentangled"]["x_mm"] == pytest.approx(3.5 / 4)
     assert found["disk"].spread.pose_recovery["disentangled"]["x_mm"] == pytest.approx([0.75, 1.0])
     assert found["clover"].pose_ratio["disentangled"]["x_mm"] == pytest.approx(0.9)
     assert found["teardrop"] is None
-    alone = build_tables(
-        {name: score[:4] for name, score in scores.items()},
-        ("disk",),
-        STIMULUS[:4],
-        POSES[:4],
-        seed=0,
-    )
+    disk = {name: score[:4] for name, score in contacts.scores.items()}
+    alone = build_tables(as_contacts(disk, STIMULUS[:4], POSE_ID[:4]), ("disk",))
     assert found["disk"].spread.pose_mae == alone.spread.pose_mae
 
 
 def test_poses_of_each_depth_are_those_of_its_contacts_alone():
-    scores = made_up()
-    scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
-    depth = np.array(
-        [1.0, 1.5, 2.9, 2.6, 3.0, 2.0]
-    )  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
-    found = tabulate_by_size(scores, depth, 1.0, 4.0, POSES, seed=0)
-    assert list(found) == ["1.0-2.0 mm", "2.0-3.0 mm", "3.0-4.0 mm"]
+    # parts meet at 2 and 3 mm; a bound belongs to the deeper part
+    depth = np.array([1.0, 1.5, 2.9, 2.6, 3.0, 2.0])
+    found = tabulate_by_size(made_up(**UNEVEN), depth, 1.0, 4.0)
     error = {name: part.pose_mae["disentangled"]["x_mm"] for name, part in found.items()}
     assert error == pytest.approx({"1.0-2.0 mm": 1.0, "2.0-3.0 mm": 3.0, "3.0-4.0 mm": 4.0})
     middle = found["2.0-3.0 mm"]
     assert middle.pose_recovery["disentangled"]["x_mm"] == pytest.approx((5 - 3) / 4)
     # two poses, drawn with their slides: errors (2 + 2) / 2 and 5
     assert middle.spread.pose_mae["disentangled"]["x_mm"] == pytest.approx([2.0, 5.0])
-    assert not hasattr(middle, "ms_ssim")
 
 
 def test_depths_without_contacts_are_null_and_one_depth_or_no_pose_is_not_divided():
-    found = tabulate_by_size(made_up(), np.full(6, 1.5), 1.0, 4.0, POSES, seed=0)
+    found = tabulate_by_size(made_up(), np.full(6, 1.5), 1.0, 4.0)
     assert [part is None for part in found.values()] == [False, True, True]
-    assert tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.0, POSES, seed=0) == {}
-    images_only = {name: score for name, score in made_up().items() if not name.startswith("pose/")}
-    assert tabulate_by_size(images_only, np.full(6, 1.5), 1.0, 4.0, POSES, seed=0) == {}
+    assert tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.0) == {}
+    assert tabulate_by_size(made_up(without=("pose/",)), np.full(6, 1.5), 1.0, 4.0) == {}
+    narrow = tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.06)
+    assert list(narrow) == ["2.000-2.020 mm", "2.020-2.040 mm", "2.040-2.060 mm"]
 
 
-def test_narrow_depths_have_names_of_their_own():
-    found = tabulate_by_size(made_up(), np.full(6, 2.0), 2.0, 2.06, POSES, seed=0)
-    assert list(found) == ["2.000-2.020 mm", "2.020-2.040 mm", "2.040-2.060 mm"]
-
-
-def test_no_recovery_where_the_slide_does_no_damage():
-    same = dict.fromkeys(KINDS, 2.0)
-    assert (
-        build_tables(made_up(same), NAMES, STIMULUS, POSES, 0).pose_recovery["entangled"]["x_mm"]
-        is None
-    )
-    none = dict.fromkeys(KINDS, 0.0)
-    assert (
-        build_tables(made_up(none), NAMES, STIMULUS, POSES, 0).pose_ratio["entangled"]["x_mm"]
-        is None
-    )
-
-
-def test_tables_hold_the_networks_that_there_are():
-    scores = {name: score for name, score in made_up().items() if "/entangled" not in name}
-    found = build_tables(scores, NAMES, STIMULUS, POSES, seed=0)
+def test_tables_hold_what_there_is():
+    kinds = ("ms_ssim/entangled", "pose/entangled", "swap/DC(z_s)")
+    found = build_tables(made_up(without=kinds), NAMES)
     assert list(found.ms_ssim) == ["sheared", "disentangled"]
     assert list(found.pose_mae) == ["tap", "sheared", "disentangled"]
-    images_only = {name: score for name, score in scores.items() if not name.startswith("pose/")}
-    assert build_tables(images_only, NAMES, STIMULUS, POSES, seed=0).pose_recovery == {}
-    learnt = images_only | {
-        f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES
-    }
-    found = build_tables(
-        learnt, NAMES, STIMULUS, POSES, seed=0
-    )  # a PoseNet that learnt slides, and none that learnt taps
-    assert (
-        found.pose_mae == {"sheared_learnt": dict.fromkeys(QUANTITIES, 1)}
-        and found.pose_recovery == {}
-    )
-
-
-def test_cells_that_could_not_be_drawn_are_left_out():
-    scores = {
-        name: value for name, value in made_up().items() if not name.startswith("swap/DC(z_s)")
-    }
-    assert set(build_tables(scores, NAMES, STIMULUS, POSES, 0).swap) == set(CELLS) - {"DC(z_s)"}
+    assert set(found.swap) == set(CELLS) - {"DC(z_s)"}
+    direct = {f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES}
+    # a PoseNet that learnt slides, and none that learnt taps
+    found = build_tables(made_up(without=("pose/",), **direct), NAMES)
+    assert found.pose_mae == {"sheared_learnt": dict.fromkeys(QUANTITIES, 1)}
+    assert found.pose_recovery == {}
 
 
 def test_intervals_are_repeatable_and_seeded():
@@ -168,19 +127,10 @@ def test_interval_width_is_the_standard_error_of_independent_poses():
     assert often == pytest.approx(once)
 
 
-def test_intervals_refuse_what_does_not_fit():
-    with pytest.raises(ValueError, match="one length"):
-        compute_intervals({"a": np.zeros(3)}, np.zeros(2, int), 0)
-    with pytest.raises(ValueError, match="at least 1"):
-        compute_intervals({}, np.zeros(0, int), 0)
-
-
 def test_the_same_pose_number_of_two_stimuli_is_two_poses():
-    values = {"ms_ssim/sheared": None}
-    scores = made_up() | {name: np.array([0.0, 1.0]) for name in values}
-    scores = {name: value[:2] for name, value in scores.items()}
-    stimulus = np.array([0, 1])
-    found = build_tables(scores, NAMES, stimulus, number_poses(stimulus, np.array([7, 7])), seed=0)
+    scores = {name: score[:2] for name, score in made_up().scores.items()}
+    scores["ms_ssim/sheared"] = np.array([0.0, 1.0])
+    found = build_tables(as_contacts(scores, np.array([0, 1]), np.array([7, 7])), NAMES)
     low, high = found.spread.ms_ssim["sheared"]["overall"]
     assert (low, high) == (0, 1)  # one pose alone would give an interval of no width
 

@@ -189,18 +189,18 @@ def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypat
     assert not (run_dir / "results.json").exists()
 
 
-def test_a_damaged_summary_is_reported_before_the_work(run_dir, experiment, tmp_path):
-    (run_dir / "posenet" / "summary.json").write_text("{")
-    with pytest.raises(UserError, match=r"posenet.summary.json"):
-        evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert not (run_dir / "results.json").exists()
-
-
-def test_a_half_trained_network_is_not_scored(run_dir, experiment, tmp_path):
-    (run_dir / "posenet" / "summary.json").unlink()
-    with pytest.raises(
-        UserError,
-        match=r"posenet was not finished: .*`jaxunshear train FILE --network posenet --out",
-    ):
+@pytest.mark.parametrize(
+    ("summary", "message"),
+    [
+        ("{", r"posenet.summary.json"),
+        (None, r"posenet was not finished: .*`jaxunshear train FILE --network posenet --out"),
+    ],
+)
+def test_a_damaged_or_half_trained_network_is_not_scored(
+    run_dir, experiment, tmp_path, summary, message
+):
+    path = run_dir / "posenet" / "summary.json"
+    path.write_text(summary) if summary else path.unlink()
+    with pytest.raises(UserError, match=message):
         evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert not (run_dir / "results.json").exists()

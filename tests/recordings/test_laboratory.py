@@ -250,12 +250,11 @@ def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(
 
 
 def test_what_a_run_learnt_from_is_not_taken_for_unseen(command, pins_run, place, recording):
-    answer = command("evaluate", pins_run, "--recordings", recording, "--data", place / "datasets")
-    assert answer.code == 2 and "is what" in answer.err and answer.err.count("\n") == 1
-    part = command(
-        "evaluate", pins_run, "--recordings", recording / "shear", "--data", place / "datasets"
-    )
-    assert part.code == 2 and "shares its files" in part.err and part.err.count("\n") == 1
+    for known in (recording, recording / "shear"):
+        words = ("evaluate", pins_run, "--recordings", known, "--data", place / "datasets")
+        answer = command(*words)
+        assert answer.code == 2 and "shares its files" in answer.err
+        assert answer.err.count("\n") == 1
 
 
 def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(

@@ -21,7 +21,7 @@ from jaxunshear.data.recorded_contacts import read_test_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import contact_predictions
 from jaxunshear.evaluation.label_alignment import align_to_labels, choose_scored_labels
-from jaxunshear.evaluation.other_recordings import format_table
+from jaxunshear.evaluation.recorded_results import format_table
 from jaxunshear.evaluation.sim_to_real import UNSHEARED_RAW_OFFSET, score_transfer
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions, make_frame_transforms

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.experiment import Experiment
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.evaluation.score_files import encode_montage
-from jaxunshear.evaluation.simulated_results import build_results
+from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.serialization import to_builtins
 
 VOID = {"meta", "img", "br"}
@@ -73,7 +73,7 @@ def made_up_gathered():
     }
     for name in ("iterations", "stuck", "slipping", "free"):
         labels[name] = generator.integers(5, 90, COUNT)
-    return CollectedScores(
+    return ContactScores(
         scores,
         labels,
         kept,
@@ -90,7 +90,7 @@ def make_run(folder):
         name="made up",
         claim="Nothing was measured: <b>numbers & images</b> are from formulas.",
     )
-    results = to_builtins(build_results(experiment, gathered)) | {
+    results = to_builtins(build_simulated_results(experiment, gathered)) | {
         "ms_per_image": {"disentangled": {"median": 4.2, "p95": 5.1}},
         "time_s": {"data": 131.2, "disentangled": 182.9},
         "machine": {"processor": "none", "cores": 2, "device": "cpu: cpu"},

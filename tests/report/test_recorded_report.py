@@ -10,15 +10,15 @@ import pytest
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.targets import make_label_targets
+from jaxunshear.evaluation.contact_scores import ContactScores
 from jaxunshear.evaluation.measurements import round_values
-from jaxunshear.evaluation.recorded_results import build_results
+from jaxunshear.evaluation.recorded_results import build_recorded_results
 from jaxunshear.evaluation.recorded_scores import (
     RecordedScores,
     RecordedTest,
     convert_montage_labels,
 )
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS
-from jaxunshear.evaluation.score_collection import CollectedScores
 from jaxunshear.evaluation.score_files import encode_montage
 from jaxunshear.fit import BASE_EXPERIMENT
 from jaxunshear.report.report import write_report
@@ -73,7 +73,7 @@ def gathered(networks, pairing, over, shown):
     drawn = generator.integers(0, 255, (3, KEPT, 128, 128)).astype(np.uint8)
     images = dict(zip(("tap", "sheared", "disentangled"), drawn, strict=True))
     pins = dict.fromkeys(("canonical_pins", "sheared_pins"), np.full((KEPT, 331, 2), np.nan))
-    return CollectedScores(scores, labels, np.arange(KEPT), images, pins)
+    return ContactScores(scores, labels, np.arange(KEPT), images, pins)
 
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
@@ -114,7 +114,9 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     readers = (reader if slides else None, reader if taps else None)
     test = RecordedTest(*readers, bool(slides and pairing), "same session")
     results = round_values(
-        to_builtins(build_results(experiment, stored, targets, RecordedScores(slides, taps), test))
+        to_builtins(
+            build_recorded_results(experiment, stored, targets, RecordedScores(slides, taps), test)
+        )
         | {
             "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
             "time_s": {"posenet": 341.0, "evaluate": 20.0},
@@ -301,9 +303,9 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     assert len(lines) < 12
     assert lines[0].split() == ["error", *SCALE]
     rows = {line.split()[0]: line.split()[1:] for line in lines}
-    for row, table, digits in (("unsheared", "pose_mae", 3), ("recovery", "pose_recovery", 2)):
+    for row, table in (("unsheared", "pose_mae"), ("recovery", "pose_recovery")):
         values = results[table]["unsheared"].values()
-        assert rows[row] == [f"{value:.{digits}f}" for value in values]
+        assert rows[row] == [f"{value:.3g}" for value in values]
     tested = "test, same session, random split: 24 taps, 24 slides"
     assert lines[-3] == f"{tested}; left out: 0 taps and 0 slides were not understood"
     assert "0.683 as felt, 0.979 unsheared" in lines[-2]

@@ -173,7 +173,7 @@ def main():
         print(json.dumps(to_builtins(summary)))
         return 0
     for name, function in {
-        "code_swap_test": ablate,
+        "code_swaps": ablate,
         "leakage": measure_leakage,
         "leakage_table": build_sweep_rows,
     }.items():
