@@ -20,6 +20,7 @@ from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.evaluation.bootstrap import INTERVALS_OVER, compute_interval, resample_means
 from jaxunshear.evaluation.code_exchange import measure_exchange_errors
 from jaxunshear.evaluation.codes import load_code_network
+from jaxunshear.evaluation.independence import measure_independence
 from jaxunshear.evaluation.probe_data import ProbeSplit, Quantity, read_splits
 from jaxunshear.evaluation.probes import (
     FAMILIES,
@@ -87,6 +88,7 @@ def measure_leakage(
         "metric": METRIC,
         "rows": rows,
         "summary": [_summarise(rows, pair, test.poses) for pair in pairs],
+        "independence": measure_independence(test, rows),
         "scores": _compute_standard_scores(train, test, rows),
         "exchanged": measure_exchange_errors(network, examples.reader),
         "slide": estimate_slides(

@@ -44,6 +44,11 @@ def format_table(results: Json) -> str:
         if row["without a ceiling"]:
             hidden = ", ".join(row["without a ceiling"])
             lines.append(f"{row['name']}: the input does not show {hidden}: left out")
+    for row in results["independence"]:
+        lines.append(
+            f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, "
+            f"{row['planted p']:.3f} of a planted leak; {row['poses']} poses"
+        )
     for name, value in results["scores"].items():
         lines.append(f"{name} by block: {value:.3f}")
     for row in _list_exchange_rows(results):

@@ -20,7 +20,14 @@ from jaxunshear.data.chunks import SimulationEngine
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import to_sensor_frame
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import code_exchange, leakage, leakage_table, probes
+from jaxunshear.evaluation import (
+    code_exchange,
+    independence,
+    leakage,
+    leakage_table,
+    probe_data,
+    probes,
+)
 from jaxunshear.evaluation.codes import load_code_network
 from jaxunshear.report.leakage_figure import plot_leakage
 from jaxunshear.run import run_stages
@@ -309,3 +316,21 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
         and 0 <= exchanged.decoded.min() <= exchanged.decoded.max() <= 1
     )
     assert plot_leakage(found, exchanged)[:4] == b"\x89PNG"
+
+
+def test_independence_says_whether_it_would_have_found_a_leak(found):
+    assert {"x_mm and z_s", "slide_x_mm and z_p"} <= {row["name"] for row in found["independence"]}
+    for row in found["independence"]:
+        assert row["poses"] == 12 and 0 < row["p"] <= 1 and 0 < row["planted p"] <= 1
+
+
+def test_a_planted_leak_is_found_by_the_test_of_independence():
+    """A hundredth of the spread of a random code is planted: p is small with it alone."""
+    rng = np.random.default_rng(5)
+    code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
+    test = probe_data.ProbeSplit(
+        {"z_p": code}, {("slide", "slide_x_mm"): quantity}, np.arange(400), {}
+    )
+    row = {"leak": True, "ceiling": 0.9, "code": "z_p", "what": "slide", "quantity": "slide_x_mm"}
+    (tested,) = independence.measure_independence(test, [row])
+    assert tested["p"] > 0.05 and tested["planted p"] < 0.01
