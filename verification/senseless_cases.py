@@ -53,7 +53,7 @@ def _list_sensors() -> Iterator[Case]:
     values = [
         (field.name, value, f"sensor with {field.name} {value:g}")
         for field in fields(Sensor)
-        if field.type in ("float", float)
+        if isinstance(field.default, float)
         for value in (np.nan, np.inf)
     ]
     values += [("gel_modulus_mpa", -1.0, "gel below zero"), ("gel_poisson", 0.5, "nu 0.5")]

@@ -26,6 +26,7 @@ from jaxunshear.evaluation.score import CELLS, concatenate_batches, get_cell_tar
 from jaxunshear.files import Json, write_json
 from jaxunshear.metrics import count_scales, format_ms_ssim_name
 from jaxunshear.metrics.machine import describe_provenance
+from jaxunshear.models.modality import IMAGES
 from jaxunshear.models.registry import decode_canonical, decode_sheared, encode
 from jaxunshear.models.weights import Net, Variables
 from jaxunshear.progress import Progress
@@ -133,7 +134,7 @@ def _score_test_split(
 
     @jax.jit
     def run(tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
-        tap, sheared, other = (x.astype(np.float32) / 255 for x in (tap, sheared, other))
+        tap, sheared, other = IMAGES.scale(tap), IMAGES.scale(sheared), IMAGES.scale(other)
         decoded = decode_cells(net, variables, sheared, SWAP_CELLS, other)
         return score_cells(decoded, {"tap": tap, "sheared": sheared}, other)
 

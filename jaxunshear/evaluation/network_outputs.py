@@ -83,7 +83,8 @@ def make_run(
             elif kind in nets:
                 outputs[kind] = unshear(nets[kind], variables[kind], sheared)
         poses = _predict_poses(nets, variables, targets, outputs)
-        images, cell_images = (_draw(x, modality, pins) for x in (outputs | {"tap": tap}, cells))
+        images = _draw(outputs | {"tap": tap}, modality, pins)
+        cell_images = _draw(cells, modality, pins)
         scores = score_images(images, cell_images)
         if modality is IMAGES:
             return Outputs(images, cell_images, poses, {}), scores

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.config.splits import SPLITS
 from jaxunshear.evaluation.bootstrap import LEVEL, compute_interval, resample_means
 from jaxunshear.evaluation.probes import fit_gaussian, prepare_task
 from jaxunshear.files import Json
@@ -35,7 +34,7 @@ def estimate_slides(
     splits: Mapping[str, CodedSlides], contact_state: Mapping[str, np.ndarray]
 ) -> list[Json]:
     """Estimate the slides of the test split; return errors by quantity and `split_by_slip`."""
-    train, validation, test = (splits[name] for name in SPLITS)
+    train, validation, test = splits["train"], splits["validation"], splits["test"]
     codes = np.concatenate([validation.codes, test.codes])
     task = prepare_task(train.codes, train.stack_slides(), codes, train.poses)
     mean, deviation = fit_gaussian(task)

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("sim --batch 0", "--batch 0: use at least 1"),
         ("train --size 0", "--size 0: use at least 1"),
         ("pins --size 8", "--size 8: use 64 to 1024 px"),
-        ("pins --seed -1", "--seed -1: use 0 or more"),
+        ("pins --seed -1", "--seed -1: use at least 0"),
         ("sim --size 128", "unrecognized arguments: --size 128"),
         ("stream --batch 8", "unrecognized arguments: --batch 8"),
         ("train --out .", "unrecognized arguments: --out ."),
