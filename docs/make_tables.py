@@ -30,7 +30,7 @@ TABLES = {
         recorded_tables.tabulate_few_labels,
         recorded_tables.tabulate_simulated_slides,
     ),
-    "docs/skin.md": (recorded_tables.tabulate_transfer,),
+    "docs/skin.md": (recorded_tables.tabulate_released_skin, recorded_tables.tabulate_transfer),
     "docs/unshear-or-directly.md": (
         partial(recorded_tables.tabulate_rivals, "rivals"),
         partial(recorded_tables.tabulate_rivals, "rivals_block"),

@@ -8,6 +8,7 @@ from docs.reading import (
     format_seeds,
     load_cells,
     load_locked_scores,
+    load_rows,
     load_runs,
     start_table,
 )
@@ -183,6 +184,31 @@ def tabulate_transfer() -> str:
         key = f"{table}.unsheared.{target}"
         dense.append(f"{format_range([run[key] for run in dense_runs], digits)} | ")
     lines.append(format_line("for comparison: unsheared by dense layers", dense))
+    return "\n".join(lines)
+
+
+def tabulate_released_skin() -> str:
+    """Tabulate errors of the released weights on recordings, by two zeros of unsheared outputs."""
+    rows = {name: row["value"] for name, row in load_rows("skin_released").items()}
+    estimators = {"pose_mae": "its PoseNet", "readers.pins": "a ridge on recorded taps"}
+    targets = {"y_mm": 2, "z_mm": 2, "Rz_deg": 1}
+    heads = [
+        f"{estimators[table]}: {_name_target(name)}" for table in estimators for name in targets
+    ]
+    lines = start_table(format_line("released weights read", heads))
+    kinds = {
+        "taps": "tap",
+        "slides as recorded": "sheared",
+        "slides unsheared, zero of unsheared taps": "unsheared",
+        "slides unsheared, zero of taps as recorded": "unsheared_raw_zero",
+    }
+    for label, kind in kinds.items():
+        cells = []
+        for table in estimators:
+            for target, digits in targets.items():
+                value = rows.get(f"{table}.{kind}.{target}")
+                cells.append("" if value is None else f"{value:.{digits}f}")
+        lines.append(format_line(label, cells))
     return "\n".join(lines)
 
 

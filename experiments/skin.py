@@ -5,11 +5,10 @@
 
 Over pins: contacts of the fitted sensor with an edge and three shapes, varied as between sensors,
 cameras and days (`--pins.turned`). The released weights `skin`, which `unshear`, `pose` and
-`stream` use by default, come from this experiment as it was in version 0.2.0: its slides dragged
-the pins 0.5 to 2.5 times as far as simulated, today's 0.5 to 2 times.
+`stream` use by default, come from it, by `jaxunshear release runs/skin`.
 
 Expected: minutes to simulate and to train on two cores (no file has the times);
-docs/results/skin.json for its scores on recordings of a real edge.
+docs/results/skin_released.json for scores of the released weights on recordings of a real edge.
 """
 
 from jaxunshear.config.configs import PAIRED, POSE, get_config_sensor
