@@ -17,6 +17,14 @@ TOP = {
     "CONTRIBUTING.md": "CONTRIBUTING.md",
     "CHANGELOG.md": "CHANGELOG.md",
 }
+LINKED_MODULES = (
+    "api.py",
+    "config/losses.py",
+    "config/networks.py",
+    "training/losses.py",
+    "models/registry.py",
+    "data/sources.py",
+)
 FLOW = "![The way of the data](figures/flow.svg)"
 
 
@@ -29,9 +37,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         *ROOT.glob("examples/*.*"),
         *ROOT.glob("jaxunshear/weights/*/README.md"),
         *ROOT.glob("data_specs/*/README.md"),
-        ROOT / "jaxunshear/api.py",
-        ROOT / "jaxunshear/config/losses.py",
-        *ROOT.glob("jaxunshear/training/*_losses.py"),
+        *(ROOT / "jaxunshear" / path for path in LINKED_MODULES),
     ):
         name = path.relative_to(ROOT).as_posix()
         if path.suffix == ".md":  # the card of a model or of a data set is a page

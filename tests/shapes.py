@@ -23,7 +23,7 @@ CHECKED += (
     "perception.png",
     "perception.preprocess",
 )
-CHECKED += ("training.losses", "training.rotation", "training.domain_randomisation")
+CHECKED += ("training.rotation", "training.domain_randomisation")
 MODULES = [f"jaxunshear.{name}" for name in CHECKED]
 MODULES += ["verification.hyperelastic", "verification.large_strain"]
 

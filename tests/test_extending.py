@@ -16,6 +16,7 @@ from jaxunshear.config.configs import describe_set
 from jaxunshear.config.data import SourceSettings
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.load import list_registering_files, load_experiment
+from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import UnshearNet
 from jaxunshear.config.rules import validate
 from jaxunshear.config.serialization import from_json, to_json
@@ -23,6 +24,7 @@ from jaxunshear.data.sources import list_source_files
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.network_outputs import load_run
 from jaxunshear.models import registry as networks
+from jaxunshear.models.modality import IMAGES
 from jaxunshear.perception.lattice import compute_rings
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.scene import Scenes
@@ -135,7 +137,7 @@ def test_a_network_of_an_experiment_file_is_trained_and_evaluated(experiment_fil
     validate(experiment)
     assert "residual" in experiment.networks and list_registering_files() == [str(path)]
     smaller = replace(experiment, unshear=UnshearNet(size=32, widths=(4, 4)))
-    net = networks.make_net(smaller, "residual")
+    net = resolve_network(smaller, "residual").net
     training = replace(small.TRAINING, epochs=1)
     task = make_unshear_task(net, training)
 
@@ -148,7 +150,7 @@ def test_a_network_of_an_experiment_file_is_trained_and_evaluated(experiment_fil
     assert summary.kind == "residual" and summary.best_loss < 0.3
     assert checkpoint.read_net(tmp_path / "run" / "residual") == net
     pair = make_batch(1001, 2)
-    run = load_run(tmp_path / "run", ("residual",))
+    run = load_run(tmp_path / "run", ("residual",), IMAGES)
     outputs, scores = run(pair["canonical"], pair["sheared"])
     assert outputs.images["residual"].shape == (2, 32, 32, 1)
     assert np.isfinite(scores["ms_ssim/residual"]).all()

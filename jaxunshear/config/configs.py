@@ -125,7 +125,7 @@ def convert_to_floats(settings: Any) -> Any:
     return float(settings) if is_integer else settings
 
 
-def compute_digest(settings: Any) -> str:
+def compute_digest(settings: object) -> str:
     """Compute eight hexadecimal digits of nested settings; 1 and 1.0 are the same setting."""
     text = json.dumps(convert_to_floats(settings), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]

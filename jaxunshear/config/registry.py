@@ -5,7 +5,7 @@ An experiment file can add one of its own, see docs/extending.md.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from jaxunshear.config.losses import InputKind
 from jaxunshear.errors import UserError
@@ -37,7 +37,7 @@ class NetworkSpec:
     # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
     # of a network that an experiment file has registered: its settings, and that file
-    make_settings: Callable[[Any], Any] | None = None
+    make_settings: Callable[..., object] | None = None
     file: str = ""
 
 

@@ -13,7 +13,7 @@ A marker layout is one function. In an experiment file it is registered by one l
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -102,7 +102,7 @@ class Sensor:
         )
 
 
-LayoutFunction = Callable[[Sensor], Any]
+LayoutFunction = Callable[[Sensor], object]
 
 
 def place_in_rings(sensor: Sensor) -> np.ndarray:
@@ -158,7 +158,7 @@ def list_own_layouts() -> list[LayoutFunction]:
     return [layout for name, layout in LAYOUTS.items() if name not in RING_LAYOUTS]
 
 
-def describe_sensor(sensor: Sensor) -> dict[str, Any]:
+def describe_sensor(sensor: Sensor) -> dict[str, object]:
     """Describe in plain JSON types everything that decides a sensor's bits."""
     fields = asdict(sensor)
     # the name of another layout does not say where its function places pins

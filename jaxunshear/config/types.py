@@ -38,7 +38,7 @@ class Bound(NamedTuple):
 
 def between(low: float, high: float) -> Bound:
     """Make the bound that a value is at least `low` and at most `high`."""
-    return Bound(lambda value: low <= value <= high, f"use {low:g} to {high:g}")
+    return Bound(lambda value: low <= value <= high, f"use {low} to {high}")
 
 
 Positive = Annotated[float, Bound(lambda value: value > 0, "must be above zero")]

@@ -279,6 +279,9 @@ class TrainedModel:
             )
         confidence = np.where(reasons == "", confidence, 0.0)
         unsheared, poses, pins = jax.tree.map(keep_accepted_rows, outputs)
+        # JAX has sorted the quantities by name
+        for kind, pose in poses.items():
+            poses[kind] = {name: pose[name] for name in self.targets if name in pose}
         return Predictions(unsheared, poses, pins, reasons, confidence)
 
     def compile(self, batch: int) -> None:

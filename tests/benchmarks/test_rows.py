@@ -73,7 +73,7 @@ def test_every_part_left_out_saves_operations():
 
 
 def test_a_size_that_cannot_be_halved_is_refused():
-    with pytest.raises(UserError, match="100 px"):
+    with pytest.raises(UserError, match="size = 100: is not divisible by 32"):
         bench_omissions.bench_needs(size=100)
 
 

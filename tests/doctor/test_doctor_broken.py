@@ -93,10 +93,6 @@ def without(column):
     return table(change)
 
 
-def meta(data):
-    return lambda root: (root / META).write_bytes(data)
-
-
 def instead(name, make):
     """Put another thing in the place of a file."""
 
@@ -121,7 +117,7 @@ def encoded(text, encoding):
     return table(lambda lines: "\n".join(lines).replace("image_3", text).encode(encoding))
 
 
-IMAGE, TABLE, META = NAMES[1], "targets.csv", "meta.json"
+IMAGE, TABLE = NAMES[1], "targets.csv"
 FLAT = np.zeros((48, 48), np.uint8)
 SEEN_BY_ALL = os.geteuid() == 0  # files of any mode
 CASES = {  # what is done; the file that must be named, if any, and the row
@@ -172,16 +168,11 @@ CASES = {  # what is done; the file that must be named, if any, and the row
     },
     "name in another folder": (cell(3, "sensor_image", "elsewhere/image_77.png"), TABLE, 3),
     "no name": (cell(3, "sensor_image", ""), TABLE, 3),
-    "broken JSON": (meta(b'{"a": 1}}'), META, None),
-    "deep JSON": (meta(b"[" * 100_000), META, None),
-    "latin-1 JSON": (meta(b'{"a": "\xfc"}'), META, None),
-    "folder named json": (instead(META, Path.mkdir), META, None),
     "link that leads back": (lambda root: (root / "again").symlink_to(root), "", None),
 }
 RANDOM = [
     *(("images/" + IMAGE, how, seed) for how in ("flip", "cut", "insert") for seed in range(2)),
     *((TABLE, how, seed) for how in ("flip", "cut", "insert") for seed in range(2)),
-    *((META, how, 0) for how in ("flip", "cut")),
 ]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.config import losses
+from jaxunshear.config import load, losses
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.load import list_registering_files, run_file
 from jaxunshear.config.serialization import to_json
@@ -54,6 +54,7 @@ def test_data_that_failed_are_tried_again_by_the_same_command(reason):
 
 def test_losses_of_an_experiment_file_are_known_to_the_process_of_a_row(tmp_path, monkeypatch):
     monkeypatch.setattr(losses, "LOSSES", dict(losses.LOSSES))
+    monkeypatch.setattr(load, "LOSSES", losses.LOSSES)
     file = tmp_path / "mine.py"
     file.write_text(
         "from jaxunshear.config.losses import register_loss\n"
