@@ -26,7 +26,7 @@ from jaxunshear.config.training import Training
 from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.files import Json
-from jaxunshear.models.registry import DataFacts
+from jaxunshear.models.registry import InitFacts
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
 from jaxunshear.training.prefetch import prefetch
@@ -88,7 +88,7 @@ def _make_pin_case() -> Case:
         .normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2))
         .astype(np.float32)
     )
-    facts = DataFacts(rest=pins[0].mean(axis=0), spread=20.0)
+    facts = InitFacts(rest=pins[0].mean(axis=0), spread=20.0)
     task = make_unshear_task(PinUnshear(), training, facts=facts)
     stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
     return Case("pins", task, training, stored | _make_poses(), 128, 40)

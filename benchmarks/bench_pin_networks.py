@@ -26,7 +26,7 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
-from jaxunshear.models.registry import DataFacts
+from jaxunshear.models.registry import InitFacts
 from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
@@ -97,7 +97,7 @@ def _build_frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 
 def _build_step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     training = replace(PIN_TRAINING, losses={"supervised": 1.0, "reconstruction": 0.3})
-    task = make_unshear_task(net, training, facts=DataFacts(rest=rest, spread=SPREAD))
+    task = make_unshear_task(net, training, facts=InitFacts(rest=rest, spread=SPREAD))
     step, first = make_timed_step(task, training)
     state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}

@@ -187,7 +187,7 @@ def _train(run: _Run, network: str) -> bool:
     training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),
         take_first(examples.reader.split, training.validation_images, fields),
-        examples.epoch,
+        examples.per_epoch,
     )
     provenance = Provenance(
         source.describe_origin(config),

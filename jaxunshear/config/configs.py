@@ -1,4 +1,4 @@
-"""The stored configurations of both data sets, and the names of sets with other settings."""
+"""The stored configurations of data sets, and the names of sets with other settings."""
 
 import dataclasses
 import hashlib

@@ -10,7 +10,7 @@ from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.registry import POSENETS
 from jaxunshear.config.targets import Targets
 from jaxunshear.data.digests import parse_folder_digests
-from jaxunshear.data.sources import DataSource, Examples, PinLayout, TrainedInputs
+from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 from jaxunshear.files import Json
 
 if TYPE_CHECKING:
@@ -65,9 +65,7 @@ class RecordedSource(DataSource):
         used, experiment = cast(Recorded, settings or self.settings), self.experiment
         return RecordedSet(used, open_set(used, data_dir, experiment.sensor), experiment.seed)
 
-    def open_examples(
-        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
-    ) -> Examples:
+    def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
         stored = self.open_stored(data_dir, config.source)
         targets = stored.make_targets(config.targets)
         epoch = stored.count_contacts("slides", "train")
@@ -76,10 +74,10 @@ class RecordedSource(DataSource):
         if config.spec.learns_from == "taps":
             reader, epoch = stored.read_taps(), taps
         elif config.spec.role == "unshears":
-            reader = self.open_pairs(stored, targets, inputs, images)
+            reader = self.open_pairs(stored, targets, helpers, images)
         else:
             is_simulated = stored.settings.pairing == "simulated"
-            simulate = inputs.load_simulator(stored) if is_simulated else None
+            simulate = helpers.load_simulator(stored) if is_simulated else None
             reader = stored.read_slides(simulate, images)
             epoch += taps if stored.settings.direct_taps == "recorded" else 0
         return Examples(
@@ -92,12 +90,12 @@ class RecordedSource(DataSource):
         )
 
     def open_pairs(
-        self, stored: "RecordedSet", targets: Targets, inputs: TrainedInputs, images: bool
+        self, stored: "RecordedSet", targets: Targets, helpers: Helpers, images: bool
     ) -> "Reader":
         pairing, unlabelled = stored.settings.pairing, stored.settings.unlabelled
-        render = inputs.load_renderer() if pairing in RENDERED_PAIRINGS else None
-        simulate = inputs.load_simulator(stored) if pairing == "simulated" else None
-        estimate = inputs.load_estimator() if unlabelled == "read" else None
+        render = helpers.load_renderer() if pairing in RENDERED_PAIRINGS else None
+        simulate = helpers.load_simulator(stored) if pairing == "simulated" else None
+        estimate = helpers.load_estimator() if unlabelled == "read" else None
         return stored.read_pairs(targets, render, images, estimate, simulate)
 
     def read_frame(self, data_dir: Path) -> Json | None:

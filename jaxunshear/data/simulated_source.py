@@ -9,7 +9,7 @@ from jaxunshear.config.data import DataSettings, PairedData, PoseData
 from jaxunshear.config.experiment import list_further_tests
 from jaxunshear.config.network_config import NetworkConfig, takes_taps
 from jaxunshear.config.targets import make_range_targets, make_slide_targets
-from jaxunshear.data.sources import DataSource, Examples, PinLayout, TrainedInputs
+from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 
 if TYPE_CHECKING:
     from jaxunshear.data.reader import SetReader
@@ -57,9 +57,7 @@ class SimulatedSource(DataSource):
         tests = list_further_tests(self.experiment).values()
         return {digest for test in tests for digest in self.list_digests(test)}
 
-    def open_examples(
-        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
-    ) -> Examples:
+    def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
         settings = cast(PairedData | PoseData, config.source)
         reader = self.open_set(settings, data_dir)
         size, is_paired = settings.preprocess.size, config.spec.learns_from != "taps"
@@ -74,7 +72,7 @@ class SimulatedSource(DataSource):
             make_range_targets(config.targets, settings.ranges),
             PinLayout(rest, radius_px, size),
             reader.length("train"),
-            slides=make_slide_targets(settings.ranges) if is_paired else (),
+            slide_targets=make_slide_targets(settings.ranges) if is_paired else (),
         )
 
     def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":

@@ -5,8 +5,8 @@
 >>> examples = source.open_examples(config, data_dir, inputs)
 >>> examples.reader.train_batches(batch=8, seed=0, shift=0.0, fields=("canonical", "sheared"))
 
-Only a source knows whether contacts are simulated, recorded, or something else. A further one is a
-class with `register_source`, see docs/extending.md. Loads JAX late.
+What differs between simulated contacts, recorded ones and others is in their classes. A further one
+is a class with `register_source`, see docs/extending.md. Loads JAX late.
 """
 
 import pkgutil
@@ -50,12 +50,12 @@ class Examples(NamedTuple):
     reader: "Reader"
     targets: Targets
     pins: PinLayout
-    epoch: int  # examples that count as one epoch: unlabelled slides count, too
+    per_epoch: int  # examples that count as one epoch: unlabelled slides count, too
     taps: "Reader | None" = None  # recorded ones with labels, if there are any
-    slides: Targets = ()  # what varies between the slides of the data
+    slide_targets: Targets = ()  # what varies between the slides of the data
 
 
-class TrainedInputs(Protocol):
+class Helpers(Protocol):
     """What trained networks and the simulator add to examples, loaded when it is needed."""
 
     def load_renderer(self) -> "TapRenderer": ...
@@ -129,9 +129,7 @@ class DataSource:
         """Describe the data set that a network is to learn from, and how it uses that set."""
         return describe_set(config.source, config.sensor)
 
-    def open_examples(
-        self, config: NetworkConfig, data_dir: Path, inputs: TrainedInputs
-    ) -> Examples:
+    def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
         """Open what a network learns from. Raises UserError if data are missing or damaged."""
         from jaxunshear.data.reader import Reader
 
@@ -153,7 +151,7 @@ class DataSource:
             make_label_targets(config.targets, rows["pose"], rows.get("move")),
             PinLayout(np.zeros((0, 2), np.float32), 0.0, size),
             reader.length("train"),
-            slides=make_move_targets(rows.get("move", unknown)),
+            slide_targets=make_move_targets(rows.get("move", unknown)),
         )
 
     def evaluate(self, run_dir: Path, data_dir: Path) -> Any:
@@ -182,7 +180,7 @@ class DataSource:
         raise UserError(f"'{self.experiment.name}' is not about recordings")
 
     def open_pairs(
-        self, stored: "RecordedSet", targets: Targets, inputs: TrainedInputs, images: bool
+        self, stored: "RecordedSet", targets: Targets, helpers: Helpers, images: bool
     ) -> "Reader":
         """Open recorded slides with the taps that they are paired with. Raises UserError."""
         raise UserError(f"'{self.experiment.name}' is not about recordings")

@@ -10,7 +10,7 @@ from jax import Array
 from jaxunshear.errors import UserError
 from jaxunshear.models import registry
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.trained_network import load_network
 
 BATCH = 64
 
@@ -51,8 +51,8 @@ class CodeNetwork:
 
 def load_code_network(folder: Path) -> CodeNetwork:
     """Load a network with a shear code. Raises UserError for one without, or half trained."""
-    check_finished(folder)
-    network = CodeNetwork(read_net(folder), load_best(folder))
+    net, variables, _ = load_network(folder)
+    network = CodeNetwork(net, variables)
     if not registry.has_shear_code(network.net):
         raise UserError(
             f"{folder} holds no network with a shear code: there is nothing to leak from"

@@ -23,8 +23,9 @@ from jaxunshear.models.registry import get_net_modality, predict, unshear
 from jaxunshear.results.record_files import write_record
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import read_times
-from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.data_origin import check_origin
+from jaxunshear.training.trained_network import load_network
 
 CALLS = 40  # of each network that is timed
 WARM_UP_CALLS = 3  # not counted: the first compiles
@@ -59,7 +60,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
 
 def _time_network(folder: Path) -> dict[str, float]:
     """Time a network on one sheared input at a time, as a robot would ask: ms, host to host."""
-    net, variables = read_net(folder), load_best(folder)
+    net, variables, _ = load_network(folder)
     function = predict if folder.name in POSENETS else unshear
     run = jit_for_inference(partial(function, net), variables)
     example = get_net_modality(net).make_example(net, variables)

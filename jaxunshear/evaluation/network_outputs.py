@@ -19,7 +19,7 @@ from jaxunshear.models import posenet
 from jaxunshear.models.modality import IMAGES, PINS, Modality
 from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.checkpoint import load_best, read_net, read_targets
+from jaxunshear.training.trained_network import load_network
 
 CELLS_BY_MODALITY = {IMAGES.name: CELLS, PINS.name: ("DC(z_p)", "DS(z_p,z_s)")}
 
@@ -39,10 +39,10 @@ def load_run(
 
     Raises `UserError` if a network is missing or cannot be read.
     """
-    folders = {name: Path(run_dir) / name for name in names}
-    nets = {name: read_net(folder) for name, folder in folders.items()}
-    variables = {name: load_best(folder) for name, folder in folders.items()}
-    targets = {name: read_targets(folder) for name, folder in folders.items()}
+    networks = {name: load_network(Path(run_dir) / name) for name in names}
+    nets = {name: network.net for name, network in networks.items()}
+    variables = {name: network.variables for name, network in networks.items()}
+    targets = {name: network.targets for name, network in networks.items()}
     return partial(jax.jit(make_run(nets, targets, modality, pins)), variables, taps)
 
 

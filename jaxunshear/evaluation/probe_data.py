@@ -57,7 +57,7 @@ def read_splits(
             **{("pose", name): value for name, value in _scale_poses(targets, batch).items()},
             **{
                 ("slide", name): value[:, None]
-                for name, value in read_true_values(examples.slides, batch).items()
+                for name, value in read_true_values(examples.slide_targets, batch).items()
             },
         }
         features = {"pins": compute_pin_features(batch[PINS.sheared])}

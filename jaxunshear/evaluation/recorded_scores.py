@@ -30,7 +30,7 @@ from jaxunshear.evaluation.network_outputs import load_run
 from jaxunshear.evaluation.score import TARGET_KIND, choose_main_kind
 from jaxunshear.models.modality import IMAGES, PINS, Modality, get_modality
 from jaxunshear.results.run import TestData
-from jaxunshear.training.examples import RunInputs
+from jaxunshear.training.examples import HelperLoader
 
 KEPT_SLIDES = 72  # slides whose pins are detected, and from which the montage is chosen
 LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
@@ -90,7 +90,7 @@ def choose_test(
     paired = data_dir is not None and unshears and stored.count_contacts("slides", "test") > 0
     if paired:
         assert data_dir is not None
-        inputs = RunInputs(experiment, data_dir, run_dir)
+        inputs = HelperLoader(experiment, data_dir, run_dir)
         images = get_modality(experiment) is IMAGES
         slides = open_source(experiment).open_pairs(stored, targets, inputs, images)
     elif stored.count_contacts("slides", "test"):

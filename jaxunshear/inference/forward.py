@@ -5,8 +5,7 @@ give (B, S, S, 1) in [0, 1].
 """
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +17,7 @@ from jaxunshear.config.targets import Targets
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
 from jaxunshear.models.weights import Net, Tree, Variables
-from jaxunshear.training.checkpoint import check_finished, load_best, read_net, read_targets
+from jaxunshear.training.trained_network import TrainedNetwork
 
 AS_RECORDED, UNSHEARED = "as_recorded", "unsheared"  # what a pose is predicted from
 LEARNT = "learnt"  # poses by a PoseNet that was trained on slides
@@ -27,18 +26,6 @@ BATCH = 32
 AnyArray = TypeVar("AnyArray", np.ndarray, Array)
 # (variables by network, inputs) -> unsheared or as they are, and pose by quantity, (B,) each
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
-
-
-class TrainedNetwork(NamedTuple):
-    net: Net
-    variables: Variables
-    targets: Targets  # that it predicts, of a PoseNet
-
-
-def load_network(folder: Path) -> TrainedNetwork:
-    """Load a network from its folder. Raises UserError if it is missing, damaged or unfinished."""
-    check_finished(folder)
-    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
 
 
 def scale_inputs(inputs: AnyArray) -> AnyArray:

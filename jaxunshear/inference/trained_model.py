@@ -34,9 +34,7 @@ from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
 from jaxunshear.inference.forward import (
     BATCH,
-    TrainedNetwork,
     compute_confidence,
-    load_network,
     make_full_forward,
     run_in_batches,
     scale_inputs,
@@ -63,6 +61,7 @@ from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
 from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME
+from jaxunshear.training.trained_network import TrainedNetwork, load_network
 
 POSENETS = (POSENET, POSENET_SHEARED)
 

@@ -32,7 +32,7 @@ from jaxunshear.models.reconstruction import Reconstruction
 from jaxunshear.models.weights import Net, Tree, Variables
 
 
-class DataFacts(NamedTuple):
+class InitFacts(NamedTuple):
     """What the variables of a network depend on besides its settings."""
 
     outputs: int = 0  # of all pose targets together, K
@@ -54,7 +54,7 @@ class NetworkFunctions:
     # a frozen dataclass, which may declare `rules`; over images it has the field `size`, px
     settings: type
     modality: Modality
-    init: Callable[[Net, DataFacts, Array], Variables]
+    init: Callable[[Net, InitFacts, Array], Variables]
     # settings, variables, sheared inputs, key (None but in training), inputs at the same poses and
     # after the same slides, or None -> outputs and new running statistics
     reconstruct: Callable[..., tuple[Reconstruction, Tree]] | None = None
@@ -72,7 +72,7 @@ class NetworkFunctions:
     predict_training: Callable[[Net, Variables, Array, ArrayLike], tuple[Array, Tree]] | None = None
 
 
-def _init_pin_network(net: PinNet, facts: DataFacts, key: Array) -> Variables:
+def _init_pin_network(net: PinNet, facts: InitFacts, key: Array) -> Variables:
     return pin_networks.init(net, facts.rest, facts.spread, key, facts.outputs)
 
 
@@ -222,7 +222,7 @@ def init_like(net: Net, variables: Variables, key: Array) -> Variables:
     """Make fresh variables for the network that unshears and has `variables`."""
     constants = variables.get("batch_stats", {})
     facts = {name: constants[name] for name in ("rest", "spread") if name in constants}
-    return get_functions(net).init(net, DataFacts(**facts), key)
+    return get_functions(net).init(net, InitFacts(**facts), key)
 
 
 def _require(function: Callable[..., Tree] | None) -> Callable[..., Tree]:

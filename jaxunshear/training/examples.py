@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -16,24 +15,18 @@ from numpy.typing import ArrayLike
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import POSENET_SHEARED, RENDERER
-from jaxunshear.config.targets import RECORDED_FIELDS, Targets
+from jaxunshear.config.targets import RECORDED_FIELDS
 from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
-from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
+from jaxunshear.training.checkpoint import SUMMARY
+from jaxunshear.training.trained_network import TrainedNetwork, load_network
 
 POSES_AT_ONCE = 1024
 IMAGES_AT_ONCE = 128
 FRAME = "frame.json"  # in a run's folder: what all frames of its sensor have in common
-
-
-class TrainedNetwork(NamedTuple):
-    net: Net
-    variables: Variables
-    targets: Targets
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
@@ -41,13 +34,16 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
 
     Raises UserError if the data set, or the renderer that its pairs take, is missing or damaged.
     """
-    config, inputs = resolve_network(experiment, network), RunInputs(experiment, data_dir, run_dir)
+    config, inputs = (
+        resolve_network(experiment, network),
+        HelperLoader(experiment, data_dir, run_dir),
+    )
     return open_source(experiment).open_examples(config, data_dir, inputs)
 
 
 @dataclass(frozen=True)
-class RunInputs:
-    """What a run's trained networks, and the simulator, add to examples; see `TrainedInputs`."""
+class HelperLoader:
+    """What a run's trained networks, and the simulator, add to examples; see `Helpers`."""
 
     experiment: Experiment
     data_dir: Path
@@ -113,7 +109,7 @@ def _load_network(folder: Path, what: str) -> TrainedNetwork:
     """Load a trained network that `what` needs. Raises UserError."""
     if not (folder / SUMMARY).exists():
         raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")
-    return TrainedNetwork(read_net(folder), load_best(folder), read_targets(folder))
+    return load_network(folder)
 
 
 def _run_in_parts(

@@ -19,16 +19,15 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.models import pin_networks
 from jaxunshear.models.modality import IMAGES, PINS, Batch
-from jaxunshear.models.registry import DataFacts, get_functions, predict
+from jaxunshear.models.registry import InitFacts, get_functions, predict
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
-from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import measure_pin_spread, read_all_training
 from jaxunshear.training.rotation import Rotations, find_rotation_sense, make_rotations
 from jaxunshear.training.tasks import (
-    PinSupport,
+    PinAugmentation,
     Supervision,
     Task,
     Tree,
@@ -36,6 +35,7 @@ from jaxunshear.training.tasks import (
     make_renderer_task,
     make_unshear_task,
 )
+from jaxunshear.training.trained_network import load_network
 
 VALIDATION_BATCH = 64
 
@@ -51,10 +51,10 @@ def make_task(
         net = match_entangled_size(net)
     modality, role = get_functions(net).modality, config.spec.role
     field = modality.single if config.spec.learns_from == "taps" else modality.sheared
-    facts = DataFacts()
+    facts = InitFacts()
     if modality is PINS:
         rest = examples.pins.rest
-        facts = DataFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
+        facts = InitFacts(rest=rest, spread=measure_pin_spread(examples.reader, field, rest))
     fields: tuple[str, ...] = (field, *list_label_fields(examples.targets))
     if role == "renders":
         task = make_renderer_task(net, training, examples.targets, facts)
@@ -75,14 +75,14 @@ def make_task(
 
 def _make_pin_support(
     experiment: Experiment, net: Net, training: Training, examples: Examples, folder: Path
-) -> PinSupport:
+) -> PinAugmentation:
     rotations = render = None
     if getattr(net, "turned", 0):
         rotations = _make_rotations(examples)
     if "rendered_pose" in training.losses:
         renderer = _load_tap_network(experiment, RENDERER, folder)
         render = partial(pin_networks.render_pins, *renderer)
-    return PinSupport(rotations, render)
+    return PinAugmentation(rotations, render)
 
 
 def _make_supervision(
@@ -97,11 +97,11 @@ def _make_supervision(
     if uses_teacher(training):
         teacher = partial(predict, *_load_tap_network(experiment, TEACHER, folder))
     count = get_functions(net).count_slide_numbers(net) if "slide" in training.losses else 0
-    if count and not examples.slides:
+    if count and not examples.slide_targets:
         raise UserError(
             "losses.slide: no slide of this data set is known to differ from others: leave it out"
         )
-    return Supervision(examples.targets, examples.slides[:count], teacher)
+    return Supervision(examples.targets, examples.slide_targets[:count], teacher)
 
 
 def _list_pair_fields(
@@ -174,4 +174,5 @@ def _load_tap_network(experiment: Experiment, network: str, folder: Path) -> tup
     if not (path / "summary.json").exists():
         raise UserError(f"{path} is missing, and others learn from it: train {network} first")
     check_origin(experiment, network, folder)
-    return read_net(path), load_best(path)
+    net, variables, _ = load_network(path)
+    return net, variables

@@ -23,7 +23,7 @@ from jaxunshear.config.types import check_rules
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS, Batch
-from jaxunshear.models.registry import DataFacts, NetworkFunctions, get_functions
+from jaxunshear.models.registry import InitFacts, NetworkFunctions, get_functions
 from jaxunshear.models.weights import Net, Tree, Variables
 from jaxunshear.training.losses import PairInputs, PoseInputs
 from jaxunshear.training.rotation import Rotations, rotate_outputs, rotate_pins, sample_rotation
@@ -55,7 +55,7 @@ class Supervision(NamedTuple):
     teacher: Callable[[Array], Array] | None = None
 
 
-class PinSupport(NamedTuple):
+class PinAugmentation(NamedTuple):
     """What a PoseNet over pins may learn from besides its batches."""
 
     rotations: Rotations | None = None  # for `net.turned`
@@ -67,7 +67,7 @@ def make_unshear_task(
     net: Net,
     training: Training,
     supervision: Supervision = Supervision(),
-    facts: DataFacts = DataFacts(),
+    facts: InitFacts = InitFacts(),
 ) -> Task:
     """Make the task of a network that unshears.
 
@@ -143,8 +143,8 @@ def make_posenet_task(
     net: Net,
     training: Training,
     targets: Targets,
-    facts: DataFacts = DataFacts(),
-    support: PinSupport = PinSupport(),
+    facts: InitFacts = InitFacts(),
+    support: PinAugmentation = PinAugmentation(),
 ) -> Task:
     """Make the task of a PoseNet, of batches of single contacts with the fields of `targets`.
 
@@ -180,7 +180,7 @@ def make_posenet_task(
 
 
 def make_renderer_task(
-    net: PinRenderer, training: Training, targets: Targets, facts: DataFacts
+    net: PinRenderer, training: Training, targets: Targets, facts: InitFacts
 ) -> Task:
     """Make the task of PinRenderer, of batches {"pins"} (B, P, 2) px of taps and their labels."""
 
@@ -198,7 +198,7 @@ def _make_task(
     role: Role,
     training: Training,
     targets: Targets,
-    facts: DataFacts,
+    facts: InitFacts,
     run: Callable[[Variables, Batch, Array | None], tuple[PairInputs | PoseInputs, Tree]],
 ) -> Task:
     """Make the task of a network that `run` runs, without a key in validation."""

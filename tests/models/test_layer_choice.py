@@ -20,7 +20,7 @@ NETS = {
 
 
 def fresh(net, key):
-    return registry.get_functions(net).init(net, registry.DataFacts(outputs=3), key)
+    return registry.get_functions(net).init(net, registry.InitFacts(outputs=3), key)
 
 
 def training_pass(net, variables, images):

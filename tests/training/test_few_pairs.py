@@ -85,7 +85,7 @@ def test_training_and_validation_have_the_share_and_the_test_has_all():
             few.reader.take(split, np.arange(8), ("row",))["row"], np.flatnonzero(mask)
         )
     assert few.reader.length("test") == 80
-    assert few.epoch == 80  # as many steps as with all pairs
+    assert few.per_epoch == 80  # as many steps as with all pairs
     batches = few.reader.train_batches(16, 0, 0.0, ("row", "canonical_pins", "sheared_pins"))()
     seen = [next(batches) for _ in range(3)]
     assert {int(row) for batch in seen for row in batch["row"]} == set(

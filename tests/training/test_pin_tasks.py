@@ -12,10 +12,10 @@ from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.data.factorial import OTHER, SWAPPED
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
-from jaxunshear.models.registry import DataFacts
+from jaxunshear.models.registry import InitFacts
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.tasks import (
-    PinSupport,
+    PinAugmentation,
     Supervision,
     make_posenet_task,
     make_renderer_task,
@@ -30,7 +30,7 @@ POSES = np.zeros((6, 6), np.float32)
 POSES[:, 1], POSES[:, 5] = np.linspace(-3, 3, 6), np.linspace(-170, 170, 6)
 TARGETS = make_label_targets((), POSES)
 KEY = jax.random.key(0)
-FACTS = DataFacts(rest=REST, spread=1.0)
+FACTS = InitFacts(rest=REST, spread=1.0)
 
 
 def name_losses(**losses):
@@ -120,7 +120,7 @@ def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
         return REST + jnp.zeros((len(outputs), 1, 1)).at[:, 0, 0].set(outputs[:, 0])[..., :1]
 
     training = Training(losses={"pose": 1.0, "rendered_pose": 1.0})
-    task = make_posenet_task(net, training, TARGETS, FACTS, PinSupport(render=render))
+    task = make_posenet_task(net, training, TARGETS, FACTS, PinAugmentation(render=render))
     named = task.terms(variables, batch(), KEY)[0]
     read = predict(net, variables, render(seen[0]))
     np.testing.assert_allclose(

@@ -18,13 +18,13 @@ from jaxunshear.inference.forward import (
     AS_RECORDED,
     LEARNT,
     UNSHEARED,
-    TrainedNetwork,
     compute_confidence,
     scale_inputs,
 )
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import posenet
 from jaxunshear.models.registry import predict, unshear
+from jaxunshear.training.trained_network import TrainedNetwork
 
 Run = Callable[[np.ndarray], Json]
 Prepare = Callable[[np.ndarray], np.ndarray]

@@ -33,12 +33,13 @@ from jaxunshear.config.networks import PinPoseNet, PinUnshear, PoseNet, UnshearN
 from jaxunshear.config.serialization import to_json
 from jaxunshear.data.recordings import read_image
 from jaxunshear.files import write_json
-from jaxunshear.inference.forward import TrainedNetwork, make_forward
+from jaxunshear.inference.forward import make_forward
 from jaxunshear.model_folders import RELEASED
 from jaxunshear.models import pin_networks, posenet, unshearnet
 from jaxunshear.models.pin_grid import make_grid
 from jaxunshear.perception.preprocess import View, prepare_frame
 from jaxunshear.training import checkpoint
+from jaxunshear.training.trained_network import TrainedNetwork
 from tests.helpers.models import write_network
 
 ROOT = Path(__file__).resolve().parents[3]
