@@ -168,7 +168,7 @@ def _train(run: _Run, network: str) -> bool:
         check_origin(experiment, network, run.folder)
         return False
     from jaxunshear.training.examples import FRAME, open_examples
-    from jaxunshear.training.few_pairs import add_unpaired, select_few_pairs
+    from jaxunshear.training.few_pairs import add_single_contacts, select_few_pairs
     from jaxunshear.training.task_factory import make_task, rename_inputs, take_first
     from jaxunshear.training.trainer import Provenance, TrainingData, train
 
@@ -182,7 +182,7 @@ def _train(run: _Run, network: str) -> bool:
         examples = select_few_pairs(all_examples, training.paired_share, seed)
     task, fields = make_task(experiment, network, examples, run.folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
-    batches = add_unpaired(batches, config, all_examples, run.data)
+    batches = add_single_contacts(batches, config, all_examples, run.data)
     begin = start_folder(experiment, network)
     training_data = TrainingData(
         lambda step: map(rename_inputs, batches(step)),
@@ -221,7 +221,7 @@ def _is_unfinished(run: _Run, stage: str) -> bool:
 def print_summary(results: Results, folder: Path) -> None:
     """Print scores and errors of each kind of image, and the bars that the run met or missed."""
     if results.recordings is not None:
-        _print_recorded(results, folder)
+        _print_recordings(results, folder)
         return
     from jaxunshear.evaluation.measurements import build_measurements
     from jaxunshear.evaluation.score import BASELINES
@@ -246,7 +246,7 @@ def print_summary(results: Results, folder: Path) -> None:
     print(f"results: {folder / 'results.json'}")
 
 
-def _print_recorded(results: Results, folder: Path) -> None:
+def _print_recordings(results: Results, folder: Path) -> None:
     """Print a table of the errors, whose targets the labels decide, and where the rest is."""
     from jaxunshear.evaluation.recorded_results import format_table
     from jaxunshear.evaluation.score import choose_main_kind

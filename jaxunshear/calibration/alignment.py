@@ -24,7 +24,7 @@ from jaxunshear.calibration.pin_statistics import (
 )
 from jaxunshear.calibration.prediction import (
     SensorValues,
-    find_converged,
+    find_solutions,
     fit_positions,
     project_positions,
     project_rest,
@@ -99,7 +99,7 @@ def read_labels(
         for side, depth in product((1, -1, 0) if contacts.across else (0,), DEPTH_FRACTIONS):
             surface_mm = lowest - depth * start.base.dome_radius_mm
             displacement = simulate_displacements(start, sample, side, surface_mm)
-            converged = find_converged(displacement)
+            converged = find_solutions(displacement)
             if not converged.any():
                 continue
             positions = project_positions(start, size, flat, displacement)
@@ -167,7 +167,7 @@ class AlignmentProblem(NamedTuple):
         """Simulate the contacts in a frame, and compare the motions of the pins."""
         contacts = apply_frame(self.contacts, frame)
         displacement = simulate_displacements(self.values, contacts, self.side)
-        rows = np.flatnonzero(find_converged(displacement))
+        rows = np.flatnonzero(find_solutions(displacement))
         recorded, simulated = np.zeros((2, *self.observation.positions.shape))
         if not len(rows):
             return FrameFit(frame, recorded, simulated, 0.0)

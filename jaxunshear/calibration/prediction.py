@@ -161,7 +161,7 @@ def simulate_displacements(
     return np.where(converged[:, None, None], displacement, np.nan)
 
 
-def find_converged(displacement: np.ndarray) -> np.ndarray:
+def find_solutions(displacement: np.ndarray) -> np.ndarray:
     """Find the contacts (N,) bool whose displacement (N, Q, 3) is known."""
     return np.isfinite(displacement[:, 0, 0])
 

@@ -16,7 +16,7 @@ from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.pin_statistics import compute_camera_rotation, make_observation
 from jaxunshear.calibration.prediction import (
     SensorValues,
-    find_converged,
+    find_solutions,
     fit_positions,
     project_positions,
     simulate_displacements,
@@ -69,7 +69,7 @@ def fit_label_view(
     turn = compute_camera_rotation(alignment.angle, alignment.mirrored)
     contacts = alignment.place_contacts(pose, None)
     displacement = simulate_displacements(values, contacts, alignment.side)
-    rows = np.flatnonzero(find_converged(displacement))
+    rows = np.flatnonzero(find_solutions(displacement))
     flat = fit_positions(values, size, positions[rows] @ turn, displacement[rows])
     return LabelView(alignment, turn, flat, size, values)
 

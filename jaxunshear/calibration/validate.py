@@ -23,7 +23,7 @@ from jaxunshear.calibration.pin_statistics import PinObservation, subtract_mean
 from jaxunshear.calibration.prediction import (
     SensorValues,
     compute_mm_per_px,
-    find_converged,
+    find_solutions,
     fit_positions,
     project_positions,
     simulate_displacements,
@@ -132,7 +132,7 @@ def _compare_folder(
     _check_enough(len(rows), "contacts are labelled and followed")
     contacts = alignment.place_contacts(scored.poses[rows], scored.moves[rows])
     displacement = _simulate_contacts(name, contacts, alignment.side, values)
-    converged = find_converged(displacement)
+    converged = find_solutions(displacement)
     reasons["out of the simulator's reach, or not converged"] = np.isin(
         np.arange(len(usable)), rows[~converged]
     )

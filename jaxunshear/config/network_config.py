@@ -114,13 +114,13 @@ def list_required_networks(config: NetworkConfig) -> tuple[str, ...]:
 
 def _put_helpers_first(configs: Iterable[NetworkConfig]) -> tuple[str, ...]:
     configs = list(configs)
-    needed = {name for config in configs for name in _list_needed(config)}
+    needed = {name for config in configs for name in _list_needs(config)}
     first = [name for name in HELPERS if name in needed]
     return tuple(dict.fromkeys([*first, *(config.name for config in configs)]))
 
 
-def _list_needed(config: NetworkConfig) -> set[str]:
-    return {name for need in config.needs for name in (need.name, *_list_needed(need))}
+def _list_needs(config: NetworkConfig) -> set[str]:
+    return {name for need in config.needs for name in (need.name, *_list_needs(need))}
 
 
 def takes_taps(experiment: Experiment) -> bool:

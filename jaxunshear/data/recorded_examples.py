@@ -35,7 +35,7 @@ def summarise_recordings(
     counts = count_contacts(contacts, usable, identified, problem)
     for split, count in counts["written"].items():
         if not count:
-            first = _list_dropped(contacts, problem)[:1]
+            first = _list_drops(contacts, problem)[:1]
             raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
     is_full = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
     description = {
@@ -70,7 +70,7 @@ def count_contacts(
         "written": _count_by_split(contacts, usable),
         "taps": _count_by_split(contacts, usable & ~contacts.is_slide),
         "slides": _count_by_split(contacts, usable & contacts.is_slide),
-        "dropped_frames": _list_dropped(contacts, problem)[:MAX_NAMED],
+        "dropped_frames": _list_drops(contacts, problem)[:MAX_NAMED],
     }
 
 
@@ -80,7 +80,7 @@ def _count_by_split(contacts: RecordedContacts, selected: np.ndarray) -> dict[st
     }
 
 
-def _list_dropped(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
+def _list_drops(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
     return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class RecordedSource(DataSource):
     """Recordings of a real sensor: `Recorded`, and `RecordedTaps` for `pose`."""
 
-    evaluator = "jaxunshear.evaluation.recorded_evaluation:evaluate_recorded"
+    evaluator = "jaxunshear.evaluation.recorded_evaluation:evaluate_recordings"
     pair_fields = ("weight",)
     pin_fields = ("sure",)
     has_frame = True

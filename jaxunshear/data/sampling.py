@@ -82,7 +82,7 @@ def _compute_ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
     return order / (settings.poses * len(settings.stimuli) - 1)
 
 
-def sample_paired(settings: PairedData) -> ContactSamples:
+def sample_pairs(settings: PairedData) -> ContactSamples:
     """Sample for every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
     check_settings(settings)
     contacts = settings.taps + settings.slides  # of a pose
@@ -174,4 +174,4 @@ def _make_samples(
 
 def sample_contacts(settings: PairedData | PoseData) -> ContactSamples:
     """Sample the contacts of a paired set, or the taps of a pose set."""
-    return sample_paired(settings) if isinstance(settings, PairedData) else sample_taps(settings)
+    return sample_pairs(settings) if isinstance(settings, PairedData) else sample_taps(settings)

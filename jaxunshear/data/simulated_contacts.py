@@ -11,7 +11,7 @@ import numpy as np
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import BLOCK
 from jaxunshear.data.chunks import render_images
-from jaxunshear.data.sampling import sample_paired
+from jaxunshear.data.sampling import sample_pairs
 from jaxunshear.simulator.contact_results import compute_indentation
 from jaxunshear.simulator.paths import make_paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips
@@ -50,7 +50,7 @@ def simulate_contacts(
     if depth_mm is not None:
         ranges = replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm)
         settings = replace(settings, ranges=ranges)
-    samples = sample_paired(settings)
+    samples = sample_pairs(settings)
     contacts, skins = follow(experiment.sensor, paired.stimuli, make_paths(samples.scenes))
     # Both are in the same order, as there are one tap and one slide at a pose.
     slides, taps = np.flatnonzero(samples.is_slide), np.flatnonzero(~samples.is_slide)

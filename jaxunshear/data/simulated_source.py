@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class SimulatedSource(DataSource):
     """Simulated pairs and taps: `PairedData` and `PoseData`."""
 
-    evaluator = "jaxunshear.evaluation.simulated_evaluation:evaluate_simulated"
+    evaluator = "jaxunshear.evaluation.simulated_evaluation:evaluate_simulation"
     pose_frame = (
         "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
         "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "

@@ -43,7 +43,7 @@ class CodeNetwork:
         """Reconstruct sheared inputs, images in [0, 1] or pins px, from codes (B, ...)."""
         return jax.device_get(self._decode(z_p, z_s))
 
-    def draw_untrained(self, seed: int) -> "CodeNetwork":
+    def draw_new_weights(self, seed: int) -> "CodeNetwork":
         """Draw the same network with new weights."""
         key = jax.random.key(seed)
         return CodeNetwork(self.net, registry.init_like(self.net, self.variables, key))

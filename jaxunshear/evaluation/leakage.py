@@ -76,7 +76,7 @@ def measure_leakage(
     check_origin(experiment, DISENTANGLED, run_dir)
     networks = {"": network}
     if controls:
-        networks[UNTRAINED] = network.draw_untrained(SEED)
+        networks[UNTRAINED] = network.draw_new_weights(SEED)
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     splits = read_splits(experiment, examples, data_dir, networks)
     train, test = splits["train"], splits["test"]

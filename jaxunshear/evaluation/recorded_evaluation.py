@@ -1,6 +1,6 @@
 """Evaluate networks that learned from recordings, on these recordings and on others.
 
->>> evaluate_recorded(experiment, Path("runs/recorded"), data)  # on their held-out part
+>>> evaluate_recordings(experiment, Path("runs/recorded"), data)  # on their held-out part
 >>> results = score_recordings(experiment, run_dir, Path("other_day"), data, command)
 >>> results.pose_mae["unsheared"]["y_mm"]
 """
@@ -38,7 +38,7 @@ from jaxunshear.training.examples import FRAME
 from jaxunshear.training.initial_weights import check_unseen
 
 
-def evaluate_recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
+def evaluate_recordings(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
     """Score networks on the test split of a recorded set, with conformal intervals.
 
     Raises `UserError` if nothing can be scored, or a network or the data set is missing or damaged.

@@ -169,7 +169,7 @@ def _describe_pairing(stored: RecordedSet, test: RecordedTest, targets: Targets)
 def _count_contacts(stored: RecordedSet, scores: RecordedScores, test: RecordedTest) -> Counts:
     """Count contacts by split, and those of the test that were scored and left out."""
 
-    def count_tested(reader: Reader | None) -> int:
+    def count_test_contacts(reader: Reader | None) -> int:
         return 0 if reader is None else reader.length("test")
 
     slides = 0 if scores.slides is None else scores.slides.total
@@ -179,8 +179,8 @@ def _count_contacts(stored: RecordedSet, scores: RecordedScores, test: RecordedT
         **{split: written[split] for split in SPLITS},
         test_poses=slides,
         test_taps=taps,
-        test_unsure=count_tested(test.slides) - slides,
-        unread_taps=count_tested(test.taps) - taps,
+        test_unsure=count_test_contacts(test.slides) - slides,
+        unread_taps=count_test_contacts(test.taps) - taps,
         pin_images=0 if scores.slides is None else len(scores.slides.kept_rows),
     )
 

@@ -177,7 +177,7 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
     alignment_taps, taps, slides = predictions
     if not alignment_taps.pins:
         return {}
-    features, poses = _select_identified(alignment_taps, AS_RECORDED)
+    features, poses = _select_contacts(alignment_taps, AS_RECORDED)
     estimator = fit_to_features(features, {"pose": poses}, make_label_targets(labels, poses))
     if estimator is None:
         return {}
@@ -187,7 +187,7 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
         ("sheared", slides, AS_RECORDED),
         ("unsheared", slides, UNSHEARED),
     ):
-        features, poses = _select_identified(contacts, kind)
+        features, poses = _select_contacts(contacts, kind)
         estimates = dict.fromkeys(list_target_names(estimator.targets), np.zeros(0))
         if len(features):
             estimates = estimator.estimate(features)
@@ -195,7 +195,7 @@ def _score_ridge(labels: Sequence[str], predictions: _Predictions) -> dict[str, 
     return {PIN_PLACES: errors}
 
 
-def _select_identified(contacts: ContactPredictions, kind: str) -> tuple[np.ndarray, np.ndarray]:
+def _select_contacts(contacts: ContactPredictions, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Select the features and labels of the contacts whose pins were identified."""
     pins = contacts.pins[kind]
     identified = np.isfinite(pins).all(axis=(1, 2))

@@ -71,7 +71,7 @@ METRIC_NOTES = {
 }
 
 
-def evaluate_simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
+def evaluate_simulation(experiment: Experiment, run_dir: Path, data_dir: Path) -> EvaluatedRun:
     """Score networks on the test split of the simulated pairs, and on further tests.
 
     Raises `UserError` if the test split is empty, or a network or a data set is missing or damaged.

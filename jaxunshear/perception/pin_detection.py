@@ -71,11 +71,11 @@ def _detect(image: np.ndarray, split: "_Split") -> DetectedPins:
     mask = np.append(False, short)[components.labels]
     if not candidate.any():
         return DetectedPins(np.zeros((0, 2)), mask=mask)
-    (centre, area), single_count = _split_merged(components, np.flatnonzero(candidate), split)
+    (centre, area), single_count = _split_blobs(components, np.flatnonzero(candidate), split)
     usual = _compute_usual_area(area)
     is_single = (np.arange(len(area)) < single_count) & _is_in_range(area, usual, SINGLE_AREA_RANGE)
     pins = np.flatnonzero(_is_in_range(area, usual, PIN_AREA_RANGE))
-    pins = pins[find_clustered(centre[pins])]
+    pins = pins[find_clusters(centre[pins])]
     return DetectedPins(centre[pins], is_single[pins], mask, float(np.sqrt(usual / np.pi)))
 
 
@@ -131,7 +131,7 @@ def _is_in_range(area: np.ndarray, usual: float, limits: tuple[float, float]) ->
     return (area > limits[0] * usual) & (area < limits[1] * usual)
 
 
-def _split_merged(
+def _split_blobs(
     components: _Components, rows: np.ndarray, split: _Split
 ) -> tuple[MeasuredPins, int]:
     """Split those of the components `rows` in which several pins may touch.
@@ -188,7 +188,7 @@ def _split_in_row(components: _Components, number: int, diameter: float) -> Meas
     return MeasuredPins(centre + steps[:, None] * axis, np.full(count, area / count))
 
 
-def find_clustered(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
+def find_clusters(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
     """Find the rows of points that are near two others.
 
     The limit is twice the usual distance between neighbours, and 1.5 times on the outline, where

@@ -35,7 +35,7 @@ from jaxunshear.perception.grey import (
     is_binary,
     to_grey,
 )
-from jaxunshear.perception.pin_detection import find_clustered, find_hull
+from jaxunshear.perception.pin_detection import find_clusters, find_hull
 
 # Radius of the outermost pins over that of the dark disc, measured: 172 and 210 px.
 OUTER_PINS_OF_DISC = 0.82
@@ -260,7 +260,7 @@ def _find_outer_dots(white: np.ndarray) -> np.ndarray:
     usual = np.median(large)
     is_dot = (area > DOT_AREA_RANGE[0] * usual) & (area < DOT_AREA_RANGE[1] * usual)
     centres = np.array(ndimage.center_of_mass(white, parts, 1 + np.flatnonzero(is_dot)))
-    centres = centres[find_clustered(centres)]
+    centres = centres[find_clusters(centres)]
     return centres[find_hull(centres)] if len(centres) >= MIN_DOTS else np.zeros((0, 2))
 
 

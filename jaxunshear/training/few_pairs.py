@@ -54,7 +54,7 @@ def choose_poses(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: 
     return is_chosen[row.reshape(-1)]
 
 
-def add_unpaired(
+def add_single_contacts(
     batches: Batches, config: NetworkConfig, examples: Examples, data_dir: Path
 ) -> Batches:
     """Add the taps and slides without partners that the losses of a network take."""

@@ -6,7 +6,7 @@ import pytest
 from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.prediction import (
-    find_converged,
+    find_solutions,
     project_positions,
     simulate_displacements,
 )
@@ -31,7 +31,7 @@ def _project(displacement):
 def _displace(poses, moves, friction):
     contacts = read_motions(poses, moves)
     displacement = simulate_displacements(CALIBRATION.values, contacts, 1, SURFACE_MM, friction)
-    assert find_converged(displacement).all()
+    assert find_solutions(displacement).all()
     return displacement
 
 

@@ -21,7 +21,7 @@ from jaxunshear.data.factorial import (
 )
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import shift_examples
-from jaxunshear.data.sampling import find_slide_leaders, sample_paired
+from jaxunshear.data.sampling import find_slide_leaders, sample_pairs
 from jaxunshear.errors import UserError
 
 FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_a_slide=4)
@@ -29,7 +29,7 @@ FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3,
 
 def slides_of(settings, stimulus):
     """Slides as the sensor feels them (poses, slides, 2), and the split of each pose."""
-    shots = sample_paired(settings)
+    shots = sample_pairs(settings)
     here = (shots.scenes.stimulus == stimulus) & shots.is_slide
     felt = rotate_2d(shots.scenes.move[here], -np.radians(shots.scenes.pose[here, 2]))
     return felt.reshape(settings.poses, settings.slides, 2), shots.split[here][:: settings.slides]
@@ -49,7 +49,7 @@ def test_poses_of_a_group_feel_the_same_slides_and_groups_do_not_cross_splits(st
 
 def test_a_shared_slide_includes_its_twist():
     settings = dataclasses.replace(FOUR, ranges=dataclasses.replace(FOUR.ranges, twist_deg=5.0))
-    shots = sample_paired(settings)
+    shots = sample_pairs(settings)
     twist = shots.scenes.move[(shots.scenes.stimulus == 0) & shots.is_slide, 2].reshape(45, 3)
     leader = find_slide_leaders(settings, "disk")
     np.testing.assert_array_equal(twist, twist[leader])
@@ -59,7 +59,7 @@ def test_a_shared_slide_includes_its_twist():
 def test_without_sharing_every_pose_has_the_slides_it_always_had():
     alone = dataclasses.replace(FOUR, poses_a_slide=1)
     assert np.array_equal(find_slide_leaders(alone, "disk"), np.arange(45))
-    shots = sample_paired(alone)
+    shots = sample_pairs(alone)
     moves = shots.scenes.move[shots.is_slide]
     assert np.mean(np.any(moves == 0, axis=1)) == pytest.approx(
         2 / 3, abs=0.15
@@ -67,19 +67,19 @@ def test_without_sharing_every_pose_has_the_slides_it_always_had():
 
 
 def test_poses_and_taps_do_not_depend_on_who_shares():
-    alone, shared = sample_paired(dataclasses.replace(FOUR, poses_a_slide=1)), sample_paired(FOUR)
+    alone, shared = sample_pairs(dataclasses.replace(FOUR, poses_a_slide=1)), sample_pairs(FOUR)
     np.testing.assert_array_equal(alone.scenes.pose, shared.scenes.pose)
     np.testing.assert_array_equal(alone.split, shared.split)
 
 
 def test_no_slide_for_less_than_one_pose():
     with pytest.raises(UserError, match="poses_a_slide = 0"):
-        sample_paired(dataclasses.replace(FOUR, poses_a_slide=0))
+        sample_pairs(dataclasses.replace(FOUR, poses_a_slide=0))
 
 
 def rows(dropped=()):
     """The test split's slides, as a reader holds them."""
-    shots = sample_paired(FOUR)
+    shots = sample_pairs(FOUR)
     here = np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("train")))
     here = np.delete(here, list(dropped))
     batch = {

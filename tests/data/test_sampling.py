@@ -14,12 +14,12 @@ from jaxunshear.config.data import PairedData, PoseData, Ranges
 from jaxunshear.config.image import FITTED_CAMERA
 from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
 from jaxunshear.config.splits import SPLITS, assign_split
-from jaxunshear.data.sampling import MIN_DEPTH_MM, sample_paired, sample_taps
+from jaxunshear.data.sampling import MIN_DEPTH_MM, sample_pairs, sample_taps
 from jaxunshear.errors import UserError
 
 
 def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
-    shots = sample_paired(paired)
+    shots = sample_pairs(paired)
     assert len(shots.scenes) == 2 * 10 * 5
     for stimulus in range(2):
         for pose_id in range(10):
@@ -43,14 +43,14 @@ def test_splits_are_60_20_20_of_the_poses(poses, parts):
         assert tuple(np.bincount(split, minlength=len(SPLITS))) == parts
 
 
-@pytest.mark.parametrize("draw", [sample_paired, sample_taps])
+@pytest.mark.parametrize("draw", [sample_pairs, sample_taps])
 def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
     for kind in (
         {"poses": 13, "stimuli": ("clover", "disk")},
         {"poses": 5, "seed": 7, "stimuli": ("leaf",)},
     ):
         settings = dataclasses.replace(
-            PairedData(slides=3) if draw is sample_paired else PoseData(), **kind
+            PairedData(slides=3) if draw is sample_pairs else PoseData(), **kind
         )
         shots = draw(settings)
         for stimulus, pose, split in zip(
@@ -60,7 +60,7 @@ def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
 
 
 def test_ranges_are_those_of_the_paper_and_filled():
-    shots = sample_paired(PairedData(stimuli=("disk",), poses=400, slides=2))
+    shots = sample_pairs(PairedData(stimuli=("disk",), poses=400, slides=2))
     most = np.abs(shots.scenes.pose[:, :3]).max(0)
     assert np.all(most <= [5, 5, 45])
     assert np.all(most > [4.9, 4.9, 44])
@@ -69,7 +69,7 @@ def test_ranges_are_those_of_the_paper_and_filled():
 
 
 def test_slides_are_along_x_along_y_or_along_both_a_third_each():
-    move = sample_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
+    move = sample_pairs(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
         1000, 4, 2
     )[:, 1:]
     along = move.reshape(-1, 2) != 0
@@ -99,14 +99,14 @@ def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
 def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
     settings = PairedData(stimuli=("disk",), poses=100, taps=4, slides=4, tap_depth_jitter_mm=1.0)
     shots, still = (
-        sample_paired(settings),
-        sample_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
+        sample_pairs(settings),
+        sample_pairs(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
     )
     moved = shots.scenes.pose - still.scenes.pose
     assert not moved[shots.is_slide].any()
     assert not moved[:, :3].any()
     assert 0.9 < np.abs(moved[~shots.is_slide, 3]).max() <= 1
-    shallow = sample_paired(
+    shallow = sample_pairs(
         dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01))
     )
     assert shallow.scenes.pose[:, 3].min() == MIN_DEPTH_MM
@@ -132,13 +132,13 @@ def test_age_runs_from_first_to_last_and_gives_nothing_of_the_shape():
 
 
 def test_friction_is_the_materials(paired):
-    shots = sample_paired(paired)
+    shots = sample_pairs(paired)
     disk, spiral = (
         set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2)
     )
     assert len(disk) == len(spiral) == 1
     assert disk != spiral
-    assert set(sample_paired(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
+    assert set(sample_pairs(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_friction_is_the_materials(paired):
 )
 def test_impossible_settings_are_refused_by_name(change, line):
     with pytest.raises(UserError, match=line):
-        sample_paired(dataclasses.replace(PairedData(), **change))
+        sample_pairs(dataclasses.replace(PairedData(), **change))
 
 
 def test_changed_settings_have_a_name_of_their_own():
@@ -209,7 +209,7 @@ def ranged(settings, **ranges):
 
 def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
     plain, twisted, more = (
-        sample_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0)
+        sample_pairs(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0)
     )
     assert plain.move.shape[1] == 2 and twisted.move.shape[1] == 3
     np.testing.assert_array_equal(twisted.pose, plain.pose)
@@ -227,8 +227,8 @@ def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
 def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
     settings = ranged(dataclasses.replace(TURNING, poses=600), tilt_deg=25.0)
     plain, tilted = (
-        sample_paired(ranged(settings, tilt_deg=0.0)).scenes,
-        sample_paired(settings).scenes,
+        sample_pairs(ranged(settings, tilt_deg=0.0)).scenes,
+        sample_pairs(settings).scenes,
     )
     assert plain.pose.shape[1] == 4
     np.testing.assert_array_equal(tilted.pose[:, :4], plain.pose)
