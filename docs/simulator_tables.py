@@ -77,7 +77,7 @@ LEVELS = {
     "auto, nothing left out, batch 64": "`auto`, nothing left out",
     "reference, batch 64": "`reference`",
 }
-COMPILED, XLA = "jaxunshear", "jaxunshear, XLA alone"
+COMPILED, XLA, PLAIN = "jaxunshear", "jaxunshear, XLA alone", "jaxunshear, plain layers"
 PROCESSORS = {"bench_train": "AMD EPYC", "bench_train_xeon": "Intel Xeon"}
 TORCH = ("pytorch", "pytorch, compiled")
 
@@ -215,13 +215,12 @@ def tabulate_levels() -> str:
 
 def tabulate_training() -> str:
     """Tabulate images per second in training, and the rate over that of a matrix product."""
-    lines = start_table(
-        "| images a second | jaxunshear | by XLA alone | PyTorch | PyTorch, compiled |"
-    )
+    forms = ["jaxunshear", "by XLA alone", "plain layers", "PyTorch", "PyTorch, compiled"]
+    lines = start_table(format_line("images a second", forms))
     for name, processor in PROCESSORS.items():
         rows = {(row["name"], row["size"]): row for row in load_result(name)["rows"]}
         separate = any(kind == XLA for kind, _ in rows)  # earlier there was one form, by XLA
-        kinds = (COMPILED, XLA, *TORCH) if separate else ("", COMPILED, *TORCH)
+        kinds = (COMPILED, XLA, PLAIN, *TORCH) if separate else ("", COMPILED, "", *TORCH)
         for size in dict.fromkeys(size for _, size in rows):
             cells = []
             for kind in kinds:
