@@ -183,7 +183,9 @@ def test_commands_of_earlier_versions_have_the_programs_of_today(command, starts
 
 
 def test_a_command_names_where_its_file_is_today():
-    assert "(now `python -m benchmarks train`)" in format_note(["bench_train"], "docs/speed.md")
+    assert "(now `python -m benchmarks train`)" in format_note(
+        ["bench_train_xeon"], "docs/speed.md"
+    )
     moved = format_note(["lambda_split"], "README.md")
     assert "(now experiments/ablations/lambda_split.py)" in moved
     assert "(now" not in format_note(["standard"], "README.md")
