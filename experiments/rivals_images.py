@@ -42,7 +42,7 @@ ROWS = {
 
 sweep = Sweep(
     name="rivals_images",
-    claim="What keeps a PoseNet that learns slides directly from overfitting, over images.",
+    claim="What lets a PoseNet that learns slides directly err less, over images.",
     base=replace(BASE_EXPERIMENT, name="rivals_images"),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
