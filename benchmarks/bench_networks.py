@@ -3,9 +3,9 @@
     rows = bench_train(size=128, batch=32)
 
 The programs take turns, a few steps at a time. Between the turns a 2048 x 2048 float32 matrix
-product is timed. `share` divides the multiplications per second of the convolutions by those of
-this product. Compile time is separate. The rows of PyTorch and ONNX Runtime need the extras `torch`
-and `onnx`. One more row times training without the compiled kernels
+product is timed. `share` is the rate of the convolutions, in multiplications per second, over the
+rate of this product. Compile time is separate. The rows of PyTorch and ONNX Runtime need the extras
+`torch` and `onnx`. Further rows time plain layers, and training without the compiled kernels
 (`models/fast/compiled_kernels.py`), if there are any.
 """
 

@@ -3,8 +3,8 @@
     rows = bench_pinnets()
 
 The encoder E has dense layers, or convolutions (`pins.convolved`). For a frame the networks compute
-the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins are
-those of the TacTip with random motions. Plain and fast layers take turns.
+the unsheared pins from the sheared ones, and the pose from the unsheared pins. The pins
+stand as on the TacTip, with random motions. Plain and fast layers take turns.
 """
 
 import time

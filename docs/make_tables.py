@@ -34,6 +34,7 @@ TABLES = {
     "docs/unshear-or-directly.md": (
         partial(recorded_tables.tabulate_rivals, "rivals"),
         partial(recorded_tables.tabulate_rivals, "rivals_block"),
+        recorded_tables.tabulate_rivals_images,
     ),
     "docs/calibration.md": (
         simulator_tables.tabulate_fits,

@@ -242,6 +242,16 @@ def tabulate_rivals(name: str) -> str:
     return "\n".join(lines)
 
 
+def tabulate_rivals_images() -> str:
+    """Tabulate errors of slides learnt directly over images, by how the PoseNet is trained."""
+    heads = [_name_target(target) for target in EDGE_TARGETS]
+    lines = start_table(format_line("direct, recorded images", heads))
+    for cell in load_cells("rivals_images"):
+        errors = format_figures(cell.metrics, EDGE_TARGETS, "pose/sheared_learnt/")
+        lines.append(format_line(cell.label, errors))
+    return "\n".join(lines)
+
+
 def tabulate_joint() -> str:
     """Tabulate pose and slide predicted together from recorded slides, with their half-widths."""
     lines = start_table("| | error | 95 % of errors within | which holds of the test |")

@@ -15,10 +15,8 @@ which a PoseNet of taps reads that learns by the same settings; for "15 epochs":
     jaxunshear sweep experiments/recorded.py --recordings DIR --seeds 0,1,2 \
         --train_posenet.epochs 15
 
-Expected: of seed 0 (an observation, not kept as a file) the smallest validation losses are those of
-"30 epochs" and of "15 epochs, taps, too", both .00149; that of the first row is .00196. So this
-PoseNet gains from more epochs rather than from what would stop it; with three seeds, and beside a
-network that unshears, this is still to be measured.
+Expected: docs/results/rivals_images.json, seed 0. This PoseNet gains from more epochs, and from
+taps beside the slides. Three seeds, beside a network that unshears, are still to be measured.
 """
 
 from dataclasses import replace
