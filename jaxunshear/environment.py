@@ -1,4 +1,4 @@
-"""Checks variables of the environment. Does not import JAX.
+"""Checks variables of the environment. Imports JAX only if JAX_PLATFORMS names uncommon devices.
 
 They may decide on which device work runs and where files are kept, but not what comes out.
 """
@@ -13,6 +13,7 @@ RESPECTED_VARIABLES = (
     *("JAX_PLATFORM", "JAX_CUDA_", "JAX_ROCM_", "JAX_COMPILATION_CACHE_", "JAX_PERSISTENT_CACHE_"),
     *("JAX_ENABLE_COMPILATION_CACHE", "JAX_LOG", "JAX_DEBUG_LOG_", "JAX_TRACEBACK_", "JAX_DUMP_"),
 )
+COMMON_PLATFORMS = {"", "cpu", "gpu", "cuda", "rocm", "tpu"}
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 KERNELS_VARIABLE = "JAXUNSHEAR_KERNELS"  # which layers networks have, see `models/layer_choice.py`
 KERNEL_CHOICES = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
@@ -39,12 +40,16 @@ def check_environment() -> None:
     """Check the environment before there is work to lose.
 
     Raises UserError if it names no place for a cache, variables or flags that would change results,
-    or layers or a number of devices that cannot be.
+    or layers or a number of devices that cannot be; RuntimeError for devices that are not there.
     """
     check_variables()
     cache_folder()
     read_kernels_choice()
     read_device_count()
+    if not set(os.environ.get("JAX_PLATFORMS", "cpu").split(",")) <= COMMON_PLATFORMS:
+        import jax  # not for a common one: this process would hold the memory of a GPU
+
+        jax.devices()  # RuntimeError, which names the variable, if there are none of these
 
 
 def count_cores() -> int:

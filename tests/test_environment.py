@@ -66,12 +66,13 @@ def test_flags_that_change_results_are_reported_before_any_work(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_devices_that_are_not_there_are_reported_in_one_line(tmp_path):
+def test_devices_that_are_not_there_are_reported_before_any_work(tmp_path):
     out = ("--out", tmp_path / "runs", "--data", tmp_path / "sets")
     words = ("-m", "jaxunshear", "run", "experiments/tiny.py", *out)
     answer = process(*words, JAX_PLATFORMS="nowhere")
-    assert answer.returncode == 2 and "Traceback" not in answer.stderr
+    assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1)
     assert "'nowhere'" in answer.stderr and "JAX_PLATFORMS" in answer.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_no_home_is_reported_in_one_line(command, monkeypatch):

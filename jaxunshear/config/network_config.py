@@ -1,4 +1,4 @@
-"""The config of each network of a run, resolved once from the experiment.
+"""The config of each network of a run, resolved from the experiment.
 
 >>> config = resolve_network(experiment, "disentangled")
 >>> config.training.losses, config.digest
@@ -84,12 +84,12 @@ def resolve_network(experiment: Experiment, name: str) -> NetworkConfig:
         losses = {"pose": 1.0} | ({"rendered_pose": 1.0} if RENDERER in helpers else {})
         training = replace(training, losses=losses)
     pose = experiment.pose
-    takes_taps = "tap_identity" in training.losses and source.is_simulated
+    learns_from_taps = "tap_identity" in training.losses and source.is_simulated
     return NetworkConfig(
         name=name,
         modality="pins" if pins or name == RENDERER else "images",
         source=source.select_for(spec, pose),
-        taps=cast(PoseData, pose) if takes_taps else None,
+        taps=cast(PoseData, pose) if learns_from_taps else None,
         sensor=experiment.sensor,
         net=_select_net(experiment, spec),
         training=training,
@@ -123,9 +123,14 @@ def _list_needs(config: NetworkConfig) -> set[str]:
     return {name for need in config.needs for name in (need.name, *_list_needs(need))}
 
 
+def resolve_trained_networks(experiment: Experiment) -> list[NetworkConfig]:
+    """Resolve the configs of all networks to train, in their order."""
+    return [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
+
+
 def takes_taps(experiment: Experiment) -> bool:
     """Return whether a network of a simulated experiment learns from the taps of `pose`."""
-    configs = [resolve_network(experiment, name) for name in list_trained_networks(experiment)]
+    configs = resolve_trained_networks(experiment)
     return any(config.taps or config.source is experiment.pose for config in configs)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from jaxunshear.config.losses import InputKind
+from jaxunshear.config.losses import InputKind, Role
 from jaxunshear.errors import UserError
 
 ENTANGLED: Final = "entangled"
@@ -29,10 +29,9 @@ class NetworkSpec:
     """What a network does, what it learns from, and which settings it has."""
 
     name: str
-    role: Literal["unshears", "reads poses", "renders"]
+    role: Role
     learns_from: Literal["pairs", "taps", "slides"]
     title: str = ""  # of its images in tables and figures
-    has_codes: bool = False  # whether it depends on the sizes of the codes
     modalities: tuple[InputKind, ...] = ("images", "pins")  # that it may read
     # the parts that are in released weights, () for all of it; None: it is not released
     released_parts: tuple[str, ...] | None = None
@@ -58,7 +57,6 @@ REGISTRY = {
             "unshears",
             "pairs",
             "disentangled",
-            has_codes=True,
             released_parts=("E", "pose", "DC", *PIN_CONSTANTS),
         ),
         NetworkSpec(POSENET, "reads poses", "taps", released_parts=()),
@@ -67,7 +65,6 @@ REGISTRY = {
             "unshears",
             "pairs",
             "entangled, as many parameters",
-            has_codes=True,
             modalities=("images",),
         ),
         NetworkSpec(UNET, "unshears", "pairs", "U-Net", modalities=("images",)),
@@ -80,7 +77,6 @@ ALL_NETWORKS: tuple[str, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEAR
 # with those that are registered later; the main network of a run is the last of these that it has
 UNSHEARING = [ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED]
 POSENETS = tuple(name for name, spec in REGISTRY.items() if spec.role == "reads poses")
-TAP_NETWORKS = tuple(name for name, spec in REGISTRY.items() if spec.learns_from == "taps")
 
 
 def add_network(spec: NetworkSpec) -> None:

@@ -10,7 +10,10 @@ from jaxunshear.config.data import PairedData, Recorded, SourceSettings
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.fields import format_value, replace_field
 from jaxunshear.config.losses import EXCHANGE, InputKind, Requirement, Role, get_loss
-from jaxunshear.config.network_config import NetworkConfig, list_trained_networks, resolve_network
+from jaxunshear.config.network_config import (
+    list_trained_networks,
+    resolve_trained_networks,
+)
 from jaxunshear.config.registry import RENDERER, TEACHER, list_modality_networks
 from jaxunshear.config.rules_recorded import list_recorded_rules
 from jaxunshear.config.rules_simulated import list_simulated_rules
@@ -183,7 +186,7 @@ REQUIREMENTS: dict[Requirement, tuple[Callable[[Experiment, InputKind], bool], s
 
 def _list_effect_rules(experiment: Experiment) -> Iterator[Rule]:
     """Yield the rules that fields which few networks use have an effect on a trained one."""
-    configs = _resolve_all(experiment)
+    configs = resolve_trained_networks(experiment)
     for field in PARTLY_USED:
         group, _, name = field.partition(".")
         settings = getattr(experiment, group)
@@ -193,12 +196,8 @@ def _list_effect_rules(experiment: Experiment) -> Iterator[Rule]:
         if getattr(settings, name) != default:
             plain = replace_field(experiment, field, default)
             yield Rule(
-                _resolve_all(plain) != configs,
+                resolve_trained_networks(plain) != configs,
                 field,
                 "changes none of the networks that this experiment trains: "
                 f"leave it at {format_value(default)}",
             )
-
-
-def _resolve_all(experiment: Experiment) -> list[NetworkConfig]:
-    return [resolve_network(experiment, name) for name in list_trained_networks(experiment)]

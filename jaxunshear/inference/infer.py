@@ -302,7 +302,7 @@ def _sample_images(recordings: Recordings, model: TrainedModel) -> np.ndarray:
 
 
 def _list_png_files(names: tuple[str, ...]) -> list[str]:
-    """List the PNG file of each image; `a.jpg` beside `a.png` keeps its full name."""
+    """List the PNG file of each image; a later one of the same stem keeps its full name."""
     files: list[str] = []
     for name in names:
         file = str(PurePosixPath(name).with_suffix(".png"))

@@ -63,7 +63,7 @@ from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.trained_network import TrainedNetwork, load_network
 
-POSENETS = (POSENET, POSENET_SHEARED)
+PREFERRED_POSENETS = (POSENET, POSENET_SHEARED)
 
 _compute_confidence = jax.jit(jax.vmap(compute_confidence))
 
@@ -115,7 +115,10 @@ class TrainedModel:
     @cached_property
     def _main_networks(self) -> dict[str, TrainedNetwork]:
         # a PoseNet of simulated slides is for comparisons alone
-        names = (DISENTANGLED, *(POSENETS if self.source.predicts_directly else POSENETS[:1]))
+        names = (
+            DISENTANGLED,
+            *(PREFERRED_POSENETS if self.source.predicts_directly else PREFERRED_POSENETS[:1]),
+        )
         networks = {name: self.load_network(name) for name in names if name in self.networks}
         if not networks:
             raise UserError(
@@ -128,7 +131,7 @@ class TrainedModel:
     def targets(self) -> tuple[str, ...]:
         """The quantities of predicted poses; none without a PoseNet."""
         networks = self._main_networks
-        for name in POSENETS:
+        for name in PREFERRED_POSENETS:
             if name in networks:
                 return list_target_names(networks[name].targets)
         return ()

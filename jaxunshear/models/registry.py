@@ -150,7 +150,6 @@ def register_network(
             "unshears",
             "pairs",
             title or name,
-            has_codes=True,  # it may depend on any setting
             modalities=(functions.modality.name,),
             make_settings=make_settings,
             file=make_settings.__code__.co_filename,

@@ -20,6 +20,7 @@ from jaxunshear.config.network_config import (
     list_required_networks,
     list_trained_networks,
     resolve_network,
+    resolve_trained_networks,
 )
 from jaxunshear.config.registry import TRAINABLE
 from jaxunshear.config.serialization import from_json, to_json
@@ -181,9 +182,9 @@ class SharedTrainings:
 def _list_missing_trainings(folder: Path, row: Row) -> dict[str, NetworkConfig]:
     run = folder / "rows" / row.experiment.name
     return {
-        network: resolve_network(row.experiment, network)
-        for network in list_trained_networks(row.experiment)
-        if not (run / network / FINISHED).exists()
+        config.name: config
+        for config in resolve_trained_networks(row.experiment)
+        if not (run / config.name / FINISHED).exists()
     }
 
 

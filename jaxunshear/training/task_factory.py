@@ -22,6 +22,7 @@ from jaxunshear.models.modality import IMAGES, PINS, Batch
 from jaxunshear.models.registry import InitFacts, get_functions, predict
 from jaxunshear.models.unshearnet import match_entangled_size
 from jaxunshear.models.weights import Net, Variables
+from jaxunshear.training.checkpoint import SUMMARY
 from jaxunshear.training.data_origin import check_origin
 from jaxunshear.training.domain_randomisation import make_randomisation
 from jaxunshear.training.examples import measure_pin_spread, read_all_training
@@ -171,7 +172,7 @@ def _make_rotations(examples: Examples) -> Rotations:
 def _load_tap_network(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
     """Load settings and variables of a network that another learns from. Raises UserError."""
     path = folder / network
-    if not (path / "summary.json").exists():
+    if not (path / SUMMARY).exists():
         raise UserError(f"{path} is missing, and others learn from it: train {network} first")
     check_origin(experiment, network, folder)
     net, variables, _ = load_network(path)

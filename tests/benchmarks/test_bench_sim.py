@@ -50,7 +50,15 @@ def test_a_row_says_all_there_is_to_say():
     )
     assert [row["kind"] for row in rows] == ["slide", "tap"] and kept == [1, 2]
     for row in rows:
-        assert set(row) >= {*bench_sim.COLUMNS, "level", "batch", "solver", "mesh_mm", "against"}
+        assert set(row) >= {
+            *bench_sim.COLUMNS,
+            "level",
+            "batch",
+            "solver",
+            "mesh_mm",
+            "against",
+            "precision",
+        }
         assert row["converged"] == 1 and not row["failed"] and row["nodes"] > 0
         assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
         assert row["ms_per_state"] > 0 and row["ratio"] > 0

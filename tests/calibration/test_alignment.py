@@ -95,6 +95,7 @@ def test_a_tilted_top_is_deeper_on_one_side():
     assert np.allclose(tilted.turn.as_matrix()[:, 2, 2], np.cos(np.radians(2.0)))
 
 
-def test_motions_are_turned_back():
+@pytest.mark.parametrize("angle", [0.3, -0.2])
+def test_motions_are_turned_back(angle):
     motion = np.random.default_rng(0).normal(size=(5, 7, 2))
-    assert estimate_rotation(motion @ rotation_2d(-0.3), motion) == pytest.approx(0.3)
+    assert estimate_rotation(motion @ rotation_2d(-angle), motion) == pytest.approx(angle)

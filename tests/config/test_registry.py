@@ -10,7 +10,6 @@ from jaxunshear.config.registry import (
     POSENETS,
     REGISTRY,
     RENDERER,
-    TAP_NETWORKS,
     TEACHER,
     TRAINABLE,
     UNSHEARING,
@@ -26,7 +25,8 @@ def test_every_network_is_in_the_table():
     assert set(ALL_NETWORKS) == set(COLOURS)
     assert set(TRAINABLE) == {RENDERER, TEACHER, *ALL_NETWORKS}
     assert {*UNSHEARING, *POSENETS, RENDERER} == set(TRAINABLE)
-    assert set(TAP_NETWORKS) == {"posenet", TEACHER, RENDERER}
+    learnt = {name for name, spec in REGISTRY.items() if spec.learns_from == "taps"}
+    assert learnt == {"posenet", TEACHER, RENDERER}
     assert set(list_modality_networks("images")) == set(ALL_NETWORKS)
     assert set(list_modality_networks("pins")) == {*NETWORKS, "posenet_sheared"}
 

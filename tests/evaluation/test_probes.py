@@ -84,7 +84,7 @@ def test_a_planted_leak_is_found_though_a_probe_of_scaled_numbers_misses_it():
     off = np.square(np.asarray(old) - true).sum(axis=0)
     scores = 1 - off / np.square(true - true.mean(axis=0)).sum(axis=0)
     assert scores.mean() < 0.1
-    for column in (0, 2):  # a planted quantity, and one that no code holds
+    for column in (0, 1, 2):  # both planted quantities, and one that no code holds
         one = wanted[:, column : column + 1]
         parts = (codes[:LEARNT], codes[LEARNT:]), one[:LEARNT], one[LEARNT:], np.arange(LEARNT)
         found = probe_quantity(*parts)

@@ -71,6 +71,8 @@ def test_the_canonical_pins_do_not_know_the_shear_code():
 
     slopes = jax.jit(jax.grad(total))(variables["params"])
     assert list_taught_parts(slopes) == {"E", "pose", "DC"}
+    reached = (slopes["E"], slopes["pose"], slopes["DC"]["Dense_0"])
+    assert all(np.any(leaf) for leaf in jax.tree.leaves(reached))
 
 
 def test_no_shear_code_builds_no_ds():
