@@ -49,7 +49,7 @@ NOTE = "<sub>From "
 class Stale(NamedTuple):
     """What docs/stale.toml says of results, by name without `.json`."""
 
-    not_kept: frozenset[str]  # made before results kept their commit
+    not_kept: Mapping[str, str]  # made before results kept their commit: the first that has them
     changed: Mapping[str, str]  # why a result stays although its code has changed
     settings: Mapping[str, str]  # why its command gives other settings today
     bridges: Sequence[tuple[str, str]]  # commits without a change of figures, the earliest first
@@ -63,7 +63,7 @@ def read_stale(path: Path = ROOT / "docs" / "stale.toml") -> Stale:
         for entry in content.get(kind, []):
             by_name |= dict.fromkeys(entry["files"], entry["why"])
     bridges = [(entry["before"], entry["after"]) for entry in content.get("bridges", [])]
-    return Stale(frozenset(content["not_kept"]), reasons["changed"], reasons["settings"], bridges)
+    return Stale(content["not_kept"], reasons["changed"], reasons["settings"], bridges)
 
 
 @cache
@@ -106,6 +106,8 @@ def format_note(names: Iterable[str], page: str) -> str:
     sentences = []
     for name in names:
         words = [f"[{name}.json]({folder}/{name}.json): {describe_origin(read_result(name))}"]
+        if name in stale.not_kept:
+            words.append(f"figures committed in {stale.not_kept[name]}")
         if name in stale.changed:
             words.append("its code has changed since")
         if name in stale.settings:
@@ -121,8 +123,8 @@ def describe_origin(result: Json) -> str:
     if len(commands) > 1:
         words.append(f"and {len(commands) - 1} more commands")
     words += map(_describe_source, sources)
-    if not sources:
-        words.append(f"{_describe_version(result)}commit not kept")
+    if not sources and (version := _describe_version(result)):
+        words.append(version)
     return ", ".join(words)
 
 
@@ -139,7 +141,7 @@ def _describe_version(result: Json) -> str:
         stored = part.get("versions") or []
         for each in stored if isinstance(stored, list) else [stored]:
             versions |= {each["jaxunshear"]} if "jaxunshear" in each else set()
-    return f"version {' and '.join(sorted(versions))}, " if versions else ""
+    return f"version {' and '.join(sorted(versions))}" if versions else ""
 
 
 def _describe_move(command: str) -> str:

@@ -35,7 +35,7 @@ KEPT = [name for name in NAMES if list_sources(read_result(name))]
 
 def test_results_without_a_commit_are_listed():
     """A new result needs no entry; one that was made anew leaves the list."""
-    assert read_stale().not_kept == set(NAMES) - set(KEPT)
+    assert read_stale().not_kept.keys() == set(NAMES) - set(KEPT)
     assert set(read_stale().changed) <= set(KEPT)
 
 
@@ -50,12 +50,25 @@ def test_results_are_sealed(name):
         )
 
 
-def test_results_whose_code_has_changed_are_listed():
+@pytest.fixture
+def history():
+    """Skip a test where the project's history is not there."""
     try:
         if run_git(ROOT, "rev-parse", "--is-shallow-repository").strip() == b"true":
             pytest.skip("this clone has no history")
     except LookupError as error:
         pytest.skip(f"no history: {error}")
+
+
+def test_commits_of_results_that_did_not_keep_theirs_have_the_file(history):
+    for name, commit in read_stale().not_kept.items():
+        shown = run_git(ROOT, "show", "--name-only", "--format=%h of %cs", commit.split()[0])
+        assert shown.decode().startswith(commit[:7]), name
+        assert commit.endswith(shown.decode().split("\n")[0][-10:]), name
+        assert f"docs/results/{name}.json" in shown.decode().split(), name
+
+
+def test_results_whose_code_has_changed_are_listed(history):
     assert KEPT  # else nothing would be compared
     found = {name: changed for name in KEPT if (changed := find_changed_code(name))}
     assert found.keys() == read_stale().changed.keys(), (
@@ -200,9 +213,9 @@ def test_a_note_says_what_a_file_knows():
     assert describe_origin(one) == "`jaxunshear sweep a`, commit 0123456 of 2030-01-02"
     unclean = {"source": CODE | {"clean": False}}
     assert describe_origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
-    assert describe_origin(one | {"trained_on": {"posenet": {}}}).endswith(", commit not kept")
+    assert describe_origin(one | {"trained_on": {"posenet": {}}}) == "`jaxunshear sweep a`"
     several = {"runs": {"a": {"command": "x", "source": CODE}, "b": {"command": "y"}}}
-    assert describe_origin(several) == "`x`, and 1 more commands, commit not kept"
+    assert describe_origin(several) == "`x`, and 1 more commands"
 
 
 def result(**more):
