@@ -112,6 +112,22 @@ def tabulate_standard_first() -> str:
     return "\n".join([*lines, *_list_edge_lines(metrics, ", simulated")])
 
 
+def tabulate_shear_code() -> str:
+    """Tabulate likeness, pins and errors with a shear code and without, as standard.py trains."""
+    lines = start_table(
+        "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |"
+    )
+    cells = load_cells("shear_code")
+    networks = [("entangled", "entangled", cells[0])]
+    networks += [(cell.label, "disentangled", cell) for cell in cells]
+    for label, kind, cell in networks:
+        metrics = cell.metrics
+        likeness = format_interval(metrics[f"ms_ssim/{kind}"], 4)
+        pins = f"{metrics[f'pin_error/{kind}/rms_px'].mean:.3f}"
+        lines.append(format_line(label, [likeness, pins, *_format_errors(metrics, kind, TARGETS)]))
+    return "\n".join(lines)
+
+
 def tabulate_tenth() -> str:
     """Tabulate likeness on a tenth of the paper's data, against both kinds of taps."""
     metrics = load_cells("paper_tenth")[0].metrics
