@@ -87,20 +87,20 @@ def _build(
     import absl.logging
     import tensorflow_datasets as tfds
 
-    from jaxunshear.data.builders import recorded, simulated, stored
+    from jaxunshear.data import builders
 
-    builders = {
-        PairedData.set_name: simulated.TactipPaired,
-        PoseData.set_name: simulated.TactipPose,
-        Recorded.set_name: recorded.TactipRecorded,
+    kinds = {
+        PairedData.set_name: builders.TactipPaired,
+        PoseData.set_name: builders.TactipPose,
+        Recorded.set_name: builders.TactipRecorded,
     }
     set_name, name = settings.set_name, configs.compute_config_name(settings, sensor)
     is_standard = name in configs.CONFIGS.get(set_name, {})
-    config = name if is_standard else stored.SetConfig(name=name, settings=settings, sensor=sensor)
+    config = name if is_standard else builders.SetConfig(name=name, settings=settings, sensor=sensor)
     # TFDS warns of each configuration that it does not know
     absl.logging.set_verbosity(absl.logging.ERROR)
     tfds.disable_progress_bar()
-    builder = builders[set_name](config=config, data_dir=data_dir)
+    builder = kinds[set_name](config=config, data_dir=data_dir)
     if engine is not None:
         builder.engine = engine
     with contextlib.redirect_stdout(io.StringIO()):  # TFDS announces a download

@@ -265,7 +265,7 @@ def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
 
     Raises UserError for a shard that is missing or damaged.
     """
-    from jaxunshear.data.builders.stored import compute_sha256
+    from jaxunshear.data.builders import compute_sha256
 
     try:
         sums = read_object(folder / MANIFEST)

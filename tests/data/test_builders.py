@@ -20,7 +20,7 @@ from jaxunshear.config.configs import CONFIGS, get_set_folder, get_unfinished_fo
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.stimuli import Outline
-from jaxunshear.data.builders.stored import SetConfig, compute_sha256
+from jaxunshear.data.builders import SetConfig, compute_sha256
 from jaxunshear.data.chunks import load_chunk
 from jaxunshear.data.generation import make_set
 from jaxunshear.data.sampling import sample_contacts
@@ -43,7 +43,7 @@ def test_a_library_that_came_in_parts_is_one_line():
         "import sys, types; "
         "sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
     )
-    words = [sys.executable, "-c", f"{parts}; import jaxunshear.data.builders.stored"]
+    words = [sys.executable, "-c", f"{parts}; import jaxunshear.data.builders"]
     said = subprocess.run(words, check=False, capture_output=True, text=True).stderr
     assert said.splitlines()[-1].startswith(
         "jaxunshear.errors.UserError: tensorflow_datasets could not be imported"
