@@ -17,9 +17,8 @@ from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import make_engine, simulate_chunks
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.files import Json
 from jaxunshear.text_table import format_text_table
 

@@ -172,7 +172,7 @@ class PairedData(SimulatedData, SourceSettings):
 
     taps: Count = 1  # canonical images a pose
     slides: Count = 2  # sheared images a pose
-    poses_a_slide: Count = 1  # poses of a split that share their slides (`data/factorial.py`)
+    poses_a_slide: Count = 1  # poses of a split that share their slides (`FactorialReader`)
     # a tap misses its slide's depth by up to this (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 

@@ -21,9 +21,10 @@ from jaxunshear.config.targets import (
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import load_chunk, unpack_bits
 from jaxunshear.data.preprocessing import SensorFrame
-from jaxunshear.data.reader import Batch, Reader, SetReader
+from jaxunshear.data.reader import Batch, Reader
 from jaxunshear.data.recorded_contacts import RecordedContacts
 from jaxunshear.data.recorded_examples import count_contacts
+from jaxunshear.data.stored_sets import SetReader
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice

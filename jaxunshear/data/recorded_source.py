@@ -59,8 +59,8 @@ class RecordedSource(DataSource):
         return origin
 
     def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        from jaxunshear.data.reader import open_set
         from jaxunshear.data.recorded_set import RecordedSet
+        from jaxunshear.data.stored_sets import open_set
 
         used, experiment = cast(Recorded, settings or self.settings), self.experiment
         return RecordedSet(used, open_set(used, data_dir, experiment.sensor), experiment.seed)

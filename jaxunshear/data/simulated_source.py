@@ -12,7 +12,7 @@ from jaxunshear.config.targets import make_range_targets, make_slide_targets
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 
 if TYPE_CHECKING:
-    from jaxunshear.data.reader import SetReader
+    from jaxunshear.data.stored_sets import SetReader
 
 
 class SimulatedSource(DataSource):
@@ -77,9 +77,8 @@ class SimulatedSource(DataSource):
 
     def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":
         """Open a set. Raises UserError if it is missing or was made with other settings."""
-        from jaxunshear.data import reader
-        from jaxunshear.data.factorial import FactorialReader
+        from jaxunshear.data.stored_sets import FactorialReader, SetReader, open_set
 
         is_factorial = self.shares_slides and settings == self.settings
-        kind = FactorialReader if is_factorial else reader.SetReader
-        return reader.open_set(settings, data_dir, self.experiment.sensor, kind)
+        kind = FactorialReader if is_factorial else SetReader
+        return open_set(settings, data_dir, self.experiment.sensor, kind)

@@ -90,7 +90,7 @@ class DataSource:
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         self.settings: Any = experiment.paired
-        # whether poses share slides, so that a batch can have the partners of `data/factorial.py`
+        # whether poses share slides, so that a batch can have the partners of `FactorialReader`
         self.shares_slides = getattr(self.settings, "poses_a_slide", 1) > 1
 
     def read_rows(self, split: str) -> "Batch":
@@ -109,7 +109,7 @@ class DataSource:
         self, data_dir: Path, engine: "SimulationEngine | None" = None
     ) -> dict[str, Json]:
         """Make the sets of `list_sets` that are missing; returns their metadata by name."""
-        from jaxunshear.data.generation import make_set
+        from jaxunshear.data.stored_sets import make_set
 
         sensor = self.experiment.sensor
         return {

@@ -14,9 +14,8 @@ from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.data.generation import read_metadata
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sources import Examples
+from jaxunshear.data.stored_sets import open_set, read_metadata
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import collect_training_taps
 from jaxunshear.evaluation.contact_scores import (

@@ -22,9 +22,9 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.stimuli import Outline
 from jaxunshear.data.builders import SetConfig, compute_sha256
 from jaxunshear.data.chunks import load_chunk
-from jaxunshear.data.generation import make_set
 from jaxunshear.data.sampling import sample_contacts
 from jaxunshear.data.sources import open_source
+from jaxunshear.data.stored_sets import make_set
 from jaxunshear.errors import UserError
 
 BUILDERS = {

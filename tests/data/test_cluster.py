@@ -16,8 +16,7 @@ from jaxunshear import cluster
 from jaxunshear.cluster import Call, run_locally
 from jaxunshear.config.configs import get_set_folder, get_unfinished_folder
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 STAND_IN = Path(__file__).with_name("conftest.py")

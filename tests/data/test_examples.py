@@ -17,9 +17,8 @@ from jaxunshear.data.examples import (
     iterate_pose_examples,
     summarise_set,
 )
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 

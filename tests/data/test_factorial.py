@@ -9,19 +9,17 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.config import configs
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.factorial import (
+from jaxunshear.data.reader import (
     IMAGE,
     OTHER,
     OTHER_IMAGE,
     SHEARED_PINS,
     SWAPPED,
     SWAPPED_IMAGE,
-    FactorialReader,
-    index_shared_slides,
+    shift_examples,
 )
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import shift_examples
 from jaxunshear.data.sampling import find_slide_leaders, sample_pairs
+from jaxunshear.data.stored_sets import FactorialReader, index_shared_slides, make_set
 from jaxunshear.errors import UserError
 
 FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_a_slide=4)

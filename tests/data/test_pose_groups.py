@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxunshear.data.pose_groups import group_by_pose
+from jaxunshear.data.reader import group_by_pose
 
 STIMULUS = np.array([0, 1, 0, 0, 1, 0, 0])
 POSE = np.array([5, 5, 2, 5, 5, 5, 9])

@@ -9,10 +9,10 @@ import pytest
 
 from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import reader
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import Reader, open_set, shift_examples
+from jaxunshear.data import stored_sets
+from jaxunshear.data.reader import Reader, shift_examples
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 
@@ -241,7 +241,7 @@ def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(reader, "_read_rows", refuse)
+    monkeypatch.setattr(stored_sets, "_read_rows", refuse)
     with pytest.raises(UserError, match=r"cannot read .*Permission denied") as refusal:
         next(made.split("test", 4))
     assert "again" not in str(refusal.value)

@@ -15,12 +15,11 @@ from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import preprocessing
-from jaxunshear.data.generation import make_set
 from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.recorded_contacts import read_contacts
 from jaxunshear.data.recorded_probes import identify_sensor
 from jaxunshear.data.recorded_set import RecordedSet
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 SEEN = Preprocess(size=made.SIZE)
