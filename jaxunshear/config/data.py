@@ -229,7 +229,7 @@ class Recorded(SourceSettings):
 
     * "random": folders named `*val*` and `*test*`; poses at random for a split without a folder.
     * "block": poses whose label lies in an interval are for test, those on either side of it for
-      validation, so that no training pose is near a test pose (`data/pose_block.py`).
+      validation, so that no training pose is near a test pose (`data/recorded_splits.py`).
     * "folder": folders so named alone; an error if there is none.
     """
 

@@ -24,11 +24,11 @@ from jaxunshear.config import configs
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Recorded, SimulatedData
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import examples, recorded_examples
+from jaxunshear.data import examples, recorded_frames
 from jaxunshear.data.chunks import SimulationEngine, make_engine, simulate_chunks
-from jaxunshear.data.preprocessing import find_sensor_frame, prepare_chunks
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts
 from jaxunshear.data.sampling import ContactSamples, sample_contacts
+from jaxunshear.data.sensor_frame import find_sensor_frame
 from jaxunshear.errors import UserError
 from jaxunshear.files import compute_checksum, write_json
 
@@ -266,7 +266,7 @@ class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg
 class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     """`tactip_recorded`: taps and slides of a laboratory, with the pins detected in them."""
 
-    iterate_examples = staticmethod(recorded_examples.iterate_examples)
+    iterate_examples = staticmethod(recorded_frames.iterate_examples)
     VERSION = tfds.core.Version(Recorded.version)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
     MANUAL_DOWNLOAD_INSTRUCTIONS = (
@@ -293,7 +293,7 @@ class TactipRecorded(StoredSet, skip_registration=True):  # type: ignore[call-ar
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         contacts = read_contacts(settings)
         frame = find_sensor_frame(contacts, settings, sensor)
-        paths = prepare_chunks(contacts, settings, frame, self._unfinished_folder)
-        counts, description = recorded_examples.summarise_recordings(contacts, frame, paths)
+        paths = recorded_frames.prepare_chunks(contacts, settings, frame, self._unfinished_folder)
+        counts, description = recorded_frames.summarise_recordings(contacts, frame, paths)
         self._set_metadata(counts, **description)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}

@@ -1,12 +1,13 @@
 """Read recorded contacts: which are taps, which slides, and which split each is in.
 
 contacts = read_contacts(settings)  # labels alone: no image is read
+digest = compute_digest((taps_folder, slides_folder))  # distinguishes recordings
 
 Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
 Imports no JAX.
 """
 
-import re
+import hashlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,18 +17,13 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.data.labels import read_pair_table
-from jaxunshear.data.pose_block import cut_block
+from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
-SPLIT_NAMES = {
-    "train": "train",
-    "val": "validation",
-    "valid": "validation",
-    "validation": "validation",
-    "test": "test",
-}
+DIGITS = 16  # of a digest
+PAIRS_PREFIX = "p"
 KINDS = {False: "tap", True: "slide"}  # by `is_slide`
 
 
@@ -172,10 +168,7 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
 
     Taps and slides are split alike.
     """
-    names = [
-        _parse_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)
-    ]
-    folder_split = np.array(names)
+    folder_split = np.array([*map(read_folder_split, contacts.files, contacts.names)])
     if settings.split == "block":
         return _split_by_block(contacts, folder_split, settings)
     split = np.zeros(len(folder_split), int)
@@ -183,40 +176,10 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     for is_slide in KINDS:
         rows = np.flatnonzero(contacts.is_slide == is_slide)
         if len(rows):
-            split[rows] = _split_kind(KINDS[is_slide], folder_split[rows], keys[rows], settings)
-    return contacts._replace(split=split)
-
-
-def _split_kind(
-    kind: str, folder_split: np.ndarray, keys: np.ndarray, settings: Recorded
-) -> np.ndarray:
-    """Split the taps, or the slides: (n,) indices into SPLITS.
-
-    Names of folders count only if some contacts are left to learn from: a folder that happens to be
-    called `test` is no split. `keys` (n,) decide where names leave the split open.
-    """
-    is_open = (folder_split == "") | (folder_split == "train")
-    if not is_open.any():
-        folder_split, is_open = np.full_like(folder_split, ""), np.full(len(keys), True)
-    split = np.zeros(len(keys), int)
-    for index, name in enumerate(SPLITS):
-        split[folder_split == name] = index
-    start = 0.0
-    for name, share in (("test", settings.test), ("validation", settings.validation)):
-        if name in folder_split:
-            continue
-        if settings.split == "folder":
-            raise UserError(
-                f"paired.split folder: no folder of {kind}s has the name of the split '{name}', "
-                f"such as csv_{name}: move contacts into one, or use --paired.split random"
+            split[rows] = split_by_folders(
+                KINDS[is_slide], folder_split[rows], keys[rows], settings
             )
-        chosen = is_open & (keys >= start) & (keys < start + share)
-        rest = is_open & (split == 0)
-        if not chosen.any() and rest.sum() > len(SPLITS):  # of few contacts chance may take none
-            chosen = rest & (keys == keys[rest].min())
-        split[chosen] = SPLITS.index(name)
-        start += share
-    return split
+    return contacts._replace(split=split)
 
 
 def _split_by_block(
@@ -239,19 +202,6 @@ def _split_by_block(
         contacts = _drop(contacts, ~has_pose, note)
     split, note = cut_block(contacts.pose, settings.test, settings.validation, settings.seed)
     return contacts._replace(split=split, notes=(*contacts.notes, note))
-
-
-def _parse_split(file: Path, name: str) -> str:
-    """Return the split that a contact's folders name (`csv_train`, `val`, `test_2`), or "".
-
-    These are the folders below the one that the settings name, and that one.
-    """
-    folders = file.parent.resolve().parts[-1 - name.count("/") :]
-    for folder in reversed(folders):
-        for word in re.split(r"[^a-z]+", folder.lower()):
-            if word in SPLIT_NAMES:
-                return SPLIT_NAMES[word]
-    return ""
 
 
 def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
@@ -315,3 +265,30 @@ def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
     if not (pose_id >= 0).any():
         raise UserError(f"{table} pairs nothing")
     return contacts._replace(pose_id=pose_id, pose=pose, paired_by_table=True)
+
+
+def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
+    """Compute the digest of each folder, and of a table of pairs if there is one, joined by `+`.
+
+    Each has sixteen hexadecimal digits; those of the table follow a `p`. A folder's digest is of
+    its labels by their bytes and its images by name and size, so it is the same beside other
+    folders.
+    """
+    parts = [_compute_folder_digest(Path(folder)) for folder in dict.fromkeys(folders)]
+    if pairs and Path(pairs).is_file():
+        parts.append(PAIRS_PREFIX + hashlib.sha256(Path(pairs).read_bytes()).hexdigest()[:DIGITS])
+    return "+".join(parts)
+
+
+def parse_folder_digests(digest: str) -> set[str]:
+    """Return the digests of the folders in a joined digest."""
+    return {part for part in digest.split("+") if part and not part.startswith(PAIRS_PREFIX)}
+
+
+def _compute_folder_digest(folder: Path) -> str:
+    digest, recordings = hashlib.sha256(), read_folder(str(folder), Preprocess())
+    for file, name in zip(recordings.files, recordings.names, strict=True):
+        digest.update(f"{name} {file.stat().st_size}\n".encode())
+    for table in sorted(folder.rglob("*.csv")) if folder.is_dir() else []:
+        digest.update(table.read_bytes())
+    return digest.hexdigest()[:DIGITS]

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
-from jaxunshear.data.recorded_probes import LARGEST_PX
 from jaxunshear.data.recordings import Recordings, read_image, read_recordings
+from jaxunshear.data.sensor_frame import LARGEST_PX
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice

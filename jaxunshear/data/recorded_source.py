@@ -9,7 +9,7 @@ from jaxunshear.config.data import RENDERED_PAIRINGS, DataSettings, Recorded
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.registry import POSENETS
 from jaxunshear.config.targets import Targets
-from jaxunshear.data.digests import parse_folder_digests
+from jaxunshear.data.recorded_contacts import parse_folder_digests
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 from jaxunshear.files import Json
 

@@ -27,13 +27,9 @@ from jaxunshear.files import Json
 
 if TYPE_CHECKING:
     from jaxunshear.data.chunks import SimulationEngine
+    from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
     from jaxunshear.data.reader import Batch, Reader
-    from jaxunshear.data.recorded_set import (
-        PoseEstimator,
-        RecordedSet,
-        SlideSimulator,
-        TapRenderer,
-    )
+    from jaxunshear.data.recorded_set import RecordedSet
 
 
 class PinLayout(NamedTuple):

@@ -13,7 +13,7 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.data.preprocessing import SensorFrame, to_detection_px, to_image_px
+from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
 from jaxunshear.perception.lattice import Lattice, make_lattice

@@ -30,8 +30,9 @@ from jaxunshear.calibration.simulated_slides import (
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.chunks import load_chunk, write_chunks
+from jaxunshear.data.pairing import SlideSimulator
 from jaxunshear.data.reader import Batch
-from jaxunshear.data.recorded_set import RecordedSet, SlideSimulator
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 

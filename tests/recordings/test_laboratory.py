@@ -17,7 +17,7 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.load import load_experiment
-from jaxunshear.data.digests import compute_digest
+from jaxunshear.data.recorded_contacts import compute_digest
 from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json
 from jaxunshear.training.checkpoint import read_slides

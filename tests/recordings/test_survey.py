@@ -9,8 +9,7 @@ import pytest
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.digests import compute_digest, parse_folder_digests
-from jaxunshear.data.recorded_contacts import read_contacts
+from jaxunshear.data.recorded_contacts import compute_digest, parse_folder_digests, read_contacts
 from jaxunshear.errors import UserError
 
 

@@ -1,15 +1,19 @@
-"""Keep a block of poses out of training, so that no test pose has a training pose close by.
+"""Split recorded contacts: by the names of their folders, by chance, or by a block of poses.
 
 split, note = cut_block(pose, test=0.1, validation=0.1, seed=0)
 
-The poses of a random tenth lie between training poses that differ by little. The block is cut
+The poses of a random tenth lie between training poses that differ by little. A block is cut
 along one label, well inside its range: networks must interpolate over the gap, but need not
 extrapolate. The poses on either side of the block are for validation. So the gap costs no
 contact, and what validation chooses is chosen on poses that are kept out, too.
 """
 
+import re
+from pathlib import Path
+
 import numpy as np
 
+from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.config.targets import Target, make_label_targets
 from jaxunshear.errors import UserError
@@ -17,6 +21,58 @@ from jaxunshear.errors import UserError
 DIGITS = 4  # mm or deg: labels that agree so far count as one value
 TRAIN, VALIDATION, TEST = range(len(SPLITS))
 RANDOM_REMEDY = "use --paired.split random"
+SPLIT_NAMES = {
+    "train": "train",
+    "val": "validation",
+    "valid": "validation",
+    "validation": "validation",
+    "test": "test",
+}
+
+
+def read_folder_split(file: Path, name: str) -> str:
+    """Read the split that a contact's folders name (`csv_train`, `val`, `test_2`), or "".
+
+    These are the folders below the one that the settings name, and that one.
+    """
+    folders = file.parent.resolve().parts[-1 - name.count("/") :]
+    for folder in reversed(folders):
+        for word in re.split(r"[^a-z]+", folder.lower()):
+            if word in SPLIT_NAMES:
+                return SPLIT_NAMES[word]
+    return ""
+
+
+def split_by_folders(
+    kind: str, folder_split: np.ndarray, keys: np.ndarray, settings: Recorded
+) -> np.ndarray:
+    """Split the taps, or the slides: (n,) indices into SPLITS.
+
+    Names of folders count only if some contacts are left to learn from: a folder that happens to be
+    called `test` is no split. `keys` (n,) decide where names leave the split open.
+    """
+    is_open = (folder_split == "") | (folder_split == "train")
+    if not is_open.any():
+        folder_split, is_open = np.full_like(folder_split, ""), np.full(len(keys), True)
+    split = np.zeros(len(keys), int)
+    for index, name in enumerate(SPLITS):
+        split[folder_split == name] = index
+    start = 0.0
+    for name, share in (("test", settings.test), ("validation", settings.validation)):
+        if name in folder_split:
+            continue
+        if settings.split == "folder":
+            raise UserError(
+                f"paired.split folder: no folder of {kind}s has the name of the split '{name}', "
+                f"such as csv_{name}: move contacts into one, or use --paired.split random"
+            )
+        chosen = is_open & (keys >= start) & (keys < start + share)
+        rest = is_open & (split == 0)
+        if not chosen.any() and rest.sum() > len(SPLITS):  # of few contacts chance may take none
+            chosen = rest & (keys == keys[rest].min())
+        split[chosen] = SPLITS.index(name)
+        start += share
+    return split
 
 
 def cut_block(

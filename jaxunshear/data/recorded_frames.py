@@ -1,145 +1,44 @@
 """Prepare recorded frames: binary images and pins by identity, in files of some hundred frames.
 
-What all frames have in common (crop, lattice at rest, the usual motions that help with hard frames)
-is found from training frames alone. All cores take part. A killed run continues where it stopped,
-to the same bits.
+All cores take part. A killed run continues where it stopped, to the same bits. Then the frames are
+made examples of `tactip_recorded`, and counted.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
-from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import Chunk, load_chunk, pack_bits, unpack_bits, write_chunks
+from jaxunshear.data.chunks import (
+    Chunk,
+    iterate_usable_rows,
+    load_chunk,
+    pack_bits,
+    unpack_bits,
+    write_chunks,
+)
+from jaxunshear.data.reader import Batch
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_probes import LARGEST_PX, find_training_view, select_probes
-from jaxunshear.data.recordings import Recordings, read_image
+from jaxunshear.data.recordings import read_image
+from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
-from jaxunshear.files import write_npz
-from jaxunshear.selection import select_evenly
+from jaxunshear.files import Json, write_npz
 
 if TYPE_CHECKING:
-    from jaxunshear.perception.lattice import Lattice
     from jaxunshear.perception.pin_tracking import MotionPrior
-    from jaxunshear.perception.preprocess import View
 
 CHUNK = 250  # frames in a file
 NO_IMAGE = np.zeros((0, 1), np.uint8)
-MIN_FRAMES = 20  # contacts whose mean shows the rest positions
-LIKE_REMEDY = (
-    "name a folder of contacts of the same sensor and camera by --like (`like=` in Python)"
-)
-LATTICE_FRAMES = 60  # training frames that the rest positions are found from
 MAX_PRIOR_FRAMES = 2000  # training frames that the usual motions are found from
-
-
-class SensorFrame(NamedTuple):
-    """What the frames of a sensor have in common: the crop, and the pins' rest positions."""
-
-    view: "View"
-    # (P, 2) px of the prepared image, as (column, row): the mean position over training taps
-    rest: np.ndarray
-    ring: np.ndarray  # (P,) 0 in the middle
-    spacing_px: float
-    radius_px: float  # of a pin
-    size: int  # side of the prepared images, px
-    pins_px: int  # side of the images that pins are detected in
-
-
-def find_sensor_frame(
-    contacts: RecordedContacts, settings: Recorded, sensor: Sensor
-) -> SensorFrame:
-    """Find what frames have in common from training frames, taps if there are any.
-
-    Raises UserError if they do not show pins of this sensor.
-    """
-    view = find_training_view(contacts, settings.preprocess)
-    size = min(LARGEST_PX, *read_image(contacts.files[select_probes(contacts)[0]]).shape[:2])
-    train = np.flatnonzero(contacts.split == SPLITS.index("train"))
-    taps = train[~contacts.is_slide[train]]
-    files = [contacts.files[row] for row in (taps if len(taps) else train)]
-    return _fit_sensor_frame(files, view, size, settings.preprocess, sensor)
-
-
-def find_recordings_frame(
-    recordings: Recordings, preprocess: Preprocess, sensor: Sensor
-) -> SensorFrame:
-    """Find what frames have in common from a folder of contacts without labels.
-
-    Raises UserError if it holds too few images, or images of another sensor.
-    """
-    files = recordings.files
-    if len(files) < MIN_FRAMES:
-        raise UserError(
-            f"{recordings.path} holds {len(files)} images; the mean over {MIN_FRAMES} contacts "
-            f"or more shows where pins stand: {LIKE_REMEDY}"
-        )
-    view = recordings.find_common_view()
-    if view.box is None:
-        raise UserError(
-            f"{recordings.path}: its images have no crop in common: name one folder of one camera"
-        )
-    size = min(LARGEST_PX, *_read_first_image(files).shape[:2])
-    try:
-        return _fit_sensor_frame(files, view, size, preprocess, sensor)
-    except UserError:
-        with suppress(UserError):  # dark pins in white
-            return _fit_sensor_frame(files, view, size, preprocess, sensor, inverted=True)
-        raise
-
-
-def _read_first_image(files: Sequence[Path]) -> np.ndarray:
-    for file in files:
-        with suppress(UserError):
-            return read_image(file)
-    raise UserError(f"none of {len(files)} images, such as {files[0]}, can be read")
-
-
-def _fit_sensor_frame(
-    files: Sequence[Path],
-    view: "View",
-    size: int,
-    preprocess: Preprocess,
-    sensor: Sensor,
-    inverted: bool = False,
-) -> SensorFrame:
-    """Fit what frames have in common to up to LATTICE_FRAMES of the files, evenly spaced.
-
-    They are prepared at `size` px. `inverted`: pins are dark in white.
-    """
-    from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
-    from jaxunshear.perception.pin_detection import detect_pins
-    from jaxunshear.perception.preprocess import prepare_frame
-    from jaxunshear.perception.sensor_check import invert_image
-
-    detected = []
-    for row in select_evenly(len(files), LATTICE_FRAMES):
-        try:
-            image = prepare_frame(replace(preprocess, size=size), read_image(files[row]), view)
-        except UserError:
-            continue  # reported once all frames are read
-        detected.append(detect_pins(invert_image(image) if inverted else image))
-    lattice = fit_lattice([each.pins for each in detected], make_layout(sensor))
-    scale = preprocess.size / size
-    return SensorFrame(
-        view=view,
-        rest=(lattice.rest + 0.5) * scale - 0.5,
-        ring=lattice.ring,
-        spacing_px=scale * lattice.spacing,
-        radius_px=scale * float(np.median([each.radius for each in detected])),
-        size=preprocess.size,
-        pins_px=size,
-    )
+MAX_NAMED = 20  # dropped frames that metadata name, at most
 
 
 def prepare_chunks(
@@ -194,7 +93,7 @@ def _prepare_chunk(
     from jaxunshear.perception.pin_tracking import track_pins
     from jaxunshear.perception.preprocess import prepare_frame
 
-    lattice = _make_detection_lattice(frame)
+    lattice = frame.make_detection_lattice()
     size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
     large_images = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
@@ -234,7 +133,7 @@ def _retry_chunk(path: Path, frame: SensorFrame, prior: "MotionPrior") -> Chunk:
     from jaxunshear.perception.pin_tracking import track_pins
 
     chunk = load_chunk(path)
-    lattice = _make_detection_lattice(frame)
+    lattice = frame.make_detection_lattice()
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack_bits(chunk["seen"], frame.pins_px), strict=True):
         track = track_pins(lattice, detect_pins(image), prior)
@@ -253,7 +152,7 @@ def _fit_motion_prior(
 
     if not any(map(_has_hard_frames, paths)):
         return None
-    lattice = _make_detection_lattice(frame)
+    lattice = frame.make_detection_lattice()
     train = contacts.split == SPLITS.index("train")
     tracks = []
     for path in paths:
@@ -270,17 +169,110 @@ def _has_hard_frames(path: Path) -> bool:
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
-def _make_detection_lattice(frame: SensorFrame) -> "Lattice":
-    from jaxunshear.perception.lattice import make_lattice
+def summarise_recordings(
+    contacts: RecordedContacts, frame: SensorFrame, paths: list[Path]
+) -> tuple[Json, Json]:
+    """Return counts, and what else a reader must know of the set, both plain JSON.
 
-    return make_lattice(to_detection_px(frame, frame.rest), frame.ring)
+    Raises UserError if no frame of a split can be read.
+    """
+    chunks = [load_chunk(path) for path in paths]
+    usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
+    problem = _join(chunks, "problem")
+    white_shares = [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
+    white = np.concatenate(white_shares)
+    counts = count_contacts(contacts, usable, identified, problem)
+    for split, count in counts["written"].items():
+        if not count:
+            first = _list_drops(contacts, problem)[:1]
+            raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
+    is_full = np.isfinite(_join(chunks, "pins")).all(axis=(1, 2))
+    description = {
+        "frame": frame.describe(),
+        "pins": {
+            "sure": round(float(identified[usable].mean()), 6),
+            "all_seen": round(float(is_full[usable].mean()), 6),
+            "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
+        },
+        "notes": list(contacts.notes),
+    }
+    return counts, description
 
 
-def to_detection_px(frame: SensorFrame, pins: np.ndarray) -> np.ndarray:
-    """Convert px of the prepared image to px of the one that pins are detected in."""
-    return (pins + 0.5) * (frame.pins_px / frame.size) - 0.5
+def _join(chunks: list[Chunk], name: str) -> np.ndarray:
+    return np.concatenate([chunk[name] for chunk in chunks])
 
 
-def to_image_px(frame: SensorFrame, pins: np.ndarray) -> np.ndarray:
-    """Convert px of the image that pins are detected in to px of the prepared image."""
-    return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5
+def count_contacts(
+    contacts: RecordedContacts, usable: np.ndarray, identified: np.ndarray, problem: np.ndarray
+) -> Json:
+    """Count contacts (N,) by split, all of them and by kind, and list those with a `problem`."""
+
+    def count_by_split(selected: np.ndarray) -> dict[str, int]:
+        counts = np.bincount(contacts.split[selected], minlength=len(SPLITS))
+        return dict(zip(SPLITS, counts.tolist(), strict=True))
+
+    return {
+        "contacts": len(usable),
+        "dropped": int((~usable).sum()),
+        "unsure": int((usable & ~identified).sum()),
+        "written": count_by_split(usable),
+        "taps": count_by_split(usable & ~contacts.is_slide),
+        "slides": count_by_split(usable & contacts.is_slide),
+        "dropped_frames": _list_drops(contacts, problem)[:MAX_NAMED],
+    }
+
+
+def _list_drops(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
+    return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
+
+
+def iterate_examples(
+    settings: Recorded, contacts: RecordedContacts, paths: list[Path], split: str
+) -> Iterator[tuple[str, dict]]:
+    """Iterate over (key, example) of every readable frame of a split."""
+    in_split = contacts.split == SPLITS.index(split)
+    for contact in iterate_usable_rows(paths, in_split):
+        row = contact.row
+        example = {
+            "image": contact.encode_png(settings.preprocess.size),
+            "pins": contact.get("pins").astype(np.float32),
+            "sure": int(contact.get("sure")),
+            "slid": int(contacts.is_slide[row]),
+            "pose": contacts.pose[row].astype(np.float32),
+            "move": contacts.move[row].astype(np.float32),
+            "pose_id": int(contacts.pose_id[row]),
+            "number": row,
+        }
+        yield f"{row:08d}", example
+
+
+class UnstoredSet:
+    """Holds chunks of prepared frames in the place of a stored set, all in its test split."""
+
+    def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
+        chunks = [load_chunk(path) for path in paths]
+        usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
+        self._test: Batch = {
+            "image": _join(chunks, "images")[usable],
+            "pins": _join(chunks, "pins")[usable].astype(np.float32),
+            "sure": identified[usable].astype(np.int32),
+            "slid": contacts.is_slide[usable].astype(np.int32),
+            "pose": contacts.pose[usable].astype(np.float32),
+            "move": contacts.move[usable].astype(np.float32),
+            "pose_id": contacts.pose_id[usable].astype(np.int32),
+            "number": np.flatnonzero(usable).astype(np.int32),
+        }
+        share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
+        self.metadata: Json = {
+            "counts": count_contacts(contacts, usable, identified, _join(chunks, "problem")),
+            "frame": frame,
+            "pins": {"sure": share},
+            "notes": list(contacts.notes),
+        }
+
+    def rows(self, split: str) -> Batch:
+        """Return the rows of a split by field: none except for the test."""
+        if split == "test":
+            return self._test
+        return {name: value[:0] for name, value in self._test.items()}
