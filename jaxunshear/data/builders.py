@@ -24,11 +24,11 @@ from jaxunshear.config import configs
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Recorded, SimulatedData
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import examples, recorded_frames
-from jaxunshear.data.chunks import SimulationEngine, make_engine, simulate_chunks
+from jaxunshear.data import chunks, recorded_frames
 from jaxunshear.data.recorded_contacts import RecordedContacts, read_contacts
 from jaxunshear.data.sampling import ContactSamples, sample_contacts
 from jaxunshear.data.sensor_frame import find_sensor_frame
+from jaxunshear.data.simulation import SimulationEngine, make_engine, simulate_chunks
 from jaxunshear.errors import UserError
 from jaxunshear.files import compute_checksum, write_json
 
@@ -197,7 +197,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         paths = simulate_chunks(
             settings, sensor, samples, self._unfinished_folder, self.engine or make_engine()
         )
-        counts = examples.summarise_set(settings, samples, paths)
+        counts = chunks.summarise_set(settings, samples, paths)
         for split, count in counts["written"].items():
             if not count:
                 raise UserError(
@@ -211,7 +211,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
 class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-arg]
     """`tactip_paired`: sheared images, each with a tap."""
 
-    iterate_examples = staticmethod(examples.iterate_paired_examples)
+    iterate_examples = staticmethod(chunks.iterate_paired_examples)
     BUILDER_CONFIGS = _make_standard_configs(PairedData.set_name)
     DEFAULT_BUILDER_CONFIG_NAME = "demo"
 
@@ -244,7 +244,7 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
 class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg]
     """`tactip_pose`: taps, with drift."""
 
-    iterate_examples = staticmethod(examples.iterate_pose_examples)
+    iterate_examples = staticmethod(chunks.iterate_pose_examples)
     BUILDER_CONFIGS = _make_standard_configs(PoseData.set_name)
     DEFAULT_BUILDER_CONFIG_NAME = "demo"
 

@@ -18,6 +18,7 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import (
     Chunk,
+    count_by_split,
     iterate_usable_rows,
     load_chunk,
     pack_bits,
@@ -207,18 +208,13 @@ def count_contacts(
     contacts: RecordedContacts, usable: np.ndarray, identified: np.ndarray, problem: np.ndarray
 ) -> Json:
     """Count contacts (N,) by split, all of them and by kind, and list those with a `problem`."""
-
-    def count_by_split(selected: np.ndarray) -> dict[str, int]:
-        counts = np.bincount(contacts.split[selected], minlength=len(SPLITS))
-        return dict(zip(SPLITS, counts.tolist(), strict=True))
-
     return {
         "contacts": len(usable),
         "dropped": int((~usable).sum()),
         "unsure": int((usable & ~identified).sum()),
-        "written": count_by_split(usable),
-        "taps": count_by_split(usable & ~contacts.is_slide),
-        "slides": count_by_split(usable & contacts.is_slide),
+        "written": count_by_split(contacts.split, usable),
+        "taps": count_by_split(contacts.split, usable & ~contacts.is_slide),
+        "slides": count_by_split(contacts.split, usable & contacts.is_slide),
         "dropped_frames": _list_drops(contacts, problem)[:MAX_NAMED],
     }
 

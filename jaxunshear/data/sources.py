@@ -26,10 +26,10 @@ from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 if TYPE_CHECKING:
-    from jaxunshear.data.chunks import SimulationEngine
     from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
     from jaxunshear.data.reader import Batch, Reader
     from jaxunshear.data.recorded_set import RecordedSet
+    from jaxunshear.data.simulation import SimulationEngine
 
 
 class PinLayout(NamedTuple):

@@ -15,7 +15,7 @@ import io
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -24,7 +24,7 @@ from jaxunshear.config import configs
 from jaxunshear.config.data import DataSettings, PairedData, PoseData, Recorded
 from jaxunshear.config.sensor import TACTIP_331, Sensor
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import SimulationEngine, pack_bits
+from jaxunshear.data.chunks import pack_bits
 from jaxunshear.data.reader import (
     IMAGES,
     OTHER,
@@ -40,6 +40,9 @@ from jaxunshear.data.reader import (
 from jaxunshear.data.sampling import check_settings, find_slide_leaders
 from jaxunshear.errors import UserError, get_first_line
 from jaxunshear.files import compute_checksum, explain_os_error, raise_machine_error, read_object
+
+if TYPE_CHECKING:
+    from jaxunshear.data.simulation import SimulationEngine
 
 MAX_CHANGES = 3  # named in an error, at most
 
@@ -84,7 +87,7 @@ def make_set(
     settings: DataSettings,
     sensor: Sensor = TACTIP_331,
     data_dir: Path = Path("datasets"),
-    engine: SimulationEngine | None = None,
+    engine: "SimulationEngine | None" = None,
 ) -> dict:
     """Make the set that `settings` describe under `data_dir` unless it is there.
 
@@ -105,7 +108,7 @@ def make_set(
 
 
 def _build(
-    settings: DataSettings, sensor: Sensor, data_dir: Path, engine: SimulationEngine | None
+    settings: DataSettings, sensor: Sensor, data_dir: Path, engine: "SimulationEngine | None"
 ) -> None:
     import absl.logging
     import tensorflow_datasets as tfds

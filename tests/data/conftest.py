@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import SimulationEngine
+from jaxunshear.data.simulation import SimulationEngine
 
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32

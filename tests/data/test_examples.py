@@ -10,14 +10,17 @@ from jaxunshear.config.data import PoseData
 from jaxunshear.config.image import Nuisance
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import chunks
-from jaxunshear.data.chunks import load_chunk, pack_bits, simulate_chunks, unpack_bits
-from jaxunshear.data.examples import (
+from jaxunshear.data import simulation
+from jaxunshear.data.chunks import (
     iterate_paired_examples,
     iterate_pose_examples,
+    load_chunk,
+    pack_bits,
     summarise_set,
+    unpack_bits,
 )
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.simulation import simulate_chunks
 from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
@@ -195,11 +198,11 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
     tips = np.repeat(compute_pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)
-    images, pins = chunks.render_images(settings, TACTIP_331, tips, number, age)
-    again, _ = chunks.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
+    images, pins = simulation.render_images(settings, TACTIP_331, tips, number, age)
+    again, _ = simulation.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
     assert np.any(
-        chunks.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0]
+        simulation.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0]
         != images[0]
     )
     for row in (0, 17):  # drift is in the pins too
@@ -212,7 +215,7 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     settings = dataclasses.replace(PAIRED["tiny"], stimuli=("disk",), poses=5, slides=1)
-    shots, paths = make(settings, TACTIP_331, tmp_path, chunks.make_engine())
+    shots, paths = make(settings, TACTIP_331, tmp_path, simulation.make_engine())
     counts = summarise_set(settings, shots, paths)
     assert counts["dropped"] == 0
     (_, example), *_ = iterate_paired_examples(settings, shots, paths, "train")

@@ -11,7 +11,7 @@ import pytest
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.data.chunks import render_images
+from jaxunshear.data.simulation import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories

@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.downstream.reconstruct import compute_skin_positions
 from jaxunshear.downstream.shape_estimators import (
     SKIN,

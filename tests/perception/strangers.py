@@ -18,7 +18,7 @@ from jaxunshear.angles import rotation_2d
 from jaxunshear.config.configs import PAIRED
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import render_images
+from jaxunshear.data.simulation import render_images
 from jaxunshear.perception.lattice import measure_spacing
 from jaxunshear.perception.pin_detection import detect_pins_fast
 from jaxunshear.perception.preprocess import View, prepare_frame

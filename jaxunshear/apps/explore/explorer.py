@@ -17,9 +17,9 @@ from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, sim
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import SIMULATED_FIELDS
-from jaxunshear.data.chunks import render_images
 from jaxunshear.data.recordings import read_image
 from jaxunshear.data.sensor_frame import SensorFrame
+from jaxunshear.data.simulation import render_images
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions
