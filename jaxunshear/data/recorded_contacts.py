@@ -76,15 +76,13 @@ def read_contacts(settings: Recorded) -> RecordedContacts:
 
 def read_test_contacts(settings: Recorded) -> RecordedContacts:
     """Read taps and slides, all in the test split: a finished run is scored on them."""
-    if settings.tap_folder == settings.slide_folder:
-        parts = [_classify_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
-    else:
-        folders = ((settings.tap_folder, False), (settings.slide_folder, True))
-        parts = [
-            _select_kind(read_folder(folder, settings.preprocess), is_slide)
-            for folder, is_slide in folders
-            if folder
-        ]
+    taps, slides, parts = settings.tap_folder, settings.slide_folder, []
+    if taps == slides:
+        parts.append(_classify_one_folder(read_folder(taps, settings.preprocess)))
+    elif taps:
+        parts.append(_select_taps(read_folder(taps, settings.preprocess)))
+    if slides and taps != slides:
+        parts.append(_make_contacts(read_folder(slides, settings.preprocess), is_slide=True))
     contacts = _join_contacts(parts)
     return _pair_by_table(contacts, Path(settings.pairs)) if settings.pairs else contacts
 
@@ -97,67 +95,49 @@ def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
     return read_recordings(path, preprocess)
 
 
-class _MoveLabels(NamedTuple):
-    is_labelled: np.ndarray  # (N,) bool
-    is_slide: np.ndarray  # (N,) bool, False where it is not labelled
-
-
-def _classify_moves(move: np.ndarray) -> _MoveLabels:
-    is_labelled = np.isfinite(move).all(axis=1)
-    has_moved = (np.abs(np.nan_to_num(move)) > MIN_MOVE).any(axis=1)
-    return _MoveLabels(is_labelled, is_labelled & has_moved)
+def _has_moved(moves: np.ndarray) -> np.ndarray:
+    """Return which labels (N, 6) of moves are of a slide; False where they are unknown."""
+    return (np.abs(np.nan_to_num(moves)) > MIN_MOVE).any(axis=1) & np.isfinite(moves).all(axis=1)
 
 
 def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
-    is_labelled, is_slide = _classify_moves(_get_labels(recordings.moves, len(recordings)))
+    contacts = _make_contacts(recordings)
+    is_labelled = np.isfinite(contacts.move).all(axis=1)
     if not is_labelled.any():
         raise UserError(
             f"{recordings.path} has no labels that say which contacts are taps: name the two "
             "folders, `jaxunshear fit --taps DIR --slides DIR`"
         )
-    contacts = _make_contacts(recordings, is_slide)
-    if is_labelled.all():
-        return contacts
-    note = f"{int((~is_labelled).sum())} contacts without a label of their move are left out"
-    return _drop(contacts, ~is_labelled, note)
+    contacts = contacts._replace(is_slide=_has_moved(contacts.move))
+    return _drop(contacts, ~is_labelled, "without a label of their move are left out")
 
 
-def _select_kind(recordings: Recordings, is_slide: bool) -> RecordedContacts:
-    """Return the slides of a folder, or its taps: the contacts without a move in the labels."""
-    contacts = _make_contacts(recordings, np.full(len(recordings), is_slide))
-    if is_slide:
-        return contacts
-    has_moved = _classify_moves(contacts.move).is_slide
+def _select_taps(recordings: Recordings) -> RecordedContacts:
+    """Select the contacts of a folder of taps that have no move in the labels."""
+    contacts = _make_contacts(recordings)
+    has_moved = _has_moved(contacts.move)
     if has_moved.all():
-        raise UserError(
-            f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
-        )
-    if not has_moved.any():
+        raise UserError(f"{recordings.path} holds no taps: each contact has a move in its labels")
+    return _drop(contacts, has_moved, "have a move in their labels: no taps, left out")
+
+
+def _drop(contacts: RecordedContacts, dropped: np.ndarray, why: str) -> RecordedContacts:
+    if not dropped.any():
         return contacts
-    note = (
-        f"{recordings.path}: {int(has_moved.sum())} contacts have a move in their labels: "
-        "no taps, left out"
-    )
-    return _drop(contacts, has_moved, note)
-
-
-def _drop(contacts: RecordedContacts, dropped: np.ndarray, note: str) -> RecordedContacts:
+    note = f"{int(dropped.sum())} contacts {why}"
     return contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~dropped))
 
 
-def _get_labels(labels: np.ndarray | None, count: int) -> np.ndarray:
-    return np.full((count, 6), np.nan) if labels is None else labels
-
-
-def _make_contacts(recordings: Recordings, is_slide: np.ndarray) -> RecordedContacts:
-    count, pose_ids = len(recordings), recordings.pose_ids
+def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedContacts:
+    count = len(recordings)
+    unknown = np.full((count, 6), np.nan)
     return RecordedContacts(
         files=recordings.files,
         names=recordings.names,
-        pose=_get_labels(recordings.poses, count),
-        move=_get_labels(recordings.moves, count),
-        pose_id=np.full(count, -1) if pose_ids is None else pose_ids,
-        is_slide=is_slide,
+        pose=unknown if recordings.poses is None else recordings.poses,
+        move=unknown if recordings.moves is None else recordings.moves,
+        pose_id=np.full(count, -1) if recordings.pose_ids is None else recordings.pose_ids,
+        is_slide=np.full(count, is_slide),
         split=np.full(count, SPLITS.index("test")),
         notes=tuple(recordings.notes),
     )
@@ -197,9 +177,7 @@ def _split_by_block(
             "`jaxunshear fit --taps DIR --slides DIR`"
         )
     has_pose = np.isfinite(contacts.pose).all(axis=1)
-    if not has_pose.all():
-        note = f"split block: {int((~has_pose).sum())} contacts without a pose are left out"
-        contacts = _drop(contacts, ~has_pose, note)
+    contacts = _drop(contacts, ~has_pose, "without a pose are left out by split block")
     split, note = cut_block(contacts.pose, settings.test, settings.validation, settings.seed)
     return contacts._replace(split=split, notes=(*contacts.notes, note))
 
@@ -289,6 +267,6 @@ def _compute_folder_digest(folder: Path) -> str:
     digest, recordings = hashlib.sha256(), read_folder(str(folder), Preprocess())
     for file, name in zip(recordings.files, recordings.names, strict=True):
         digest.update(f"{name} {file.stat().st_size}\n".encode())
-    for table in sorted(folder.rglob("*.csv")) if folder.is_dir() else []:
+    for table in sorted(folder.rglob("*.csv")):
         digest.update(table.read_bytes())
     return digest.hexdigest()[:DIGITS]

@@ -19,7 +19,7 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import SENSORS, Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recordings import Recordings, find_common_view, read_image
+from jaxunshear.data.recordings import Recordings, find_common_view, read_first_image, read_image
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.selection import select_evenly
@@ -179,12 +179,10 @@ def find_recordings_frame(
         raise UserError(
             f"{recordings.path}: its images have no crop in common: name one folder of one camera"
         )
-    for file in files:
-        with suppress(UserError):
-            size = min(LARGEST_PX, *read_image(file).shape[:2])
-            break
-    else:
+    first = read_first_image(files)
+    if first is None:
         raise UserError(f"none of {len(files)} images, such as {files[0]}, can be read")
+    size = min(LARGEST_PX, *first.shape[:2])
     try:
         return _fit_sensor_frame(files, view, size, preprocess, sensor)
     except UserError:
