@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.calibration.calibration_result import Calibration
-from jaxunshear.calibration.fit import FitResult, fit
+from jaxunshear.calibration.fit import FitResult, fit, fit_appearance
 from jaxunshear.calibration.labels import make_paths
-from jaxunshear.calibration.prediction import SensorValues, make_values, solve_contacts
+from jaxunshear.calibration.prediction import Calibration, SensorValues, make_values, solve_contacts
 from jaxunshear.calibration.problem import SURFACE, RecordedGroup
-from jaxunshear.calibration.recorded_groups import choose_sensor, observe_groups
-from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius
+from jaxunshear.calibration.recorded_groups import observe_groups, sample_folders
 from jaxunshear.calibration.report import (
     SimulatedGroups,
     build_rows,
@@ -26,17 +24,19 @@ from jaxunshear.calibration.report import (
     format_tables,
     summarise_recorded,
 )
-from jaxunshear.calibration.sampling import sample_folders
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import ABS_FRICTION
+from jaxunshear.data.sensor_frame import match_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text
+from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.progress import Progress
 
 IMAGES = 200  # of all groups together; more do not narrow the intervals that matter
 SEED = 0  # of the choice of images
 FIRST_FIT_STRIDE = 3  # the first fit takes one of so many images
+MAX_PIN_COUNT_ERROR = 0.1  # of a sensor's pins, by which a count may miss
 SOLVES_PER_CONTACT = 40  # about so many simulations of each recorded contact
 UNITS = {
     "mm_across": "mm",
@@ -75,23 +75,29 @@ def calibrate(
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
-    _check_names(fixed)
+    if wrong := [name for name in fixed if name not in UNITS]:
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
     recorded, notes = sample_folders(Path(path), images, SEED)
-    start = make_values(sensor or choose_sensor(recorded), camera or Camera(), ABS_FRICTION)
+    if sensor is None:
+        counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
+        sensor = match_sensor(counts, MAX_PIN_COUNT_ERROR, str(path))
+    start = make_values(sensor, camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
     fitted = _fit_in_two_stages(groups, start, fixed)
     before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
-    after = _fit_appearance(groups, _simulate(groups, fitted.values))
+    after = _simulate(groups, fitted.values)
+    after = replace(after, values=fit_appearance(groups, after.values, after.tips))
     images_before, images_after = before.render(groups), after.render(groups)
     rows = build_rows(
         summarise_recorded(groups),
         before.summarise(groups, images_before),
         after.summarise(groups, images_after),
     )
+    fitted_camera = after.values.camera(Camera().frame_px)
     results: Json = {
         "rows": rows,
         "parameters": _build_parameter_rows(start, after.values, fitted, fixed),
-        "preset": _make_preset(after.values),
+        "preset": Calibration("", after.values.sensor, fitted_camera, after.values.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.contacts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -101,11 +107,6 @@ def calibrate(
     pictures |= {"simulated, before": images_before[0][0], "simulated, after": images_after[0][0]}
     _report(results, pictures, out)
     return results
-
-
-def _check_names(fixed: Collection[str]) -> None:
-    if wrong := [name for name in fixed if name not in UNITS]:
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
 
 
 def _report(results: Json, pictures: dict[str, np.ndarray], out: Path | None) -> None:
@@ -144,17 +145,6 @@ def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGro
     return SimulatedGroups(values, tips)
 
 
-def _fit_appearance(groups: list[RecordedGroup], simulated: SimulatedGroups) -> SimulatedGroups:
-    values = simulated.values
-    solved = [
-        each.tips[each.converged] if each.converged.any() else each.tips for each in simulated.tips
-    ]
-    radius = fit_pin_radius(groups, values, solved)
-    values = replace(values, base=replace(values.base, pin_radius_mm=radius))
-    values = replace(values, housing=fit_housing(groups, values, solved))
-    return replace(simulated, values=values)
-
-
 def _build_parameter_rows(
     start: SensorValues, after: SensorValues, fitted: FitResult, fixed: Collection[str]
 ) -> list[Json]:
@@ -177,11 +167,6 @@ def _build_parameter_rows(
     unknown = {"low": None, "high": None, "determined": True, "held": False}
     radii = {"before": start.base.pin_radius_mm, "after": after.base.pin_radius_mm}
     return [*rows, {"name": "pin_radius_mm", "unit": "mm", **radii, **unknown}]
-
-
-def _make_preset(values: SensorValues) -> Json:
-    camera = values.camera(Camera().frame_px)
-    return Calibration("", values.sensor, camera, values.friction).preset
 
 
 def _build_notes(

@@ -134,7 +134,10 @@ class Problem:
     ) -> None:
         self.groups, self.start = groups, start
         self._caches = [_DisplacementCache(group, i, advance) for i, group in enumerate(groups)]
-        self._recorded = [_compute_recorded_features(group.observation) for group in groups]
+        self._recorded = [
+            compute_ring_features(seen.lattice.ring, seen.positions, seen.rest, seen.size)
+            for seen in (group.observation for group in groups)
+        ]
         self._ends = np.cumsum([0, *map(len, self._recorded)])
         slides = np.concatenate([group.contacts.slide for group in groups])
         unknown = {SURFACE, *fixed, *(() if np.any(np.abs(slides) > 1e-6) else ("friction",))}
@@ -251,9 +254,3 @@ class Problem:
         rings = self.start.base.rings
         shift = subtract_mean(difference[:, rings:])
         return np.nan_to_num(np.concatenate([difference[:, :rings], shift], axis=1))
-
-
-def _compute_recorded_features(observation: PinObservation) -> np.ndarray:
-    return compute_ring_features(
-        observation.lattice.ring, observation.positions, observation.rest, observation.size
-    )

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.pin_statistics import (
     PinObservation,
     Summary,
@@ -16,7 +17,6 @@ from jaxunshear.calibration.pin_statistics import (
 )
 from jaxunshear.calibration.prediction import SensorValues, SolvedContacts
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.calibration.rendering import render_images
 from jaxunshear.files import Json
 from jaxunshear.style import STYLE, encode_png
 from jaxunshear.text_table import format_text_table

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.calibration.alignment import Alignment, align
-from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.pin_statistics import compute_camera_rotation, make_observation
 from jaxunshear.calibration.prediction import (
+    Calibration,
     SensorValues,
     find_solutions,
     fit_positions,

@@ -92,16 +92,12 @@ def _split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFold
     return kinds
 
 
-def _collect(parts: list[ComparedFolder]) -> list[np.ndarray]:
-    """Collect the vectors (K, 2) of each of MOTIONS."""
-    motions = []
-    for name in MOTIONS:
-        motions.append(np.concatenate([getattr(part, name).reshape(-1, 2) for part in parts]))
-    return motions
-
-
 def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
-    recorded, simulated, ceiling = _collect(parts)
+    vectors = {
+        motion: np.concatenate([getattr(part, motion).reshape(-1, 2) for part in parts])
+        for motion in MOTIONS
+    }
+    recorded, simulated = vectors["recorded"], vectors["simulated"]
     scale = np.concatenate([np.tile(part.mm_per_px, len(part.recorded)) for part in parts])
     residual = recorded - simulated
     contacts = sum(len(part.recorded) for part in parts)
@@ -110,7 +106,7 @@ def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
         ("residual_px", "px", float(_compute_rms(residual))),
         ("residual_mm", "mm", float(_compute_rms(residual * scale[:, None]))),
         ("motion_px", "px", float(_compute_rms(recorded))),
-        ("ceiling_r2", "1", compute_r2(recorded, ceiling)),
+        ("ceiling_r2", "1", compute_r2(recorded, vectors["ceiling"])),
     ]
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}

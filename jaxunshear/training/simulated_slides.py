@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION
 from jaxunshear.calibration.labels import find_depth_axis
+from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION
 from jaxunshear.calibration.simulated_slides import (
     LabelView,
     RecordedTaps,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
-from jaxunshear.calibration.sampling import RecordedImages
+from jaxunshear.calibration.recorded_groups import RecordedImages
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.calibration.sampling import sample_folders
+from jaxunshear.calibration.recorded_groups import sample_folders
 from jaxunshear.errors import UserError
 
 

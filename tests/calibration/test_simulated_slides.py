@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.calibration_result import Calibration
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.prediction import (
+    Calibration,
     find_solutions,
     project_positions,
     simulate_displacements,
