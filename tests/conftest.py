@@ -58,7 +58,7 @@ STRICT = {
     "test_losses.py",
     "test_rotation.py",
     "test_domain_randomisation.py",
-    "test_pin_drawing.py",
+    "test_drawing.py",
     "test_large_strain.py",
 }
 

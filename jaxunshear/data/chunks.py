@@ -16,7 +16,7 @@ from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.sampling import ContactSamples
 from jaxunshear.errors import UserError
 from jaxunshear.files import BROKEN_NPZ, Json, read_npz, write_npz
-from jaxunshear.perception.png import encode_png
+from jaxunshear.perception.drawing import encode_png
 from jaxunshear.progress import Progress
 
 CONTACT_COUNTS = ("stuck", "slipping", "free", "iterations")

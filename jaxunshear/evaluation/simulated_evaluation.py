@@ -48,7 +48,7 @@ from jaxunshear.evaluation.result_tables import (
 from jaxunshear.evaluation.score_files import SMOOTH, EvaluatedRun
 from jaxunshear.metrics.pin_error import measure_pin_errors
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
 from jaxunshear.training.examples import open_examples

@@ -60,8 +60,8 @@ from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
 from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
 from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME

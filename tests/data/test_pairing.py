@@ -8,8 +8,8 @@ from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import pairing
 from jaxunshear.data.chunks import pack_bits
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.pin_detection import find_pins
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 128

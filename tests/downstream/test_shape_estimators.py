@@ -14,7 +14,7 @@ from jaxunshear.downstream.shape_estimators import (
     make_shape_estimators,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 
 LATTICE = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=128))
 

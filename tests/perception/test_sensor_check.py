@@ -7,10 +7,9 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.config.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
-from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
 from jaxunshear.perception.preprocess import View, prepare_frame
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
     invert_image,
