@@ -195,7 +195,7 @@ def test_nothing_that_converges_is_refused(pose, sensor, engine, tmp_path):
 SCRIPT = """
 import runpy, sys
 from pathlib import Path
-from jaxunshear.data.generation import make_set
+from jaxunshear.data.stored_sets import make_set
 fake = runpy.run_path(sys.argv[1])
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"])
 """

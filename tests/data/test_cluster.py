@@ -27,7 +27,7 @@ SCRIPT = """
 import runpy, sys
 from pathlib import Path
 from jaxunshear.cluster import make_ray_runner
-from jaxunshear.data.generation import make_set
+from jaxunshear.data.stored_sets import make_set
 fake = runpy.run_path(sys.argv[1])
 engine = fake["ENGINE"]._replace(run_calls=make_ray_runner(sys.argv[3], 1))
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), engine)
