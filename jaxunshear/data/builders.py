@@ -5,10 +5,8 @@ SHA-256 of each shard and a checksum of the metadata, by which a reader detects 
 damaged file. Until then contacts lie under `<data_dir>/.partial/`.
 """
 
-import contextlib
 import dataclasses
 import errno
-import fcntl
 import hashlib
 import importlib.metadata
 import os
@@ -31,6 +29,7 @@ from jaxunshear.data.sensor_frame import find_sensor_frame
 from jaxunshear.data.simulation import SimulationEngine, make_engine, simulate_chunks
 from jaxunshear.errors import UserError
 from jaxunshear.files import compute_checksum, write_json
+from jaxunshear.locks import hold_lock
 
 if not hasattr(tfds, "core"):  # TFDS logs what its own import raised, and goes on without its parts
     raise UserError(
@@ -77,38 +76,6 @@ def compute_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-@contextlib.contextmanager
-def _convert_full_disk_error() -> Iterator[None]:
-    """Raise OSError for the RuntimeError by which array_record's writer reports a full disk.
-
-    That error has the system's words in it.
-    """
-    try:
-        yield
-    except RuntimeError as error:
-        words = os.strerror(errno.ENOSPC)
-        if words not in str(error):
-            raise
-        raise OSError(errno.ENOSPC, words) from error
-
-
-@contextlib.contextmanager
-def _hold_lock(folder: Path) -> Iterator[None]:
-    """Hold a lock on an unfinished set's folder; the system releases it when a process dies."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise UserError(
-                f"another process is making the set in {folder}: wait for it, or stop it"
-            ) from error
-        yield
-    finally:
-        os.close(handle)
-
-
 class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
     """Makes the set, or continues to make it, when it is prepared.
 
@@ -139,16 +106,24 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         """Make the set unless it is there. Raises `UserError` if another process is making it."""
         unfinished, folder = self._unfinished_folder, Path(self.data_dir)
         if not folder.exists():
-            with _hold_lock(unfinished):
-                if not folder.exists():
-                    for incomplete in folder.parent.glob("incomplete.*"):
-                        shutil.rmtree(incomplete)  # of a killed run: the lock excludes others
-                    defaults = {
-                        "file_format": "array_record",
-                        "download_dir": unfinished / "downloads",
-                    }
-                    with _convert_full_disk_error():
-                        super().download_and_prepare(**{**defaults, **options})
+            with hold_lock(unfinished / "lock", wait=False) as is_free:
+                if not is_free:
+                    raise UserError(
+                        f"another process is making the set in {unfinished}: wait, or stop it"
+                    )
+                for incomplete in folder.parent.glob("incomplete.*"):
+                    shutil.rmtree(incomplete)  # of a killed run: the lock excludes others
+                options = {
+                    "file_format": "array_record",
+                    "download_dir": unfinished / "downloads",
+                } | options
+                try:
+                    super().download_and_prepare(**options)
+                except RuntimeError as error:  # by which array_record reports a full disk
+                    words = os.strerror(errno.ENOSPC)
+                    if words not in str(error):
+                        raise
+                    raise OSError(errno.ENOSPC, words) from error
         shutil.rmtree(unfinished, ignore_errors=True)
 
     def _download_and_prepare(self, *args: object, **kwargs: object) -> None:
