@@ -54,34 +54,6 @@ def test_images_survive_packing():
     np.testing.assert_array_equal(unpack_bits(pack_bits(images), 13), images)
 
 
-def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, engine, tmp_path):
-    shots, paths = make(paired, sensor, tmp_path, engine)
-    seen = set()
-    for split in SPLITS:
-        for key, example in iterate_paired_examples(paired, shots, paths, split):
-            here = shots.scenes.stimulus == paired.stimuli.index(example["stimulus"])
-            here &= (shots.pose_id == example["pose_id"]) & (shots.split == SPLITS.index(split))
-            slide = int(
-                np.flatnonzero(here & shots.is_slide & (shots.instance == example["slide_id"]))[0]
-            )
-            tap = int(
-                np.flatnonzero(here & ~shots.is_slide & (shots.instance == example["tap_id"]))[0]
-            )
-            for name, row in (("sheared", slide), ("canonical", tap)):
-                image = np.asarray(Image.open(io.BytesIO(example[name])))
-                np.testing.assert_array_equal(
-                    image, engine.render(paired, sensor, np.zeros((1, 1, 3)), [row], None)[0][0]
-                )
-            np.testing.assert_allclose(example["pose"], shots.scenes.pose[slide], rtol=1e-6)
-            np.testing.assert_allclose(example["move"], shots.scenes.move[slide], rtol=1e-6)
-            np.testing.assert_allclose(
-                example["tap_depth_mm"], shots.scenes.pose[tap, 3], rtol=1e-6
-            )
-            assert example["tap_id"] == example["slide_id"] % paired.taps
-            seen.add(key)
-    assert len(seen) == shots.is_slide.sum()
-
-
 def test_chunks_do_not_change_an_example(paired, sensor, engine, tmp_path):
     def all_of(name, batches):
         shots, paths = make(paired, sensor, tmp_path / name, engine._replace(plan=batches))
