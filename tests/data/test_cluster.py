@@ -72,11 +72,9 @@ def test_what_cannot_be_is_refused_in_one_line(command, tmp_path, name, words, l
 def test_without_ray_data_says_how_to_get_it(command, absent):
     absent("ray")
     answer = command("data", TINY, "--engine", "ray")
-    assert (
-        answer.code == 2
-        and "--engine ray needs Ray: pip install" in answer.err
-        and "[ray]" in answer.err
-    )
+    assert answer.code == 2
+    assert "--engine ray needs Ray: pip install" in answer.err
+    assert "[ray]" in answer.err
 
 
 @pytest.fixture

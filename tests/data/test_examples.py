@@ -113,9 +113,8 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
     assert (counts["retried"], counts["dropped"]) == (10, 0)
     spent = np.concatenate([load_chunk(path)["iterations"] for path in paths])
     slowest = np.concatenate([load_chunk(path)["number"] for path in paths])[spent == spent.max()]
-    assert counts["iterations"]["most"] == spent.max() and counts["iterations"][
-        "median"
-    ] == np.median(spent)
+    assert counts["iterations"]["most"] == spent.max()
+    assert counts["iterations"]["median"] == np.median(spent)
     assert counts["iterations"]["slowest_number"] in slowest
     assert sum(counts["written"].values()) == shots.is_slide.sum()
 

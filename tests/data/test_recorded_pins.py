@@ -55,10 +55,8 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     assert answer.code == 0, answer.err
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]
-    assert (
-        to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
-        and held["schema"] == SCHEMA
-    )
+    assert to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
+    assert held["schema"] == SCHEMA
     assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [
         (f"image_{n}.png", sensor.pins, True) for n in range(len(SHIFTS))
     ]
@@ -80,15 +78,13 @@ def test_from_python_as_arrays(tmp_path):
     write(tmp_path / "images", [*grey, np.random.default_rng(0).random((256, 256))])
     found = find_pins(tmp_path / "images", make_layout(TACTIP_127))
     assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
-    assert (
-        found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()
-    )
+    assert found.motion_px.shape == (len(SHIFTS) + 1, 127, 2)
+    assert np.isnan(found.motion_px[-1]).all()
     np.testing.assert_allclose(
         found.motion_px[:-1].mean(axis=0), 0, atol=0.8
     )  # from the mean place in these images
-    assert found.table.image_px == 256 and [row.matched for row in found.table.rows] == [127] * len(
-        SHIFTS
-    ) + [0]
+    assert found.table.image_px == 256
+    assert [row.matched for row in found.table.rows] == [127] * len(SHIFTS) + [0]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]  # nothing is written
 
 

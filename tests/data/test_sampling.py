@@ -216,11 +216,9 @@ def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
     np.testing.assert_array_equal(twisted.move[:, :2], plain.move)
     twist = twisted.move[:, 2]
     slid = np.any(plain.move != 0, axis=1)
-    assert (
-        not twist[~slid].any()
-        and 4.9 < np.abs(twist).max() <= 5
-        and len(np.unique(twist[slid])) == slid.sum()
-    )
+    assert not twist[~slid].any()
+    assert 4.9 < np.abs(twist).max() <= 5
+    assert len(np.unique(twist[slid])) == slid.sum()
     np.testing.assert_allclose(more.move[:, 2], 4 * twist)  # the same draws, further
 
 

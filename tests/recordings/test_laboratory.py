@@ -67,10 +67,8 @@ def test_golden_figures_of_a_run_over_recordings(pins_run, place):
 def test_the_network_has_learnt(pins_run):
     results = json.loads((pins_run / "results.json").read_text())
     chance, error = results["baselines"]["pose_chance"], results["pose_mae"]
-    assert (
-        error["tap"]["Rz_deg"] < 0.35 * chance["Rz_deg"]
-        and error["tap"]["y_mm"] < 0.5 * chance["y_mm"]
-    )
+    assert error["tap"]["Rz_deg"] < 0.35 * chance["Rz_deg"]
+    assert error["tap"]["y_mm"] < 0.5 * chance["y_mm"]
     assert error["unsheared"]["Rz_deg"] < error["sheared"]["Rz_deg"]
 
 
@@ -90,11 +88,9 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
                 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
             )
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
-    assert (
-        "recovery" in answer.out
-        and "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out
-        and "% within" in answer.out
-    )
+    assert "recovery" in answer.out
+    assert "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out
+    assert "% within" in answer.out
 
 
 def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
@@ -121,9 +117,8 @@ def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
             for row, value in rows_of(tmp_path / f"{name}.json").items()
             if row.startswith("pose")
         }
-    assert len(found["hidden"]) >= 12 and found["hidden"] == pytest.approx(
-        found["without"], rel=1e-4
-    )
+    assert len(found["hidden"]) >= 12
+    assert found["hidden"] == pytest.approx(found["without"], rel=1e-4)
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +146,8 @@ def test_images_whose_pins_are_not_identified_have_no_pose(
     assert "20 images unsheared, 20 left out" in answer.out
     assert "left out 20: its pins cannot be identified for sure" in answer.out
     known, rows = (read_csv((tmp_path / out / "poses.csv").read_text()) for out in ("whole", "out"))
-    assert (
-        rows.keys() == known.keys()
-        and {name for name, row in rows.items() if row["left_out"]} == hidden
-    )
+    assert rows.keys() == known.keys()
+    assert {name for name, row in rows.items() if row["left_out"]} == hidden
     assert len(list((tmp_path / "out").rglob("*.png"))) == 20
     for name, row in rows.items():
         poses = [row[target] for target in TARGETS]
@@ -188,17 +181,15 @@ def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some
         ]
         assert len(poses) == 9 and [bool(pose) for pose in poses] == [name not in hidden] * 9
     measured = rows_of(tmp_path / "pose.json")
-    assert measured["pose.left_out"] == 20 and not [
-        row for row in measured if row.startswith(tuple(hidden))
-    ]
+    assert measured["pose.left_out"] == 20
+    assert not [row for row in measured if row.startswith(tuple(hidden))]
 
     answer = command("stream", folder, "--model", pins_run, "--json", tmp_path / "stream.json")
     assert answer.code == 1 and "20 frames used, 20 skipped" in answer.err
     for line in map(json.loads, answer.out.splitlines()):
         if line["name"] in hidden:
-            assert (
-                line.keys() == {"frame", "name", "confidence", "error"} and line["confidence"] == 0
-            )
+            assert line.keys() == {"frame", "name", "confidence", "error"}
+            assert line["confidence"] == 0
             assert line["error"] == "its pins cannot be identified for sure"
         else:
             assert line["y_mm"] == pytest.approx(
@@ -312,10 +303,8 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp
     )
     assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
-    assert (
-        len(lines) == 40
-        and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
-    )
+    assert len(lines) == 40
+    assert {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
     assert "mean error against the labels: y_mm" in answer.err
 
 
@@ -335,11 +324,9 @@ def test_lines_that_find_no_room_end_a_stream_in_one_line(
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
     for words in (("servo",), ("geometry",), ("reconstruct",)):
         answer = command(*words, "--model", pins_run)
-        assert (
-            answer.code == 2
-            and "learnt from recordings" in answer.err
-            and answer.err.count("\n") == 1
-        )
+        assert answer.code == 2
+        assert "learnt from recordings" in answer.err
+        assert answer.err.count("\n") == 1
 
 
 def test_weights_are_released_and_used_without_the_recordings(
@@ -421,11 +408,9 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     )
     file = tmp_path / "runs" / "ours.py"
     answer = command("fit", *folders, *places, "--name", "ours", *short)
-    assert (
-        answer.code == 2
-        and f"{file} is there, and is not what" in answer.err
-        and answer.err.count("\n") == 1
-    )
+    assert answer.code == 2
+    assert f"{file} is there, and is not what" in answer.err
+    assert answer.err.count("\n") == 1
     assert load_experiment(file) == experiment
     answer = command("run", file, *places)
     assert answer.code == 0, answer.err
@@ -442,10 +427,8 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert reader["net"]["turned"] == 0.5 and reader["origin"]["labelled"] == 0.4
     assert unshears["origin"]["unlabelled"] == "read" and "unlabelled" not in reader["origin"]
     reported = (ours / "report.html").read_text()
-    assert (
-        "Labels of 40% of the training slides teach" in reported
-        and "posenet_sheared</code> reads off them" in reported
-    )
+    assert "Labels of 40% of the training slides teach" in reported
+    assert "posenet_sheared</code> reads off them" in reported
 
 
 @pytest.mark.long
@@ -495,9 +478,8 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     answer = command(*words, *small)
     assert answer.code == 0, answer.err
     results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
-    assert (
-        list(results["pose_mae"]["unsheared"]) == TARGETS and results["metric"]["input"] == "images"
-    )
+    assert list(results["pose_mae"]["unsheared"]) == TARGETS
+    assert results["metric"]["input"] == "images"
     assert command("ablate", tmp_path / "runs" / "images", "--data", place / "datasets").code == 0
     words = ("--model", tmp_path / "runs" / "images", "--out", tmp_path / "out")
     refused = command("unshear", recording / "shear", *words)
@@ -539,11 +521,9 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
         assert list(results["pose_mae"]["sheared_learnt"]) == ["y_mm", "slide_x_mm"]
         joint = ("--model", tmp_path / "runs" / "joint")
         reported = command("pose", folder, *joint)
-        assert (
-            reported.code == 0
-            and "slide_x_mm" in reported.out
-            and "mean error against the labels, learnt" in reported.err
-        )
+        assert reported.code == 0
+        assert "slide_x_mm" in reported.out
+        assert "mean error against the labels, learnt" in reported.err
 
 
 REFUSED = [

@@ -53,9 +53,8 @@ def test_sign_and_offset_are_found_in_taps(sign):
     assert choose_scored_labels(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
     found = {name: align_to_labels(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
-    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found[
-        "z_mm"
-    ].offset == pytest.approx(2, abs=0.03)
+    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03)
+    assert found["z_mm"].offset == pytest.approx(2, abs=0.03)
     assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
 
 
@@ -150,11 +149,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in format_table(results)
     counts = results.counts
-    assert (
-        counts.known_taps + counts.test_taps == 60
-        and counts.test_poses == 40
-        and counts.test_unsure == 0
-    )
+    assert counts.known_taps + counts.test_taps == 60
+    assert counts.test_poses == 40
+    assert counts.test_unsure == 0
     json.dumps(to_builtins(results))
 
 

@@ -179,9 +179,8 @@ def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
     move[10:] = 0
     made.write(tmp_path, pose, move)
     contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
-    assert len(contacts.names) == 30 and any(
-        "10 contacts have a move" in note for note in contacts.notes
-    )
+    assert len(contacts.names) == 30
+    assert any("10 contacts have a move" in note for note in contacts.notes)
 
 
 def test_labels_that_do_not_part_taps_from_slides_are_refused(tmp_path):
@@ -237,7 +236,5 @@ def test_a_folder_is_known_beside_others(tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
     both = compute_digest((taps, slides), str(table))
-    assert (
-        parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
-        and len(parse_folder_digests(both)) == 2
-    )
+    assert parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
+    assert len(parse_folder_digests(both)) == 2
