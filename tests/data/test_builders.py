@@ -105,9 +105,8 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
     own = dataclasses.replace(paired, stimuli=("disk", kite))
     metadata = make_set(own, sensor, tmp_path, engine)
     assert metadata["settings"]["stimuli"][1]["points"][1] == [12, 0]
-    assert (
-        make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
-    )  # found again
+    # found again
+    assert make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
     rows = tfds.builder_from_directory(get_set_folder(own, sensor, tmp_path)).as_data_source("test")
     assert rows.dataset_info.features["stimulus"].names == ["disk", "kite"]
     assert {int(row["stimulus"]) for row in rows} == {0, 1}
@@ -123,9 +122,8 @@ def test_both_sets_of_an_experiment(paired, pose, sensor, engine, tmp_path):
 
 def test_a_set_is_made_once_and_the_same_again_elsewhere(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path / "a", engine)
-    make_set(
-        pose, sensor, tmp_path / "a", engine._replace(simulate=None)
-    )  # would fail if it simulated
+    # would fail if it simulated
+    make_set(pose, sensor, tmp_path / "a", engine._replace(simulate=None))
     make_set(pose, sensor, tmp_path / "b", engine)
     first, second = (checksums(get_set_folder(pose, sensor, tmp_path / name)) for name in "ab")
     assert first == second

@@ -179,9 +179,8 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
         assert (images[row][line, col] > 0).mean() > 0.98
-    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(
-        2.0, abs=0.1
-    )  # 4 frame px at half size
+    # 4 frame px at half size
+    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(2.0, abs=0.1)
 
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):

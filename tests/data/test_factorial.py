@@ -59,9 +59,8 @@ def test_without_sharing_every_pose_has_the_slides_it_always_had():
     assert np.array_equal(find_slide_leaders(alone, "disk"), np.arange(45))
     shots = sample_pairs(alone)
     moves = shots.scenes.move[shots.is_slide]
-    assert np.mean(np.any(moves == 0, axis=1)) == pytest.approx(
-        2 / 3, abs=0.15
-    )  # along one axis of the target: not turned
+    # along one axis of the target: not turned
+    assert np.mean(np.any(moves == 0, axis=1)) == pytest.approx(2 / 3, abs=0.15)
 
 
 def test_poses_and_taps_do_not_depend_on_who_shares():
@@ -149,9 +148,8 @@ def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shif
         for place, image, own in zip(batch[pins], batch[images], batch[SHEARED_PINS], strict=True):
             off = place - stored[SHEARED_PINS]
             steps = np.round(off[:, :1])
-            (row,) = np.flatnonzero(
-                np.all(np.abs(off - steps) < 1e-4, axis=(1, 2))
-            )  # moved by full pixels
+            # moved by full pixels
+            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))
             offset = steps[row, 0].astype(int)
             plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
             np.testing.assert_array_equal(

@@ -39,9 +39,8 @@ def test_pins_of_a_warped_image_stand_where_they_were_moved():
     moved = WARP(pack_bits(image(PINS)), motion[None])[0]
     assert len(find_pins(moved)) == 127
     apart = np.linalg.norm(centroids(moved, PINS + motion) - (PINS + motion), axis=-1)
-    asis = np.linalg.norm(
-        centroids(image(PINS)[0], PINS) - PINS, axis=-1
-    )  # what drawing at full pixels costs
+    # what drawing at full pixels costs
+    asis = np.linalg.norm(centroids(image(PINS)[0], PINS) - PINS, axis=-1)
     assert np.median(apart) < np.median(asis) + 0.1 and apart.max() < 0.6
     assert np.median(np.linalg.norm(centroids(moved, PINS + motion) - PINS, axis=-1)) > 0.6
 

@@ -113,9 +113,8 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
         for place in range(12):
             row, tap = find_rows(shots, batch, place)
             still = shots.scenes.pose[row, :2] + 16
-            offset = (
-                batch["sheared_pins"][place, 0] - still - 1e-3 * row
-            )  # as the stand-in places them
+            # as the stand-in places them
+            offset = batch["sheared_pins"][place, 0] - still - 1e-3 * row
             np.testing.assert_allclose(
                 batch["canonical_pins"][place, 0] - still - 1e-3 * tap, offset, atol=1e-4
             )
@@ -182,9 +181,8 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
         UserError, match=rf"{re.escape(shard.name)} is .*delete .*`jaxunshear data`"
     ):
         made.train_batches(4, 0, 0.0)
-    assert made.length("test") == sum(
-        len(batch["pose"]) for batch in made.split("test", 4)
-    )  # the others still read
+    # the others still read
+    assert made.length("test") == sum(len(batch["pose"]) for batch in made.split("test", 4))
 
 
 @pytest.mark.parametrize(

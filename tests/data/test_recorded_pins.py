@@ -80,9 +80,8 @@ def test_from_python_as_arrays(tmp_path):
     assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
     assert found.motion_px.shape == (len(SHIFTS) + 1, 127, 2)
     assert np.isnan(found.motion_px[-1]).all()
-    np.testing.assert_allclose(
-        found.motion_px[:-1].mean(axis=0), 0, atol=0.8
-    )  # from the mean place in these images
+    # from the mean place in these images
+    np.testing.assert_allclose(found.motion_px[:-1].mean(axis=0), 0, atol=0.8)
     assert found.table.image_px == 256
     assert [row.matched for row in found.table.rows] == [127] * len(SHIFTS) + [0]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]  # nothing is written

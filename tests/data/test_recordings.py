@@ -75,9 +75,8 @@ def test_a_single_image(tmp_path):
 )
 def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
     recordings = read_recordings(older(tmp_path / "set", images, column, names), PREPROCESS)
-    assert recordings.names == tuple(
-        f"{images}/{name}" for name in names
-    )  # in the order of their numbers
+    # in the order of their numbers
+    assert recordings.names == tuple(f"{images}/{name}" for name in names)
     np.testing.assert_array_equal(recordings.poses, 100 * np.arange(3)[:, None] + np.arange(6))
     np.testing.assert_array_equal(recordings.moves, 100 * np.arange(3)[:, None] + np.arange(6, 12))
     assert recordings.notes == []
@@ -267,9 +266,8 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
                 grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
             Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    other = (
-        recordings.find_common_view() if narrower else None
-    )  # one without a crop: the folders differ in size
+    # one without a crop: the folders differ in size
+    other = recordings.find_common_view() if narrower else None
     for view in (None, other):
         middles = [
             np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.iterate_frames(view)
@@ -328,9 +326,8 @@ def test_wide_integers_mean_what_the_file_says(tmp_path):
     wide = Image.frombytes("I", seen.shape[::-1], (seen.astype(np.uint32) * 0x01010101).tobytes())
     wide.save(tmp_path / "a.tif")
     data = (tmp_path / "a.tif").read_bytes()
-    head, tail = data.split(
-        signed := bytes.fromhex("5301 0300 01000000")
-    )  # Pillow writes it as signed; the tag is set by hand
+    # Pillow writes it as signed; the tag is set by hand
+    head, tail = data.split(signed := bytes.fromhex("5301 0300 01000000"))
     (tmp_path / "a.tif").write_bytes(head + signed + b"\1" + tail[1:])
     Image.fromarray((255 - seen).astype(np.uint16) * np.uint16(257)).save(
         tmp_path / "b.tif", tiffinfo={262: 0}

@@ -108,9 +108,8 @@ def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
         words += ("--json", tmp_path / f"{name}.json")
         answer = command("evaluate", pins_run, *words)
         assert answer.code == 0, answer.err
-        assert (
-            "37 taps, 34 slides" in answer.out
-        )  # of one more slide the pins are not identified anyhow
+        # of one more slide the pins are not identified anyhow
+        assert "37 taps, 34 slides" in answer.out
         assert ("3 taps and 6 slides were not understood" in answer.out) == (name == "hidden")
         found[name] = {
             row: value

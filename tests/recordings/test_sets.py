@@ -65,9 +65,8 @@ def test_every_pin_is_where_it_was_drawn(recording, opened):
     assert rows["sure"].mean() > 0.97
     true = np.stack([made.pins_px(p, m) for p, m in zip(rows["pose"], rows["move"], strict=True)])
     apart = np.linalg.norm(rows["sheared_pins"] - true, axis=-1)[rows["sure"] == 1]
-    assert (
-        np.nanmedian(apart) < 0.25 and np.nanmax(apart) < 0.5 * 6.0
-    )  # half a spacing: none has another's name
+    # half a spacing: none has another's name
+    assert np.nanmedian(apart) < 0.25 and np.nanmax(apart) < 0.5 * 6.0
 
 
 def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
@@ -139,9 +138,8 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
         )
         for each in SPLITS
     }
-    known = {
-        image.tobytes(): each for each in SPLITS for image in taps[each]["image"]
-    }  # no two taps are of one pose
+    # no two taps are of one pose
+    known = {image.tobytes(): each for each in SPLITS for image in taps[each]["image"]}
     assert len(known) == sum(len(part["image"]) for part in taps.values())
     assert {known[image.tobytes()] for image in partners["canonical"]} == {"train", split}
     # and the nearest of these
@@ -217,9 +215,8 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
     assert abs(len(drawn[1]) / len(drawn[2]) - 0.3) < 0.12
     poses = opened().stored.rows("train")
     angle = {n: p[5] for n, p in zip(poses["number"].tolist(), poses["pose"].tolist(), strict=True)}
-    assert (
-        np.ptp([angle[n] for n in drawn[1]]) > 250
-    )  # rows are sorted by angle: not the first ones
+    # rows are sorted by angle: not the first ones
+    assert np.ptp([angle[n] for n in drawn[1]]) > 250
 
 
 def test_taps_join_the_training_slides_alone_as_slides_of_length_zero(opened):

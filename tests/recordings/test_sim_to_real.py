@@ -73,17 +73,15 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
 def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     known = 64 + 6 * compute_pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
     angle = np.radians(degrees)
-    turn = np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )  # rows turn by +degrees
+    # rows turn by +degrees
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
     there, back, by = make_frame_transforms(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
-    assert by == pytest.approx(
-        degrees, abs=1e-9
-    )  # an edge that a network sees at 0 lies at `degrees` in the image
+    # an edge that a network sees at 0 lies at `degrees` in the image
+    assert by == pytest.approx(degrees, abs=1e-9)
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
