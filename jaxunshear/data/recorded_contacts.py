@@ -252,7 +252,14 @@ def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
     its labels by their bytes and its images by name and size, so it is the same beside other
     folders.
     """
-    parts = [_compute_folder_digest(Path(folder)) for folder in dict.fromkeys(folders)]
+    parts = []
+    for folder in dict.fromkeys(folders):
+        digest, recordings = hashlib.sha256(), read_folder(folder, Preprocess())
+        for file, name in zip(recordings.files, recordings.names, strict=True):
+            digest.update(f"{name} {file.stat().st_size}\n".encode())
+        for table in sorted(Path(folder).rglob("*.csv")):
+            digest.update(table.read_bytes())
+        parts.append(digest.hexdigest()[:DIGITS])
     if pairs and Path(pairs).is_file():
         parts.append(PAIRS_PREFIX + hashlib.sha256(Path(pairs).read_bytes()).hexdigest()[:DIGITS])
     return "+".join(parts)
@@ -261,12 +268,3 @@ def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
 def parse_folder_digests(digest: str) -> set[str]:
     """Return the digests of the folders in a joined digest."""
     return {part for part in digest.split("+") if part and not part.startswith(PAIRS_PREFIX)}
-
-
-def _compute_folder_digest(folder: Path) -> str:
-    digest, recordings = hashlib.sha256(), read_folder(str(folder), Preprocess())
-    for file, name in zip(recordings.files, recordings.names, strict=True):
-        digest.update(f"{name} {file.stat().st_size}\n".encode())
-    for table in sorted(folder.rglob("*.csv")):
-        digest.update(table.read_bytes())
-    return digest.hexdigest()[:DIGITS]

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS, hash_text
-from jaxunshear.config.targets import Target, make_label_targets
+from jaxunshear.config.targets import make_label_targets
 from jaxunshear.errors import UserError
 
 DIGITS = 4  # mm or deg: labels that agree so far count as one value
@@ -84,7 +84,12 @@ def cut_block(
     `validation` are shares of the poses; `seed` draws the block's place along the label.
     Raises UserError if no label takes enough values to leave a gap.
     """
-    target = _choose_label(pose)
+    varying = make_label_targets((), pose)
+    if not varying:
+        raise UserError(f"paired.split block: no label of the poses varies: {RANDOM_REMEDY}")
+    # the label of the most values; a full circle only if nothing else varies
+    ranges = [target for target in varying if not target.is_circular]
+    target = max(ranges or varying, key=lambda target: _count_values(pose[:, target.column]))
     value = pose[:, target.column]
     outer, inner = (test + validation) / 2, test / 2
     margin = min(2 * outer, 0.5)  # so training poses remain on both sides
@@ -106,15 +111,6 @@ def cut_block(
         f"split block: test poses have {name} from {first:.4g} to {last:.4g} {unit}; "
         f"no training pose lies within {gap:.3g} {unit} of them"
     )
-
-
-def _choose_label(pose: np.ndarray) -> Target:
-    """Choose the label of the most values; a full circle only if nothing else varies."""
-    varying = make_label_targets((), pose)
-    if not varying:
-        raise UserError(f"paired.split block: no label of the poses varies: {RANDOM_REMEDY}")
-    ranges = [target for target in varying if not target.is_circular]
-    return max(ranges or varying, key=lambda target: _count_values(pose[:, target.column]))
 
 
 def _count_values(value: np.ndarray) -> int:

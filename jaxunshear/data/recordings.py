@@ -31,7 +31,6 @@ from jaxunshear.data.labels import (
     UNKNOWN_ID,
     ImageLabels,
     Problem,
-    make_unknown_labels,
     read_table,
     read_targets,
 )
@@ -316,7 +315,7 @@ def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLab
                 continue
             notes += problems
             return labels
-    return make_unknown_labels(len(images))
+    return ImageLabels.make_unknown(len(images))
 
 
 def _format_sizes(names: dict[tuple[int, ...], list[str]]) -> str:
