@@ -13,7 +13,6 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data.pairing import compute_pose_gaps, find_nearest
 from jaxunshear.data.recorded_contacts import read_contacts
 from jaxunshear.data.recorded_frames import prepare_chunks
@@ -46,6 +45,10 @@ def opened(recording, stored):
     return opened
 
 
+def read_all(reader, split, *fields):
+    return reader.take(split, np.arange(reader.length(split)), fields)
+
+
 def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
     assert identify_sensor(read_contacts(settings_of(recording)), SEEN).pins == 127
     pose, move = made.contacts(20, False, 0)
@@ -59,9 +62,7 @@ def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
 
 def test_every_pin_is_where_it_was_drawn(recording, opened):
     reader = opened().read_slides()
-    rows = reader.take(
-        "train", np.arange(reader.length("train")), ("sheared_pins", "pose", "move", "sure")
-    )
+    rows = read_all(reader, "train", "sheared_pins", "pose", "move", "sure")
     assert rows["sure"].mean() > 0.97
     true = np.stack([made.pins_px(p, m) for p, m in zip(rows["pose"], rows["move"], strict=True)])
     apart = np.linalg.norm(rows["sheared_pins"] - true, axis=-1)[rows["sure"] == 1]
@@ -118,7 +119,7 @@ def test_an_unreadable_frame_is_left_out_and_named(tmp_path):
 def test_the_nearest_tap_weighs_by_its_gap(opened):
     stored = opened(pairing="nearest")
     reader = stored.read_pairs(stored.make_targets(()))
-    rows = reader.take("train", np.arange(reader.length("train")), ("gap", "weight", "pose"))
+    rows = read_all(reader, "train", "gap", "weight", "pose")
     assert rows["weight"].mean() == pytest.approx(1, rel=1e-5)
     scaled = np.hypot(rows["gap"][:, 1] / 3, 2 * np.sin(np.radians(rows["gap"][:, 5]) / 2))
     near, far = scaled < np.quantile(scaled, 0.2), scaled > np.quantile(scaled, 0.8)
@@ -131,13 +132,8 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     """Else test taps would have a say in which checkpoint is the best."""
     stored = opened(pairing="nearest")
     reader = stored.read_pairs(stored.make_targets(()))
-    partners = reader.take(split, np.arange(reader.length(split)), ("canonical", "pose", "gap"))
-    taps = {
-        each: stored.read_taps().take(
-            each, np.arange(stored.count_contacts("taps", each)), ("image", "pose")
-        )
-        for each in SPLITS
-    }
+    partners = read_all(reader, split, "canonical", "pose", "gap")
+    taps = {each: read_all(stored.read_taps(), each, "image", "pose") for each in SPLITS}
     # no two taps are of one pose
     known = {image.tobytes(): each for each in SPLITS for image in taps[each]["image"]}
     assert len(known) == sum(len(part["image"]) for part in taps.values())
@@ -180,9 +176,7 @@ def test_pairs_of_one_pose_by_its_number(tmp_path):
     make_set(settings, TACTIP_127, tmp_path / "data")
     stored = RecordedSet(settings, open_set(settings, tmp_path / "data", TACTIP_127))
     reader = stored.read_pairs(stored.make_targets(()))
-    rows = reader.take(
-        "train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id")
-    )
+    rows = read_all(reader, "train", "canonical_pins", "pose", "gap", "pose_id")
     assert rows["gap"].max() < 1e-3
     true = np.stack([made.pins_px(p, np.zeros(6)) for p in rows["pose"]])
     assert np.nanmedian(np.linalg.norm(rows["canonical_pins"] - true, axis=-1)) < 0.25
@@ -197,20 +191,11 @@ def test_poses_without_taps_of_their_number_are_refused(opened):
 
 @pytest.mark.parametrize("seed", [0, 5])
 def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
-    shares = [0.05, 0.3, 1.0]
     drawn = []
-    for share in shares:
+    for share in (0.05, 0.3, 1.0):
         reader = opened(seed=seed, labelled=share).read_slides()
-        drawn.append(
-            set(
-                reader.take("train", np.arange(reader.length("train")), ("number",))[
-                    "number"
-                ].tolist()
-            )
-        )
-        assert opened(seed=seed, labelled=share).read_slides().length(
-            "test"
-        ) == opened().read_slides().length("test")
+        drawn.append(set(read_all(reader, "train", "number")["number"].tolist()))
+        assert reader.length("test") == opened().read_slides().length("test")
     assert drawn[0] < drawn[1] < drawn[2]
     assert abs(len(drawn[1]) / len(drawn[2]) - 0.3) < 0.12
     poses = opened().stored.rows("train")
@@ -243,14 +228,10 @@ def test_slides_without_a_label_get_the_pose_that_is_read(opened):
         asked.append((images.shape, pins.shape))
         return np.full((len(pins), 6), 2.5, np.float32)
 
-    few, all_slides = (
-        stored.read_slides(),
-        stored.read_pairs(stored.make_targets(()), estimate=read),
-    )
-    rows = all_slides.take(
-        "train", np.arange(all_slides.length("train")), ("pose", "number", "sheared_pins")
-    )
-    known = few.take("train", np.arange(few.length("train")), ("pose", "number"))
+    few = stored.read_slides()
+    all_slides = stored.read_pairs(stored.make_targets(()), estimate=read)
+    rows = read_all(all_slides, "train", "pose", "number", "sheared_pins")
+    known = read_all(few, "train", "pose", "number")
     unread = ~np.isin(rows["number"], known["number"])
     assert len(rows["number"]) == stored.count_contacts("slides", "train")
     assert asked == [((unread.sum(), made.SIZE, made.SIZE), (unread.sum(), 127, 2))]
@@ -259,12 +240,6 @@ def test_slides_without_a_label_get_the_pose_that_is_read(opened):
     np.testing.assert_array_equal(rows["pose"][~unread][order[0]], known["pose"][order[1]])
     assert all_slides.length("validation") == few.length("validation")
     assert all_slides.length("test") == opened().read_slides().length("test")
-
-
-def test_labels_of_an_axis_that_stands_still_are_no_target():
-    poses = np.zeros((30, 6))
-    poses[:, 2], poses[:, 3] = np.linspace(1, 5, 30), np.linspace(-25, 25, 30)
-    assert [target.name for target in make_label_targets((), poses)] == ["z_mm", "Rx_deg"]
 
 
 def test_metadata_hold_what_a_reader_must_know(recording, stored):
