@@ -16,7 +16,7 @@ from jaxunshear.calibration.fit import FitResult, fit, fit_appearance
 from jaxunshear.calibration.labels import make_paths
 from jaxunshear.calibration.prediction import Calibration, SensorValues, make_values, solve_contacts
 from jaxunshear.calibration.problem import SURFACE, RecordedGroup
-from jaxunshear.calibration.recorded_groups import observe_groups, sample_folders
+from jaxunshear.calibration.recorded_groups import RecordedImages, observe_groups, sample_folders
 from jaxunshear.calibration.report import (
     SimulatedGroups,
     build_rows,
@@ -78,26 +78,20 @@ def calibrate(
     if wrong := [name for name in fixed if name not in UNITS]:
         raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
     recorded, notes = sample_folders(Path(path), images, SEED)
-    if sensor is None:
-        counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
-        sensor = match_sensor(counts, MAX_PIN_COUNT_ERROR, str(path))
-    start = make_values(sensor, camera or Camera(), ABS_FRICTION)
+    start = make_values(sensor or _find_sensor(recorded, path), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
     fitted = _fit_in_two_stages(groups, start, fixed)
     before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
     after = _simulate(groups, fitted.values)
-    after = replace(after, values=fit_appearance(groups, after.values, after.tips))
+    values = fit_appearance(groups, after.values, after.tips)
+    after = replace(after, values=values)
     images_before, images_after = before.render(groups), after.render(groups)
-    rows = build_rows(
-        summarise_recorded(groups),
-        before.summarise(groups, images_before),
-        after.summarise(groups, images_after),
-    )
-    fitted_camera = after.values.camera(Camera().frame_px)
+    simulated = before.summarise(groups, images_before), after.summarise(groups, images_after)
+    camera = values.camera(Camera().frame_px)
     results: Json = {
-        "rows": rows,
-        "parameters": _build_parameter_rows(start, after.values, fitted, fixed),
-        "preset": Calibration("", after.values.sensor, fitted_camera, after.values.friction).preset,
+        "rows": build_rows(summarise_recorded(groups), *simulated),
+        "parameters": _build_parameter_rows(start, values, fitted, fixed),
+        "preset": Calibration("", values.sensor, camera, values.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.contacts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -107,6 +101,11 @@ def calibrate(
     pictures |= {"simulated, before": images_before[0][0], "simulated, after": images_after[0][0]}
     _report(results, pictures, out)
     return results
+
+
+def _find_sensor(recorded: list[RecordedImages], path: Path) -> Sensor:
+    counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
+    return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(path))
 
 
 def _report(results: Json, pictures: dict[str, np.ndarray], out: Path | None) -> None:

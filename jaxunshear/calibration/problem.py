@@ -134,10 +134,11 @@ class Problem:
     ) -> None:
         self.groups, self.start = groups, start
         self._caches = [_DisplacementCache(group, i, advance) for i, group in enumerate(groups)]
-        self._recorded = [
-            compute_ring_features(seen.lattice.ring, seen.positions, seen.rest, seen.size)
-            for seen in (group.observation for group in groups)
-        ]
+        self._recorded: list[np.ndarray] = []
+        for observation in (group.observation for group in groups):
+            rest, positions = observation.rest, observation.positions
+            ring, size = observation.lattice.ring, observation.size
+            self._recorded.append(compute_ring_features(ring, positions, rest, size))
         self._ends = np.cumsum([0, *map(len, self._recorded)])
         slides = np.concatenate([group.contacts.slide for group in groups])
         unknown = {SURFACE, *fixed, *(() if np.any(np.abs(slides) > 1e-6) else ("friction",))}

@@ -93,10 +93,10 @@ def _split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFold
 
 
 def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
-    vectors = {
-        motion: np.concatenate([getattr(part, motion).reshape(-1, 2) for part in parts])
-        for motion in MOTIONS
-    }
+    vectors: dict[str, np.ndarray] = {}
+    for motion in MOTIONS:
+        arrays = [getattr(part, motion).reshape(-1, 2) for part in parts]
+        vectors[motion] = np.concatenate(arrays)
     recorded, simulated = vectors["recorded"], vectors["simulated"]
     scale = np.concatenate([np.tile(part.mm_per_px, len(part.recorded)) for part in parts])
     residual = recorded - simulated

@@ -1,7 +1,7 @@
 """Pair recorded slides with taps: recorded ones, or drawn ones in their place.
 
-pairs = pair_with_recorded(slides, taps, targets, "nearest")
-pairs = pair_with_rendered(slides, targets, render)  # pins alone; with `taps` and `warp` images too
+pairs = pair_with_taps(slides, taps, targets, "nearest")
+pairs = pair_with_renderings(slides, targets, render)  # pins; with `taps` and `warp` images too
 
 Slides and taps are rows by field, as `RecordedSet` selects them. Pairs have the slides' fields, and
 `canonical` and `canonical_pins` of the tap, `gap` (N, 6), by which the tap's pose differs, and
@@ -43,7 +43,7 @@ def number_poses(rows: Batch) -> Batch:
     return rows | {"pose_id": rows["number"]}
 
 
-def pair_with_recorded(slides: Batch, taps: Batch, targets: Targets, method: str) -> Batch:
+def pair_with_taps(slides: Batch, taps: Batch, targets: Targets, method: str) -> Batch:
     """Pair slides with the tap of the "nearest" pose by `targets`, or of the same `pose_id`.
 
     "pose_id" requires the same pose, too; "file" does not. Slides without such a tap are left out.
@@ -70,7 +70,7 @@ def pair_with_recorded(slides: Batch, taps: Batch, targets: Targets, method: str
     return number_poses(pairs) if method == "nearest" else pairs
 
 
-def pair_with_rendered(
+def pair_with_renderings(
     slides: Batch,
     targets: Targets,
     render: TapRenderer,

@@ -74,7 +74,7 @@ class Reader:
         if shift:
             draw = _draw_with_shifts(groups, count, batch, seed, shift * self._size)
         else:
-            draw = _draw_unshifted(groups, count, batch, seed)
+            draw = _draw_without_shifts(groups, count, batch, seed)
 
         def make_batch(step: int) -> Batch:
             drawn = draw(step)
@@ -208,7 +208,7 @@ def _draw_with_shifts(
     return draw
 
 
-def _draw_unshifted(
+def _draw_without_shifts(
     groups: PoseGroups, count: int, batch: int, seed: int
 ) -> Callable[[int], DrawnRows]:
     """Return a function that draws the rows of a step.

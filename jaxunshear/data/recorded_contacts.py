@@ -95,8 +95,8 @@ def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
     return read_recordings(path, preprocess)
 
 
-def _has_moved(moves: np.ndarray) -> np.ndarray:
-    """Return which labels (N, 6) of moves are of a slide; False where they are unknown."""
+def _find_moves(moves: np.ndarray) -> np.ndarray:
+    """Find which labels (N, 6) of moves are of a slide; False where they are unknown."""
     return (np.abs(np.nan_to_num(moves)) > MIN_MOVE).any(axis=1) & np.isfinite(moves).all(axis=1)
 
 
@@ -108,14 +108,14 @@ def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
             f"{recordings.path} has no labels that say which contacts are taps: name the two "
             "folders, `jaxunshear fit --taps DIR --slides DIR`"
         )
-    contacts = contacts._replace(is_slide=_has_moved(contacts.move))
+    contacts = contacts._replace(is_slide=_find_moves(contacts.move))
     return _drop(contacts, ~is_labelled, "without a label of their move are left out")
 
 
 def _select_taps(recordings: Recordings) -> RecordedContacts:
     """Select the contacts of a folder of taps that have no move in the labels."""
     contacts = _make_contacts(recordings)
-    has_moved = _has_moved(contacts.move)
+    has_moved = _find_moves(contacts.move)
     if has_moved.all():
         raise UserError(f"{recordings.path} holds no taps: each contact has a move in its labels")
     return _drop(contacts, has_moved, "have a move in their labels: no taps, left out")

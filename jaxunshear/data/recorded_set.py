@@ -139,11 +139,11 @@ class RecordedSet:
             if method in RENDERED_PAIRINGS:
                 assert render is not None
                 warp = self._make_image_warper() if images else None
-                return pairing.pair_with_rendered(slides, targets, render, taps, warp)
+                return pairing.pair_with_renderings(slides, targets, render, taps, warp)
             # a tap of another held-out split would let that split choose the checkpoint
             if split != "train":
                 taps = _concatenate(taps, self.read_labelled_taps(split))
-            return pairing.pair_with_recorded(slides, taps, targets, method)
+            return pairing.pair_with_taps(slides, taps, targets, method)
 
         return Reader(load, self.size)
 
