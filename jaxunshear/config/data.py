@@ -167,7 +167,7 @@ class PairedData(SimulatedData, SourceSettings):
     """The set `tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     set_name: ClassVar[str] = "tactip_paired"
-    source: ClassVar[type | str] = "jaxunshear.data.simulated_source:SimulatedSource"
+    source: ClassVar[type | str] = "jaxunshear.data.sources:SimulatedSource"
     is_simulated: ClassVar[bool] = True
 
     taps: Count = 1  # canonical images a pose

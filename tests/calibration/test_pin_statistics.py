@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from jaxunshear.calibration.calibrate import summarise_group
 from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.pin_statistics import (
@@ -17,7 +18,6 @@ from jaxunshear.calibration.pin_statistics import (
     summarise_pins,
 )
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.calibration.report import summarise_group
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
