@@ -94,8 +94,8 @@ def calibrate(
     start = make_values(sensor or _find_sensor(recorded, path), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
     fitted = _fit_in_two_stages(groups, start, fixed)
-    before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
-    after = _simulate(groups, fitted.values)
+    before = SimulatedGroups.simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
+    after = SimulatedGroups.simulate(groups, fitted.values)
     values = fit_appearance(groups, after.values, after.tips)
     after = replace(after, values=values)
     images_before, images_after = before.render(groups), after.render(groups)
@@ -114,6 +114,41 @@ def calibrate(
     pictures |= {"simulated, before": images_before[0][0], "simulated, after": images_after[0][0]}
     _report(results, pictures, out)
     return results
+
+
+@dataclass(frozen=True)
+class SimulatedGroups:
+    """The contacts of all groups, simulated with one set of values."""
+
+    values: SensorValues
+    tips: list[SolvedContacts]  # of each group
+
+    @classmethod
+    def simulate(cls, groups: list[RecordedGroup], values: SensorValues) -> "SimulatedGroups":
+        tips, sensor = [], values.sensor
+        for group, surface_mm in zip(groups, values.surface_mm, strict=True):
+            paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
+            tips.append(solve_contacts(sensor, paths))
+        return cls(values, tips)
+
+    def count_failures(self) -> int:
+        return sum(int((~tips.converged).sum()) for tips in self.tips)
+
+    def render(self, groups: list[RecordedGroup]) -> list[np.ndarray]:
+        """Render the images (N, S, S) of each group."""
+        images = []
+        for group, tips in zip(groups, self.tips, strict=True):
+            camera = self.values.camera(group.observation.size)
+            images.append(render_images(camera, self.values.sensor, tips.tips))
+        return images
+
+    def summarise(self, groups: list[RecordedGroup], images: list[np.ndarray]) -> list[Summary]:
+        """Summarise rendered images; contacts that did not converge are left out."""
+        parts = []
+        for group, tips, rendered in zip(groups, self.tips, images, strict=True):
+            observation = observe_pins(rendered, self.values.sensor)
+            parts.append(summarise_group(group, observation, tips.converged))
+        return _merge_summaries(parts)
 
 
 def _find_sensor(recorded: list[RecordedImages], path: Path) -> Sensor:
@@ -147,14 +182,6 @@ def _fit_in_two_stages(
         fitted = fit(groups, start, fixed, advance, begin=rough.values)
         progress.advance(progress.total - progress.done)
     return fitted
-
-
-def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGroups:
-    tips, sensor = [], values.sensor
-    for group, surface_mm in zip(groups, values.surface_mm, strict=True):
-        paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
-        tips.append(solve_contacts(sensor, paths))
-    return SimulatedGroups(values, tips)
 
 
 def _build_parameter_rows(
@@ -212,33 +239,6 @@ def _build_notes(
                 f"{count} simulated contacts were out of reach or did not converge in {stage}"
             )
     return notes
-
-
-@dataclass(frozen=True)
-class SimulatedGroups:
-    """The contacts of all groups, simulated with one set of values."""
-
-    values: SensorValues
-    tips: list[SolvedContacts]  # of each group
-
-    def count_failures(self) -> int:
-        return sum(int((~tips.converged).sum()) for tips in self.tips)
-
-    def render(self, groups: list[RecordedGroup]) -> list[np.ndarray]:
-        """Render the images (N, S, S) of each group."""
-        images = []
-        for group, tips in zip(groups, self.tips, strict=True):
-            camera = self.values.camera(group.observation.size)
-            images.append(render_images(camera, self.values.sensor, tips.tips))
-        return images
-
-    def summarise(self, groups: list[RecordedGroup], images: list[np.ndarray]) -> list[Summary]:
-        """Summarise rendered images; contacts that did not converge are left out."""
-        parts = []
-        for group, tips, rendered in zip(groups, self.tips, images, strict=True):
-            observation = observe_pins(rendered, self.values.sensor)
-            parts.append(summarise_group(group, observation, tips.converged))
-        return _merge_summaries(parts)
 
 
 def summarise_recorded(groups: list[RecordedGroup]) -> list[Summary]:
