@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,9 +32,10 @@ from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_
 from jaxunshear.environment import count_cores
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_npz
-
-if TYPE_CHECKING:
-    from jaxunshear.perception.pin_tracking import MotionPrior
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.pin_track import PinTrack
+from jaxunshear.perception.pin_tracking import MotionPrior, fit_motion_prior, track_pins
+from jaxunshear.perception.preprocess import prepare_frame
 
 CHUNK = 250  # frames in a file
 NO_IMAGE = np.zeros((0, 1), np.uint8)
@@ -90,10 +91,6 @@ def _map_over_cores(function: Callable[..., Result], jobs: list[tuple]) -> Itera
 def _prepare_chunk(
     files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: SensorFrame
 ) -> Chunk:
-    from jaxunshear.perception.pin_detection import detect_pins
-    from jaxunshear.perception.pin_tracking import track_pins
-    from jaxunshear.perception.preprocess import prepare_frame
-
     lattice = frame.make_detection_lattice()
     size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
@@ -128,11 +125,8 @@ def _prepare_chunk(
     }
 
 
-def _retry_chunk(path: Path, frame: SensorFrame, prior: "MotionPrior") -> Chunk:
+def _retry_chunk(path: Path, frame: SensorFrame, prior: MotionPrior) -> Chunk:
     """Track the frames that were not identified once more, with the usual motions of training."""
-    from jaxunshear.perception.pin_detection import detect_pins
-    from jaxunshear.perception.pin_tracking import track_pins
-
     chunk = load_chunk(path)
     lattice = frame.make_detection_lattice()
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
@@ -146,11 +140,8 @@ def _retry_chunk(path: Path, frame: SensorFrame, prior: "MotionPrior") -> Chunk:
 
 def _fit_motion_prior(
     contacts: RecordedContacts, paths: list[Path], frame: SensorFrame
-) -> "MotionPrior | None":
+) -> MotionPrior | None:
     """Fit the usual motions of pins to training frames; None if no frame needs it."""
-    from jaxunshear.perception.pin_track import PinTrack
-    from jaxunshear.perception.pin_tracking import fit_motion_prior
-
     if not any(map(_has_hard_frames, paths)):
         return None
     lattice = frame.make_detection_lattice()
