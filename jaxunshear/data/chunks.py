@@ -170,7 +170,7 @@ def iterate_paired_examples(
     size, in_split = settings.preprocess.size, samples.split == SPLITS.index(split)
     pose, taps, taps_by_pose = _number_poses(samples), dict[int, Json](), dict[int, list[int]]()
     for tap in iterate_usable_rows(paths, in_split & ~samples.is_slide):
-        taps[tap.row] = {"canonical": tap.encode_png(size), "canonical_pins": tap.get("pins")}
+        taps[tap.row] = {"image": tap.encode_png(size), "pins": tap.get("pins")}
     for row in sorted(taps):
         taps_by_pose.setdefault(pose[row], []).append(row)
     for slide in iterate_usable_rows(paths, in_split & samples.is_slide):
@@ -181,8 +181,9 @@ def iterate_paired_examples(
         partner = partners[slide_id % len(partners)]
         labels = _make_labels(settings, samples, row)
         example = {
-            **taps[partner],
+            "canonical": taps[partner]["image"],
             "sheared": slide.encode_png(size),
+            "canonical_pins": taps[partner]["pins"],
             "sheared_pins": slide.get("pins"),
             **labels,
             "move": samples.scenes.move[row].astype(np.float32),
