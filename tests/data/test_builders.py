@@ -144,9 +144,7 @@ def test_other_settings_in_the_same_place_are_refused_by_field(pose, sensor, eng
 
 
 @pytest.mark.parametrize("stage", ["chunks", "shards"])
-def test_a_full_disk_is_reported_and_loses_nothing(
-    stage, pose, sensor, engine, tmp_path, monkeypatch
-):
+def test_a_full_disk_loses_nothing(stage, pose, sensor, engine, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         if stage == "chunks":
             replace = os.replace
@@ -211,9 +209,7 @@ def start(folder: Path, seconds: float) -> subprocess.Popen:
     return subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
-    paired, sensor, engine, tmp_path
-):
+def test_a_killed_run_goes_on_to_the_same_bits(paired, sensor, engine, tmp_path):
     make_set(paired, sensor, tmp_path / "full", engine)
     chunks = get_unfinished_folder(paired, sensor, tmp_path / "killed")
     process = start(tmp_path / "killed", 0.5)

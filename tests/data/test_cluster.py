@@ -95,9 +95,7 @@ def nodes(monkeypatch, tmp_path):
 
 
 @pytest.mark.long
-def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
-    nodes, paired, sensor, engine, tmp_path
-):
+def test_a_set_outlives_workers_nodes_and_commands(nodes, paired, sensor, engine, tmp_path):
     """Check for the same bits as on one machine.
 
     No chunk that a stopped command had kept is made twice.

@@ -134,9 +134,7 @@ def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engin
         assert index in shots.split
 
 
-def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(
-    paired, sensor, engine, tmp_path
-):
+def test_slides_whose_taps_are_lost(paired, sensor, engine, tmp_path):
     shots = sample_contacts(paired)
 
     def blind(settings, sensor, tips, number, age):

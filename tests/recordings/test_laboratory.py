@@ -93,9 +93,7 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
     assert "% within" in answer.out
 
 
-def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(
-    command, pins_run, place, tmp_path
-):
+def test_contacts_without_identities_enter_no_mean_error(command, pins_run, place, tmp_path):
     hidden = {"tap": [3, 11, 20], "shear": [1, 2, 17, 30, 40]}
     found = {}
     for name in ("hidden", "without"):
@@ -129,9 +127,7 @@ def some_hidden(slides, tmp_path_factory):
     return folder, {f"csv_train/images/image_{number}.png" for number in numbers}
 
 
-def test_images_whose_pins_are_not_identified_have_no_pose(
-    command, pins_run, slides, some_hidden, tmp_path
-):
+def test_images_without_identities_have_no_pose(command, pins_run, slides, some_hidden, tmp_path):
     """Check that they are in no table, in no picture and not in the mean errors.
 
     They are counted, and half of them are no success.
@@ -212,9 +208,7 @@ def test_python_says_nan_of_them_in_all_that_it_gives(pins_run, some_hidden):
         assert np.isfinite(values[known]).all() and np.isnan(values[~known]).all()
 
 
-def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(
-    command, pins_run, place, tmp_path
-):
+def test_taps_alone_and_slides_alone_are_scored(command, pins_run, place, tmp_path):
     for name, slid, there, lacking in (
         ("t", False, "tap", "sheared"),
         ("s", True, "unsheared", "tap"),
@@ -237,9 +231,7 @@ def test_what_a_run_learnt_from_is_not_taken_for_unseen(command, pins_run, place
         assert answer.err.count("\n") == 1
 
 
-def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(
-    command, pins_run, place, tmp_path
-):
+def test_a_copy_of_earlier_data_is_not_unseen(command, pins_run, place, tmp_path):
     """Its network's model.json lists it, whatever the run's own recordings are."""
     other = made.edge(tmp_path / "other", 20, 20, seed=51)
     run = shutil.copytree(pins_run, tmp_path / "run")
@@ -252,9 +244,7 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(
     assert answer.code == 2 and "disentangled learnt from data that are tested" in answer.err
 
 
-def test_poses_have_the_labels_names_and_their_errors_are_printed(
-    command, pins_run, slides, tmp_path
-):
+def test_poses_have_the_names_of_the_labels(command, pins_run, slides, tmp_path):
     answer = command("pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
     rows = list(csv.DictReader(answer.out.splitlines()))
@@ -295,9 +285,7 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp
     assert "mean error against the labels: y_mm" in answer.err
 
 
-def test_lines_that_find_no_room_end_a_stream_in_one_line(
-    command, pins_run, slides, tmp_path, monkeypatch
-):
+def test_a_full_disk_ends_a_stream_in_one_line(command, pins_run, slides, tmp_path, monkeypatch):
     def write(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -316,9 +304,7 @@ def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
         assert answer.err.count("\n") == 1
 
 
-def test_weights_are_released_and_used_without_the_recordings(
-    command, pins_run, recording, slides, tmp_path
-):
+def test_weights_are_used_without_the_recordings(command, pins_run, recording, slides, tmp_path):
     answer = command("release", pins_run, "--out", tmp_path / "ours")
     assert answer.code == 0, answer.err
     card = (tmp_path / "ours" / "README.md").read_text()
@@ -334,9 +320,7 @@ def test_weights_are_released_and_used_without_the_recordings(
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
-def test_a_direct_posenet_that_convolves_serves_at_every_door(
-    command, recording, slides, place, tmp_path
-):
+def test_a_direct_posenet_that_convolves(command, recording, slides, place, tmp_path):
     """It also learns from rendered taps; nothing else reads its settings."""
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     short = (*SHORT[:2], "--train_pins.epochs", "3", *SHORT[4:-2], "--paired.validation", "0.2")

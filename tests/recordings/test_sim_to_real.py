@@ -226,9 +226,7 @@ def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
         assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
 
 
-def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(
-    command, weights, tmp_path
-):
+def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp_path):
     """Three of 30 frames are left out and the rest is a success; all of them are none."""
     like = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     words = ("--model", weights, "--like", like)
