@@ -85,7 +85,13 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
     `frames` holds the detected pins px of each image. Raises UserError if these do not appear to be
     pins of this layout.
     """
-    frames = _select_frames(frames, layout)
+    full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
+    if not full:
+        most = max((len(pins) for pins in frames), default=0)
+        raise UserError(
+            f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
+        )
+    frames = full[:: -(-len(full) // MAX_IMAGES)]
     rest = _guess_rest(frames, layout)
     for _ in range(2):
         lattice = make_lattice(rest, layout.ring)
@@ -98,17 +104,6 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
             )
         rest = rest + mean_motion
     return make_lattice(rest, layout.ring)
-
-
-def _select_frames(frames: list[np.ndarray], layout: MarkerLayout) -> list[np.ndarray]:
-    """Select up to MAX_IMAGES that show most pins. Raises UserError if there are none."""
-    full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
-    if not full:
-        most = max((len(pins) for pins in frames), default=0)
-        raise UserError(
-            f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
-        )
-    return full[:: -(-len(full) // MAX_IMAGES)]
 
 
 def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarray | None:
