@@ -17,6 +17,7 @@ from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.camera import project, render_frame
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
+from tests.helpers.commands import succeed
 
 CAMERA = Camera(frame_px=256)
 
@@ -51,8 +52,7 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     write(tmp_path / "images", grey)
     write(tmp_path / "rest", frames(sensor, [(0.0, 0.0)])[0])
     words = ("--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
-    answer = command("pins", tmp_path / "images", *words)
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "pins", tmp_path / "images", *words)
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]
     assert to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
@@ -92,8 +92,7 @@ def test_frames_that_show_no_pins_are_reported_not_guessed(command, tmp_path):
     half = grey[1].copy()
     half[:, 128:] = 0.03
     write(tmp_path / "images", [*grey, half, np.random.default_rng(0).random((256, 256))])
-    answer = command("pins", tmp_path / "images", "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "pins", tmp_path / "images", "--out", tmp_path / "out")
     rows = json.loads((tmp_path / "out" / "pins.json").read_text())["rows"]
     assert [row["matched"] for row in rows] == [331] * 5 + [0, 0]
     with np.load(tmp_path / "out" / "pins.npz") as stored:
@@ -123,8 +122,9 @@ def test_a_user_s_layout(command, tmp_path):
         file, compute_pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments=""
     )
     write(tmp_path / "images", frames(TACTIP_331, SHIFTS)[0])
-    answer = command("pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
+    answer = succeed(
+        command, "pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out"
+    )
     assert "5 of them with all 331 pins" in answer.out
 
 

@@ -22,6 +22,7 @@ from jaxunshear.data.recordings import read_recordings
 from jaxunshear.files import write_json
 from jaxunshear.training.checkpoint import read_slides
 from tests.golden import make_runs
+from tests.helpers.commands import succeed
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -75,8 +76,7 @@ def test_the_network_has_learnt(pins_run):
 def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, tmp_path):
     other = made.edge(tmp_path / "other", 40, 40, seed=50)
     words = ("--recordings", other, "--data", place / "datasets", "--json", tmp_path / "o.json")
-    answer = command("evaluate", pins_run, *words)
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "evaluate", pins_run, *words)
     rows = rows_of(tmp_path / "o.json")
     assert json.loads((tmp_path / "o.json").read_text())["test_data"] == "other recordings"
     assert "test, other recordings: 40 taps, 39 slides" in answer.out
@@ -104,8 +104,7 @@ def test_contacts_without_identities_enter_no_mean_error(command, pins_run, plac
                 (other / kind / "csv_train" / "images" / f"image_{number}.png").unlink()
         words = ("--recordings", other, "--data", place / "datasets")
         words += ("--json", tmp_path / f"{name}.json")
-        answer = command("evaluate", pins_run, *words)
-        assert answer.code == 0, answer.err
+        answer = succeed(command, "evaluate", pins_run, *words)
         # of one more slide the pins are not identified anyhow
         assert "37 taps, 34 slides" in answer.out
         assert ("3 taps and 6 slides were not understood" in answer.out) == (name == "hidden")
@@ -215,8 +214,7 @@ def test_taps_alone_and_slides_alone_are_scored(command, pins_run, place, tmp_pa
     ):
         folder = made.write(tmp_path / name, *made.contacts(12, slid, 9), "newer")
         words = ("--data", place / "datasets", "--json", tmp_path / "o.json")
-        answer = command("evaluate", pins_run, "--recordings", folder, *words)
-        assert answer.code == 0, answer.err
+        succeed(command, "evaluate", pins_run, "--recordings", folder, *words)
         ways = {
             row.split(".")[1] for row in rows_of(tmp_path / "o.json") if row.startswith("pose_mae")
         }
@@ -245,8 +243,7 @@ def test_a_copy_of_earlier_data_is_not_unseen(command, pins_run, place, tmp_path
 
 
 def test_poses_have_the_names_of_the_labels(command, pins_run, slides, tmp_path):
-    answer = command("pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
     rows = list(csv.DictReader(answer.out.splitlines()))
     assert len(rows) == 40 and {f"unsheared_{target}" for target in TARGETS} <= rows[0].keys()
     off = np.mean(
@@ -272,13 +269,11 @@ def test_python_gives_what_the_commands_give(command, pins_run, slides):
 
 
 def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp_path):
-    answer = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "unshear", slides, "--model", pins_run, "--out", tmp_path / "out")
     assert "40 images unsheared, 0 left out" in answer.out and "mean error" in answer.out
-    answer = command(
-        "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
+    answer = succeed(
+        command, "stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images"
     )
-    assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     assert len(lines) == 40
     assert {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
@@ -305,8 +300,7 @@ def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
 
 
 def test_weights_are_used_without_the_recordings(command, pins_run, recording, slides, tmp_path):
-    answer = command("release", pins_run, "--out", tmp_path / "ours")
-    assert answer.code == 0, answer.err
+    succeed(command, "release", pins_run, "--out", tmp_path / "ours")
     card = (tmp_path / "ours" / "README.md").read_text()
     assert "127 pins" in card and str(recording) not in card
     assert str(recording) not in (tmp_path / "ours" / "experiment.json").read_text()
@@ -326,8 +320,7 @@ def test_a_direct_posenet_that_convolves(command, recording, slides, place, tmp_
     short = (*SHORT[:2], "--train_pins.epochs", "3", *SHORT[4:-2], "--paired.validation", "0.2")
     asked = ("--pins.direct_convolved", "4,6", "--paired.direct_taps", "rendered")
     words = ("--name", "direct", "--networks", "posenet_sheared", *short, *asked)
-    answer = command("run", EXPERIMENT, "--recordings", recording, *places, *words)
-    assert answer.code == 0, answer.err
+    succeed(command, "run", EXPERIMENT, "--recordings", recording, *places, *words)
     run = tmp_path / "runs" / "direct"
     kept = json.loads((run / "posenet_sheared" / "model.json").read_text())
     assert kept["net"]["convolved"] == [4, 6] and kept["net"]["direct_convolved"] == []
@@ -336,8 +329,7 @@ def test_a_direct_posenet_that_convolves(command, recording, slides, place, tmp_
     assert last["train"]["rendered_pose"] > 0 and "rendered_pose" not in last["validation"]
     assert "also learns from rendered taps" in (run / "report.html").read_text()
     other = made.edge(tmp_path / "other", 20, 20, seed=53)
-    answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
-    assert answer.code == 0, answer.err
+    succeed(command, "evaluate", run, "--recordings", other, "--data", place / "datasets")
     assert command("release", run, "--out", tmp_path / "ours").code == 0
     both = [command("pose", slides, "--model", model) for model in (run, tmp_path / "ours")]
     assert [answer.code for answer in both] == [0, 0], both[0].err
@@ -347,10 +339,8 @@ def test_a_direct_posenet_that_convolves(command, recording, slides, place, tmp_
     )
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
     assert np.ptp(first) > 0.1
-    answer = command("stream", slides, "--model", run, "--lines", tmp_path / "lines", "--no-images")
-    assert answer.code == 0, answer.err
-    answer = command("export", run, "--out", tmp_path / "direct.onnx")
-    assert answer.code == 0, answer.err
+    succeed(command, "stream", slides, "--model", run, "--lines", tmp_path / "lines", "--no-images")
+    succeed(command, "export", run, "--out", tmp_path / "direct.onnx")
 
 
 @pytest.mark.long
@@ -362,8 +352,7 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     networks = ("--networks", "disentangled,posenet")
     short = (*SHORT[:2], "--train_pins.epochs", "8", *SHORT[4:], *networks)
     few += ("--paired.pairing", "nearest")
-    answer = command("fit", *folders, *places, "--name", "ours", *short, *few)
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "fit", *folders, *places, "--name", "ours", *short, *few)
     experiment = load_experiment(tmp_path / "runs" / "ours.py")
     assert experiment.paired.pairing == "nearest" and experiment.unshear.input == "pins"
     assert experiment.train_pins.epochs == 8
@@ -373,8 +362,7 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert f"{file} is there, and is not what" in answer.err
     assert answer.err.count("\n") == 1
     assert load_experiment(file) == experiment
-    answer = command("run", file, *places)
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "run", file, *places)
     ours = tmp_path / "runs" / "ours"
     results = json.loads((ours / "results.json").read_text())
     assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
@@ -402,8 +390,7 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     )
     places = ("--out", tmp_path / "runs", "--data", place / "datasets")
     words = ("run", EXPERIMENT, "--recordings", recording, "--name", "images", *places)
-    answer = command(*words, *small.split())
-    assert answer.code == 0, answer.err
+    succeed(command, *words, *small.split())
     results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
     assert list(results["pose_mae"]["unsheared"]) == TARGETS
     assert results["metric"]["input"] == "images"
@@ -411,8 +398,7 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     words = ("--model", tmp_path / "runs" / "images", "--out", tmp_path / "out")
     refused = command("unshear", recording / "shear", *words)
     assert refused.code == 2 and "--force" in refused.err  # 32 px are too few to know pins by
-    answer = command("unshear", recording / "shear", *words, "--force")
-    assert answer.code == 0, answer.err
+    succeed(command, "unshear", recording / "shear", *words, "--force")
 
 
 @pytest.mark.long
@@ -422,8 +408,7 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
     places = ("--out", tmp_path / "runs", "--data", tmp_path / "d")
     words = ("run", EXPERIMENT, "--recordings", folder, "--name", network, *places)
     short = (*SHORT[:2], "--train_pins.epochs", "2", *SHORT[4:], "--targets", "y_mm,Rz_deg")
-    answer = command(*words, *short)
-    assert answer.code == 0, answer.err
+    succeed(command, *words, *short)
     results = json.loads((tmp_path / "runs" / network / "results.json").read_text())
     with np.load(
         tmp_path / "runs" / network / "scores.npz"
@@ -432,8 +417,7 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
     assert list(results["pose_mae"]) == (["sheared_learnt"] if slid else ["tap"])
     assert list(next(iter(results["pose_mae"].values()))) == ["y_mm", "Rz_deg"]
     if slid:
-        answer = command(*words, *short, "--targets", "y_mm,slide_x_mm", "--name", "joint")
-        assert answer.code == 0, answer.err
+        succeed(command, *words, *short, "--targets", "y_mm,slide_x_mm", "--name", "joint")
         results = json.loads((tmp_path / "runs" / "joint" / "results.json").read_text())
         assert list(results["pose_mae"]["sheared_learnt"]) == ["y_mm", "slide_x_mm"]
         joint = ("--model", tmp_path / "runs" / "joint")

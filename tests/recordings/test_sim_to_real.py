@@ -28,6 +28,7 @@ from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
+from tests.helpers.commands import succeed
 from tests.helpers.models import change_weights, init, write_run
 
 RNG = np.random.default_rng(0)
@@ -193,18 +194,16 @@ def weights(tmp_path_factory):
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
-    full = command("unshear", folder, "--model", weights, "--out", tmp_path / "full")
-    assert full.code == 0, full.err
+    full = succeed(command, "unshear", folder, "--model", weights, "--out", tmp_path / "full")
     assert "30 images unsheared, 0 left out" in full.out and "simulated touches only" in full.out
     rows = (tmp_path / "full" / "poses.csv").read_text().splitlines()
     one = folder / "images" / "image_7.png"
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")
     assert alone.code == 2 and "--like" in alone.err and alone.err.count("\n") == 1
     assert not (tmp_path / "alone").exists()
-    alone = command(
-        "unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder
+    alone = succeed(
+        command, "unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder
     )
-    assert alone.code == 0, alone.err
     read = next(row for row in rows if row.startswith("images/image_7.png")).split(",")[2:5]
     assert (tmp_path / "alone" / "poses.csv").read_text().splitlines()[1].split(",")[2:5] == read
     nothing = command("pose", one, "--model", weights, "--like", tmp_path / "nowhere")
@@ -214,10 +213,9 @@ def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_pat
 def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     assert command("unshear", folder, "--model", weights, "--out", tmp_path / "out").code == 0
-    answer = command(
-        "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
+    succeed(
+        command, "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
     )
-    assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     head, *rows = (
         line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines()
