@@ -98,7 +98,7 @@ class Recordings:
         A crop or whites that `view` does not give are those that each folder's frames have in
         common. Raises UserError if not one image can be read.
         """
-        from jaxunshear.perception.preprocess import View, prepare_frame
+        from jaxunshear.perception.preprocess import prepare_frame
 
         problem = ""
         views: dict[Path, View] = {}
@@ -106,10 +106,9 @@ class Recordings:
         for row, file in enumerate(self.files):
             name, folder = self._name(file), file.parent
             if folder not in views:
-                views[folder], names_by_size[folder] = view or View(), {}
-                if view is None or view.box is None:
-                    common = self.find_common_view(folder)
-                    views[folder] = common if view is None else view._replace(box=common.box)
+                common = view if view and view.box else self.find_common_view(folder)
+                views[folder] = view._replace(box=common.box) if view else common
+                names_by_size[folder] = {}
             try:
                 raw = read_image(file)
                 image = prepare_frame(self.preprocess, raw, views[folder])
