@@ -180,8 +180,7 @@ def find_recordings_frame(
             f"{recordings.path}: its images have no crop in common: name one folder of one camera"
         )
     first = read_first_image(files)
-    if first is None:
-        raise UserError(f"none of {len(files)} images, such as {files[0]}, can be read")
+    assert first is not None  # it has a crop
     size = min(LARGEST_PX, *first.shape[:2])
     try:
         return _fit_sensor_frame(files, view, size, preprocess, sensor)
