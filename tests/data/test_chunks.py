@@ -59,10 +59,8 @@ def test_chunks_do_not_change_an_example(paired, sensor, engine, tmp_path):
         shots, paths = make(paired, sensor, tmp_path / name, engine._replace(plan=batches))
         return dict(sorted(iterate_paired_examples(paired, shots, paths, "train")))
 
-    large, small = (
-        all_of("large", engine.plan),
-        all_of("small", lambda _, __, s: np.array_split(np.arange(len(s))[::-1], 9)),
-    )
+    large = all_of("large", engine.plan)
+    small = all_of("small", lambda _, __, s: np.array_split(np.arange(len(s))[::-1], 9))
     assert large.keys() == small.keys()
     for key, example in large.items():
         for field in ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose"):
@@ -86,15 +84,10 @@ def test_only_missing_chunks_are_made_again(paired, sensor, engine, tmp_path):
 
 def test_chunks_of_another_plan_are_made_again(paired, sensor, engine, tmp_path):
     make(paired, sensor, tmp_path, engine)
-    shots, paths = make(
-        paired,
-        sensor,
-        tmp_path,
-        engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)]),
-    )
-    assert sorted(np.concatenate([load_chunk(path)["number"] for path in paths])) == list(
-        range(len(shots.scenes))
-    )
+    halves = engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)])
+    shots, paths = make(paired, sensor, tmp_path, halves)
+    numbers = np.concatenate([load_chunk(path)["number"] for path in paths])
+    assert sorted(numbers) == list(range(len(shots.scenes)))
 
 
 def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
@@ -160,9 +153,8 @@ def test_pose_examples_cover_all_taps_once(pose, sensor, engine, tmp_path):
 
 
 def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
-    settings = PoseData(
-        config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False)
-    )
+    nuisance = Nuisance(drift_px=4.0, specks=0, housing_ring=False)
+    settings = PoseData(config="tiny", nuisance=nuisance)
     from jaxunshear.simulator.pin_layout import compute_pin_tips
 
     tips = np.repeat(compute_pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
@@ -170,10 +162,8 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
     images, pins = simulation.render_images(settings, TACTIP_331, tips, number, age)
     again, _ = simulation.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
-    assert np.any(
-        simulation.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0]
-        != images[0]
-    )
+    other, _ = simulation.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])
+    assert np.any(other[0] != images[0])
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
         assert (images[row][line, col] > 0).mean() > 0.98
@@ -207,8 +197,7 @@ def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engin
         rows = open_set(settings, tmp_path, sensor).rows("test")
         assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths
     shots = sample_contacts(settings)
-    slides = shots.scenes.take(
-        np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("test")))
-    )
+    tested = shots.is_slide & (shots.split == SPLITS.index("test"))
+    slides = shots.scenes.take(np.flatnonzero(tested))
     for name, drawn in (("pose", slides.pose), ("move", slides.move)):
         np.testing.assert_allclose(np.sort(rows[name][:, -1]), np.sort(drawn[:, -1]), rtol=1e-6)

@@ -79,12 +79,9 @@ def rows(dropped=()):
     shots = sample_pairs(FOUR)
     here = np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("train")))
     here = np.delete(here, list(dropped))
-    batch = {
-        "stimulus": shots.scenes.stimulus,
-        "pose_id": shots.pose_id,
-        "slide_id": shots.instance,
-    }
-    return {name: value[here] for name, value in batch.items()}
+    fields = (shots.scenes.stimulus, shots.pose_id, shots.instance)
+    names = ("stimulus", "pose_id", "slide_id")
+    return {name: value[here] for name, value in zip(names, fields, strict=True)}
 
 
 @pytest.mark.parametrize("dropped", [(), (0, 7, 8, 40)])

@@ -19,9 +19,8 @@ WARP = pairing.make_image_warper(PINS, 0.375 * SIZE / 6, SIZE)
 
 
 def image(pins):
-    return (np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(
-        np.uint8
-    )[..., 0]
+    dots = np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE))
+    return (dots * 255).astype(np.uint8)[..., 0]
 
 
 def centroids(grey, near):

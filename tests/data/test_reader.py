@@ -32,9 +32,8 @@ def image_of(engine, settings, row):
 
 def find_rows(shots, batch, place):
     """Return the contacts that an example is made of: its slide, and its tap."""
-    here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
-        shots.pose_id == batch["pose_id"][place]
-    )
+    here = shots.scenes.stimulus == batch["stimulus"][place]
+    here &= shots.pose_id == batch["pose_id"][place]
     slides = here & shots.is_slide & (shots.instance == batch["slide_id"][place])
     taps = here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
     return int(np.flatnonzero(slides)[0]), int(np.flatnonzero(taps)[0])
@@ -81,13 +80,10 @@ def test_batches_depend_on_seed_and_step_alone(made):
 
 
 def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
-    slides = [
-        key
-        for batch in take(made.train_batches(6, 0, 0.0)(0), 12)
-        for key in zip(
-            *(batch[name].tolist() for name in ("stimulus", "pose_id", "slide_id")), strict=True
-        )
-    ]
+    slides = []
+    for batch in take(made.train_batches(6, 0, 0.0)(0), 12):
+        keys = np.stack([batch[name] for name in ("stimulus", "pose_id", "slide_id")], axis=1)
+        slides += map(tuple, keys.tolist())
     first, second = slides[:36], slides[36:]
     assert len(set(first)) == len(first) == made.length("train") == 36
     assert set(first) == set(second)
@@ -142,10 +138,8 @@ def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
 
 
 def test_only_the_named_fields_are_read(made):
-    assert set(next(made.train_batches(4, 0, 0.0, fields=("sheared", "pose"))(0))) == {
-        "sheared",
-        "pose",
-    }
+    fields = ("sheared", "pose")
+    assert set(next(made.train_batches(4, 0, 0.0, fields)(0))) == set(fields)
     assert set(next(made.split("test", 4, fields=("edge",)))) == {"edge"}
 
 
@@ -226,12 +220,8 @@ def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made
 
 
 def test_where_nothing_is_drawn_every_epoch_has_every_row_once():
-    rows = {
-        "sheared_pins": np.arange(23.0),
-        "pose": -np.arange(23.0),
-        "stimulus": np.zeros(23),
-        "pose_id": np.arange(23),
-    }
+    rows = {"sheared_pins": np.arange(23.0), "pose": -np.arange(23.0)}
+    rows |= {"stimulus": np.zeros(23), "pose_id": np.arange(23)}
     batches = Reader(lambda split: rows, 16).train_batches(5, 3, 0.0, ("sheared_pins", "pose"))
     seen = take(batches(0), 23)
     assert all(np.array_equal(batch["sheared_pins"], -batch["pose"]) for batch in seen)
@@ -250,9 +240,8 @@ ALIKE = [{0, 3, 5}, {1, 4}, {2}, {0, 3, 5}, {1, 4}, {0, 3, 5}, {6}]
 
 def met(draw, times=60):
     generator, rows = np.random.default_rng(0), np.arange(7)
-    return [
-        set(row) for row in np.stack([draw(rows, generator) for _ in range(times)], axis=1).tolist()
-    ]
+    drawn = np.stack([draw(rows, generator) for _ in range(times)], axis=1)
+    return [set(row) for row in drawn.tolist()]
 
 
 def test_groups_are_of_one_pose_of_one_stimulus():

@@ -30,9 +30,8 @@ def frames(sensor, shifts_mm):
     tips, key = np.asarray(compute_pin_tips(sensor), np.float32), jax.random.key(0)
     bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
     moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
-    look = jax.jit(
-        jax.vmap(lambda t, k: render_frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k))
-    )
+    nuisance = Nuisance(drift_px=1.0)
+    look = jax.jit(jax.vmap(lambda t, k: render_frame(CAMERA, sensor, nuisance, t, k)))
     grey = look(moved, jax.random.split(key, len(moved)))
     return np.asarray(grey), np.asarray(project(CAMERA, moved, sensor))
 
@@ -66,9 +65,8 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     # the farthest motions must agree
     scale = np.ptp(place[0]) / np.ptp(true[0])
     expected = np.sort(scale * np.linalg.norm(true - true[:1], axis=-1), axis=-1)
-    np.testing.assert_allclose(
-        np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8
-    )
+    found = np.sort(np.linalg.norm(motion, axis=-1), axis=-1)
+    np.testing.assert_allclose(found, expected, atol=0.8)
     assert Image.open(tmp_path / "out" / "pins.png").size[0] > 400
     assert f"{len(SHIFTS)} with every pin's identity sure" in answer.out
 

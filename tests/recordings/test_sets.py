@@ -90,10 +90,8 @@ def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
     contacts = read_contacts(settings)
     for file in contacts.take(np.flatnonzero(contacts.split != SPLITS.index("train"))).files:
         Image.fromarray(np.asarray(Image.open(file))[::-1, ::-1].T.copy()).save(file)
-    frames = [
-        find_sensor_frame(read_contacts(s), s, TACTIP_127)
-        for s in (settings, settings_of(recording))
-    ]
+    both = (settings, settings_of(recording))
+    frames = [find_sensor_frame(read_contacts(each), each, TACTIP_127) for each in both]
     np.testing.assert_array_equal(frames[0].rest, frames[1].rest)
     assert frames[0].view == frames[1].view
 
@@ -142,9 +140,8 @@ def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
     allowed = np.concatenate([taps[each]["pose"] for each in dict.fromkeys(("train", split))])
     targets = stored.make_targets(())
     row, _ = find_nearest(targets, partners["pose"], allowed)
-    np.testing.assert_allclose(
-        partners["gap"], compute_pose_gaps(partners["pose"], allowed[row]), atol=1e-4
-    )
+    gaps = compute_pose_gaps(partners["pose"], allowed[row])
+    np.testing.assert_allclose(partners["gap"], gaps, atol=1e-4)
 
 
 def test_rendered_partners_stand_where_the_renderer_says(opened):
@@ -154,9 +151,7 @@ def test_rendered_partners_stand_where_the_renderer_says(opened):
         return np.stack([made.pins_px(pose, np.zeros(6)) for pose in poses])
 
     reader = stored.read_pairs(stored.make_targets(()), render)
-    rows = reader.take(
-        "test", np.arange(5), ("canonical", "canonical_pins", "pose", "gap", "weight")
-    )
+    rows = read_all(reader, "test", "canonical", "canonical_pins", "pose", "gap", "weight")
     np.testing.assert_allclose(rows["canonical_pins"], render(rows["pose"]), rtol=1e-6)
     assert np.all(rows["gap"] == 0) and np.all(rows["weight"] == 1)
     assert 0.05 < (rows["canonical"] > 0).mean() < 0.4
@@ -247,9 +242,7 @@ def test_metadata_hold_what_a_reader_must_know(recording, stored):
     metadata = json.loads((folder / "metadata.json").read_text())
     counts = metadata["counts"]
     assert counts["contacts"] == 320 and sum(counts["written"].values()) == 320
-    assert all(
-        counts["taps"][split] + counts["slides"][split] == counts["written"][split]
-        for split in SPLITS
-    )
+    for split in SPLITS:
+        assert counts["taps"][split] + counts["slides"][split] == counts["written"][split]
     assert len(metadata["frame"]["place_px"]) == 127
     np.testing.assert_allclose(metadata["frame"]["place_px"], made.rest_px(), atol=2.5)

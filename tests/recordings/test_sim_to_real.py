@@ -142,9 +142,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     )
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
     reader = results.readers["pins"]
-    assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx(
-        [0, 1, 0.5], abs=0.05
-    )
+    errors = [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")]
+    assert errors == pytest.approx([0, 1, 0.5], abs=0.05)
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in format_table(results)
     counts = results.counts
@@ -232,21 +231,18 @@ def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp
         folder = made.write(tmp_path / f"hidden{count}", *made.contacts(30, True, 0))
         made.hide_pins(folder, list(range(1, count + 1)))
         answer = command("unshear", folder, *words, "--out", tmp_path / f"out{count}")
-        assert (
-            answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out
-        ), answer.err
+        assert answer.code == code, answer.err
+        assert f"{30 - count} images unsheared, {count} left out" in answer.out
         assert len(list((tmp_path / f"out{count}").rglob("*.png"))) == 30 - count
         answer = command("pose", folder, *words)
         assert answer.code == code and f"{count} left out" in answer.err
         rows = list(csv.DictReader(answer.out.splitlines()))
-        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (
-            30 - count
-        )
+        is_hidden = [True] * count + [False] * (30 - count)
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == is_hidden
         answer = command("stream", folder, *words, "--no-images")
         assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
-        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [
-            False
-        ] * count + [True] * (30 - count)
+        lines = map(json.loads, answer.out.splitlines())
+        assert ["edge_mm" not in line for line in lines] == is_hidden
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):
