@@ -19,14 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotation_2d
+from jaxunshear.calibration.alignment import LabelView, RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.calibration.labels import find_depth_axis
 from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION
-from jaxunshear.calibration.simulated_slides import (
-    LabelView,
-    RecordedTaps,
-    fit_label_view,
-    simulate_shear,
-)
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.chunks import load_chunk, write_chunks
