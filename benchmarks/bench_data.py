@@ -16,10 +16,9 @@ from jaxunshear.config.configs import PAIRED, get_set_folder, get_unfinished_fol
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.chunks import make_engine, simulate_chunks
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.simulation import make_engine, simulate_chunks
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.files import Json
 from jaxunshear.text_table import format_text_table
 

@@ -27,7 +27,7 @@ from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.files import Json
 from jaxunshear.models import layer_choice, pin_networks
 from jaxunshear.models.registry import InitFacts
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
 from jaxunshear.training.tasks import make_unshear_task

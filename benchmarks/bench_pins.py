@@ -16,13 +16,13 @@ import numpy as np
 from jaxunshear.config.configs import PAIRED, get_config_sensor
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.image import Nuisance
-from jaxunshear.data.simulated_contacts import simulate_contacts
+from jaxunshear.data.simulation import simulate_contacts
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_detection import detect_pins
 from jaxunshear.perception.pin_tracking import fit_motion_prior, track_pins
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.progress import Progress
 from jaxunshear.text_table import format_text_table
 

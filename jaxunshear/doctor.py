@@ -17,10 +17,9 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.config.targets import LABELLED_SLIDES, RECORDED_FIELDS
 from jaxunshear.data.labels import Problem
-from jaxunshear.data.preprocessing import MIN_FRAMES
 from jaxunshear.data.recorded_contacts import MIN_MOVE
-from jaxunshear.data.recorded_probes import LARGEST_PX
 from jaxunshear.data.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.data.sensor_frame import LARGEST_PX, MIN_FRAMES
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.grey import check_frame, to_grey

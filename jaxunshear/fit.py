@@ -13,9 +13,8 @@ from jaxunshear.config.networks import PinNet, UnshearNet
 from jaxunshear.config.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS
 from jaxunshear.config.training import POSENET_TRAINING, Training
 from jaxunshear.config.types import Value
-from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.recorded_contacts import read_contacts
-from jaxunshear.data.recorded_probes import identify_sensor
+from jaxunshear.data.recorded_contacts import compute_digest, read_contacts
+from jaxunshear.data.sensor_frame import identify_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import write_text
 

@@ -126,7 +126,7 @@ def _write_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(run: _Run) -> bool:
-    from jaxunshear.data.chunks import make_engine
+    from jaxunshear.data.simulation import make_engine
 
     complete = all(_list_existing(run, configs.get_set_folder))
     engine = make_engine(run.run_calls)

@@ -58,7 +58,7 @@ STRICT = {
     "test_losses.py",
     "test_rotation.py",
     "test_domain_randomisation.py",
-    "test_pin_drawing.py",
+    "test_drawing.py",
     "test_large_strain.py",
 }
 
@@ -101,7 +101,7 @@ def absent(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """For commands that walk and reconstruct: 8 steps around the disk, and scales of few taps."""
-    from jaxunshear.data import simulated_contacts
+    from jaxunshear.data import simulation
     from jaxunshear.downstream import servo
     from jaxunshear.downstream.contour import trace_contour
     from jaxunshear.simulator.stimuli import STIMULI
@@ -110,7 +110,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         servo, "ServoTask", functools.partial(servo.ServoTask, max_outline_lengths=steps)
     )
-    monkeypatch.setattr(simulated_contacts, "SCALE_TAPS", 12)
+    monkeypatch.setattr(simulation, "SCALE_TAPS", 12)
 
 
 def call_with(

@@ -17,10 +17,9 @@ from jaxtyping import AbstractArray, install_import_hook
 CHECKED = ("metrics", "simulator", "models")
 # without what follows pins: checks would take a third of its time
 CHECKED += (
-    "perception.pin_drawing",
+    "perception.drawing",
     "perception.grey",
     "perception.lattice",
-    "perception.png",
     "perception.preprocess",
 )
 CHECKED += ("training.rotation", "training.domain_randomisation")

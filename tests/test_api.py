@@ -17,8 +17,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference import trained_model
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.readers import Codes
-from jaxunshear.perception.pin_drawing import draw_dots
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.drawing import draw_dots
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.simulator.stimuli import STIMULI
 
 

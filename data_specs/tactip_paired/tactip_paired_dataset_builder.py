@@ -2,7 +2,7 @@
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.data.builders.simulated import TactipPaired
+from jaxunshear.data.builders import TactipPaired
 
 
 class Builder(TactipPaired):

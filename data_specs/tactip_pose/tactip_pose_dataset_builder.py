@@ -2,7 +2,7 @@
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.data.builders.simulated import TactipPose
+from jaxunshear.data.builders import TactipPose
 
 
 class Builder(TactipPose):

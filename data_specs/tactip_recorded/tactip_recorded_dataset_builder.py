@@ -2,7 +2,7 @@
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.data.builders.recorded import TactipRecorded
+from jaxunshear.data.builders import TactipRecorded
 
 
 class Builder(TactipRecorded):

@@ -6,37 +6,47 @@
 Domes stay in the cache, so a second calibration of the same sensor takes a third of the time.
 """
 
-from collections.abc import Collection
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
-from jaxunshear.calibration.calibration_result import Calibration
-from jaxunshear.calibration.fit import FitResult, fit
+from jaxunshear.calibration.fit import FitResult, fit, fit_appearance, render_images
 from jaxunshear.calibration.labels import make_paths
-from jaxunshear.calibration.prediction import SensorValues, make_values, solve_contacts
-from jaxunshear.calibration.problem import SURFACE, RecordedGroup
-from jaxunshear.calibration.recorded_groups import choose_sensor, observe_groups
-from jaxunshear.calibration.rendering import fit_housing, fit_pin_radius
-from jaxunshear.calibration.report import (
-    SimulatedGroups,
-    build_rows,
-    draw_images,
-    format_tables,
-    summarise_recorded,
+from jaxunshear.calibration.pin_statistics import (
+    PinObservation,
+    Summary,
+    observe_pins,
+    summarise_pins,
+    summarise_slides,
 )
-from jaxunshear.calibration.sampling import sample_folders
+from jaxunshear.calibration.prediction import (
+    Calibration,
+    SensorValues,
+    SolvedContacts,
+    make_values,
+    solve_contacts,
+)
+from jaxunshear.calibration.problem import SURFACE, RecordedGroup
+from jaxunshear.calibration.recorded_groups import RecordedImages, observe_groups, sample_folders
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.stimuli import ABS_FRICTION
+from jaxunshear.data.sensor_frame import match_sensor
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json, write_bytes, write_json, write_text
+from jaxunshear.perception.pin_detection import find_pins
 from jaxunshear.progress import Progress
+from jaxunshear.style import STYLE, encode_png
+from jaxunshear.text_table import format_text_table
 
 IMAGES = 200  # of all groups together; more do not narrow the intervals that matter
 SEED = 0  # of the choice of images
 FIRST_FIT_STRIDE = 3  # the first fit takes one of so many images
+MAX_PIN_COUNT_ERROR = 0.1  # of a sensor's pins, by which a count may miss
 SOLVES_PER_CONTACT = 40  # about so many simulations of each recorded contact
 UNITS = {
     "mm_across": "mm",
@@ -49,6 +59,9 @@ OVERALL_MODULUS = (
     "the moduli's overall size moves no pin: only skin over gel is fitted, "
     "with the skin's modulus kept"
 )
+MAX_TITLE = 30  # characters
+STATISTICS = ("statistic", "unit", "recorded", "before", "after")
+PARAMETERS = ("parameter", "unit", "before", "after", "95 % interval", "remark")
 
 
 def calibrate(
@@ -75,23 +88,23 @@ def calibrate(
     Returns:
         `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`.
     """
-    _check_names(fixed)
+    if wrong := [name for name in fixed if name not in UNITS]:
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
     recorded, notes = sample_folders(Path(path), images, SEED)
-    start = make_values(sensor or choose_sensor(recorded), camera or Camera(), ABS_FRICTION)
+    start = make_values(sensor or _find_sensor(recorded, path), camera or Camera(), ABS_FRICTION)
     groups = observe_groups(recorded, start, notes)
     fitted = _fit_in_two_stages(groups, start, fixed)
-    before = _simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
-    after = _fit_appearance(groups, _simulate(groups, fitted.values))
+    before = SimulatedGroups.simulate(groups, replace(start, surface_mm=fitted.values.surface_mm))
+    after = SimulatedGroups.simulate(groups, fitted.values)
+    values = fit_appearance(groups, after.values, after.tips)
+    after = replace(after, values=values)
     images_before, images_after = before.render(groups), after.render(groups)
-    rows = build_rows(
-        summarise_recorded(groups),
-        before.summarise(groups, images_before),
-        after.summarise(groups, images_after),
-    )
+    simulated = before.summarise(groups, images_before), after.summarise(groups, images_after)
+    camera = values.camera(Camera().frame_px)
     results: Json = {
-        "rows": rows,
-        "parameters": _build_parameter_rows(start, after.values, fitted, fixed),
-        "preset": _make_preset(after.values),
+        "rows": build_rows(summarise_recorded(groups), *simulated),
+        "parameters": _build_parameter_rows(start, values, fitted, fixed),
+        "preset": Calibration("", values.sensor, camera, values.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.contacts) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -103,9 +116,44 @@ def calibrate(
     return results
 
 
-def _check_names(fixed: Collection[str]) -> None:
-    if wrong := [name for name in fixed if name not in UNITS]:
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(UNITS)}")
+@dataclass(frozen=True)
+class SimulatedGroups:
+    """The contacts of all groups, simulated with one set of values."""
+
+    values: SensorValues
+    tips: list[SolvedContacts]  # of each group
+
+    @classmethod
+    def simulate(cls, groups: list[RecordedGroup], values: SensorValues) -> "SimulatedGroups":
+        tips, sensor = [], values.sensor
+        for group, surface_mm in zip(groups, values.surface_mm, strict=True):
+            paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
+            tips.append(solve_contacts(sensor, paths))
+        return cls(values, tips)
+
+    def count_failures(self) -> int:
+        return sum(int((~tips.converged).sum()) for tips in self.tips)
+
+    def render(self, groups: list[RecordedGroup]) -> list[np.ndarray]:
+        """Render the images (N, S, S) of each group."""
+        images = []
+        for group, tips in zip(groups, self.tips, strict=True):
+            camera = self.values.camera(group.observation.size)
+            images.append(render_images(camera, self.values.sensor, tips.tips))
+        return images
+
+    def summarise(self, groups: list[RecordedGroup], images: list[np.ndarray]) -> list[Summary]:
+        """Summarise rendered images; contacts that did not converge are left out."""
+        parts = []
+        for group, tips, rendered in zip(groups, self.tips, images, strict=True):
+            observation = observe_pins(rendered, self.values.sensor)
+            parts.append(summarise_group(group, observation, tips.converged))
+        return _merge_summaries(parts)
+
+
+def _find_sensor(recorded: list[RecordedImages], path: Path) -> Sensor:
+    counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
+    return match_sensor(counts, MAX_PIN_COUNT_ERROR, str(path))
 
 
 def _report(results: Json, pictures: dict[str, np.ndarray], out: Path | None) -> None:
@@ -136,25 +184,6 @@ def _fit_in_two_stages(
     return fitted
 
 
-def _simulate(groups: list[RecordedGroup], values: SensorValues) -> SimulatedGroups:
-    tips, sensor = [], values.sensor
-    for group, surface_mm in zip(groups, values.surface_mm, strict=True):
-        paths = make_paths(group.contacts, sensor, surface_mm, group.side, values.friction)
-        tips.append(solve_contacts(sensor, paths))
-    return SimulatedGroups(values, tips)
-
-
-def _fit_appearance(groups: list[RecordedGroup], simulated: SimulatedGroups) -> SimulatedGroups:
-    values = simulated.values
-    solved = [
-        each.tips[each.converged] if each.converged.any() else each.tips for each in simulated.tips
-    ]
-    radius = fit_pin_radius(groups, values, solved)
-    values = replace(values, base=replace(values.base, pin_radius_mm=radius))
-    values = replace(values, housing=fit_housing(groups, values, solved))
-    return replace(simulated, values=values)
-
-
 def _build_parameter_rows(
     start: SensorValues, after: SensorValues, fitted: FitResult, fixed: Collection[str]
 ) -> list[Json]:
@@ -177,11 +206,6 @@ def _build_parameter_rows(
     unknown = {"low": None, "high": None, "determined": True, "held": False}
     radii = {"before": start.base.pin_radius_mm, "after": after.base.pin_radius_mm}
     return [*rows, {"name": "pin_radius_mm", "unit": "mm", **radii, **unknown}]
-
-
-def _make_preset(values: SensorValues) -> Json:
-    camera = values.camera(Camera().frame_px)
-    return Calibration("", values.sensor, camera, values.friction).preset
 
 
 def _build_notes(
@@ -215,3 +239,86 @@ def _build_notes(
                 f"{count} simulated contacts were out of reach or did not converge in {stage}"
             )
     return notes
+
+
+def summarise_recorded(groups: list[RecordedGroup]) -> list[Summary]:
+    """Summarise the recorded images of all groups."""
+    return _merge_summaries([summarise_group(group, group.observation) for group in groups])
+
+
+def summarise_group(
+    group: RecordedGroup, observation: PinObservation, converged: np.ndarray | bool = True
+) -> list[Summary]:
+    """Summarise a group's images, recorded or simulated.
+
+    NaN for images that are not `converged` (N,), or whose pins cannot be followed.
+    """
+    usable = converged & observation.identified
+    observation = observation._replace(
+        positions=np.where(usable[:, None, None], observation.positions, np.nan),
+        diameter=np.where(usable[:, None], observation.diameter, np.nan),
+    )
+    rows = summarise_pins(observation) + summarise_slides(observation, group.contacts)
+    return [row._replace(values=np.where(usable, row.values, np.nan)) for row in rows]
+
+
+def _merge_summaries(parts: list[list[Summary]]) -> list[Summary]:
+    merged = []
+    for rows in zip(*parts, strict=True):
+        merged.append(rows[0]._replace(values=np.concatenate([row.values for row in rows])))
+    return merged
+
+
+def build_rows(recorded: list[Summary], before: list[Summary], after: list[Summary]) -> list[Json]:
+    """Build a row for each statistic: means over images, None if there are no images.
+
+    `real_se` is the standard error of the recorded mean.
+    """
+    rows = []
+    for real, old, new in zip(recorded, before, after, strict=True):
+        count = int(np.isfinite(real.values).sum())
+        rows.append(
+            {
+                "name": real.name,
+                "unit": real.unit,
+                "real": _compute_mean(real),
+                "real_se": float(np.nanstd(real.values) / np.sqrt(count)) if count else None,
+                "before": _compute_mean(old),
+                "after": _compute_mean(new),
+                "images": count,
+            }
+        )
+    return rows
+
+
+def _compute_mean(summary: Summary) -> float | None:
+    return float(np.nanmean(summary.values)) if np.isfinite(summary.values).any() else None
+
+
+def format_tables(rows: Sequence[Json], parameters: Sequence[Json]) -> str:
+    """Format the rows of statistics and of parameters as text."""
+    statistics = [
+        row | {"statistic": row["name"], "recorded": f"{row['real']:.4g} +- {row['real_se']:.2g}"}
+        for row in rows
+        if row["images"]
+    ]
+    fitted = []
+    for row in parameters:
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["low"] is not None else None
+        doubt = "held" if row["held"] else "not determined by these images"
+        remark = "" if row["determined"] else doubt
+        fitted.append(row | {"parameter": row["name"], "95 % interval": interval, "remark": remark})
+    tables = format_text_table(statistics, STATISTICS), format_text_table(fitted, PARAMETERS)
+    return "\n\n".join(tables)
+
+
+def draw_images(pictures: dict[str, np.ndarray]) -> bytes:
+    """Draw a PNG of images (S, S) beside each other, by title."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.6 * len(pictures), 4), layout="constrained", dpi=110)
+        panels = figure.subplots(1, len(pictures), squeeze=False)[0]
+        for axes, (title, image) in zip(panels, pictures.items(), strict=True):
+            axes.axis("off")
+            axes.imshow(image, cmap="gray", interpolation="nearest")
+            axes.set_title(title if len(title) <= MAX_TITLE else f"...{title[3 - MAX_TITLE :]}")
+        return encode_png(figure)

@@ -1,4 +1,6 @@
-"""Simulated pins of labelled contacts, as smooth functions of the calibrated values.
+"""Calibrated values of the sensor, and simulated pins of contacts as smooth functions of them.
+
+calibration = read_calibration(Path("runs/calibration/calibration.json"))
 
 A contact is solved once, for the pins of a probe: a lattice that is finer and wider than the
 sensor's. The motion of the sensor's own pins is interpolated from it. So the spacing of the pins
@@ -6,16 +8,19 @@ and the camera can be fitted without a new simulation.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import EDGE_STIMULUS, LabelledMotions, make_paths
-from jaxunshear.config.image import Camera
+from jaxunshear.config.image import FITTED_CAMERA, Camera
 from jaxunshear.config.reach import compute_max_depth_mm
-from jaxunshear.config.sensor import Sensor
+from jaxunshear.config.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json, read_object
 from jaxunshear.simulator.camera import project
 from jaxunshear.simulator.paths import DEPTH, TILT_X, Paths
 from jaxunshear.simulator.pin_layout import compute_pin_tips, compute_tips_at
@@ -66,6 +71,56 @@ def make_values(sensor: Sensor, camera: Camera, friction: float) -> SensorValues
         sensor.skin_modulus_mpa / sensor.gel_modulus_mpa,
         housing=camera.housing,
     )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated simulator.
+
+    `image_names` are the images that it was fitted to, below the folder of all recordings; None
+    for those of the preset.
+    """
+
+    name: str
+    sensor: Sensor
+    camera: Camera
+    friction: float
+    image_names: tuple[str, ...] | None = None
+
+    @property
+    def values(self) -> SensorValues:
+        return make_values(self.sensor, self.camera, self.friction)
+
+    @property
+    def preset(self) -> Json:
+        """Fields of `Sensor` and `Camera` and the friction, as `read_calibration` reads them."""
+        return {
+            "sensor": asdict(self.sensor),
+            "camera": asdict(self.camera),
+            "friction": self.friction,
+        }
+
+
+DEFAULT_CALIBRATION = Calibration(
+    f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION
+)
+
+
+def read_calibration(file: Path) -> Calibration:
+    """Read a `calibration.json` of `jaxunshear calibrate`. Raises `UserError` if it is none."""
+    content = read_object(file)
+    try:
+        preset = content["preset"]
+        sensor, camera = Sensor(**preset["sensor"]), Camera(**preset["camera"])
+        friction = float(preset["friction"])
+        image_names = tuple(str(name) for name in content.get("image_names", ()))
+        check_sensor(sensor)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"--calibration {file}: {type(error).__name__} {error}: "
+            "give a calibration.json of `jaxunshear calibrate --out`"
+        ) from None
+    return Calibration(f"calibration {file.name}", sensor, camera, friction, image_names)
 
 
 def _compute_probe_spacing(sensor: Sensor) -> float:

@@ -134,7 +134,11 @@ class Problem:
     ) -> None:
         self.groups, self.start = groups, start
         self._caches = [_DisplacementCache(group, i, advance) for i, group in enumerate(groups)]
-        self._recorded = [_compute_recorded_features(group.observation) for group in groups]
+        self._recorded: list[np.ndarray] = []
+        for observation in (group.observation for group in groups):
+            rest, positions = observation.rest, observation.positions
+            ring, size = observation.lattice.ring, observation.size
+            self._recorded.append(compute_ring_features(ring, positions, rest, size))
         self._ends = np.cumsum([0, *map(len, self._recorded)])
         slides = np.concatenate([group.contacts.slide for group in groups])
         unknown = {SURFACE, *fixed, *(() if np.any(np.abs(slides) > 1e-6) else ("friction",))}
@@ -251,9 +255,3 @@ class Problem:
         rings = self.start.base.rings
         shift = subtract_mean(difference[:, rings:])
         return np.nan_to_num(np.concatenate([difference[:, :rings], shift], axis=1))
-
-
-def _compute_recorded_features(observation: PinObservation) -> np.ndarray:
-    return compute_ring_features(
-        observation.lattice.ring, observation.positions, observation.rest, observation.size
-    )

@@ -17,10 +17,11 @@ from sklearn.model_selection import PredefinedSplit, cross_val_predict
 from jaxunshear.angles import rotate_2d
 from jaxunshear.calibration.alignment import Alignment, align
 from jaxunshear.calibration.calibrate import IMAGES, SEED
-from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, Calibration
 from jaxunshear.calibration.labels import LabelledMotions
-from jaxunshear.calibration.pin_statistics import PinObservation, subtract_mean
+from jaxunshear.calibration.pin_statistics import subtract_mean
 from jaxunshear.calibration.prediction import (
+    DEFAULT_CALIBRATION,
+    Calibration,
     SensorValues,
     compute_mm_per_px,
     find_solutions,
@@ -28,8 +29,8 @@ from jaxunshear.calibration.prediction import (
     project_positions,
     simulate_displacements,
 )
-from jaxunshear.calibration.recorded_groups import MIN_LABELLED
-from jaxunshear.calibration.sampling import (
+from jaxunshear.calibration.recorded_groups import (
+    MIN_LABELLED,
     FolderSplit,
     RecordedImages,
     list_sampled_images,
@@ -141,7 +142,20 @@ def _compare_folder(
     _check_enough(int(converged.sum()), "contacts converged")
     rotated = observation.rotate(alignment.mirrored, alignment.angle).take(rows[converged])
     contacts = contacts.take(np.flatnonzero(converged))
-    return _compare_contacts(name, rotated, contacts, displacement[converged], values)
+    size, scale = rotated.size, 128 / rotated.size
+    flat = fit_positions(values, size, rotated.positions, displacement[converged])
+    positions = project_positions(values, size, flat, displacement[converged])
+    recorded, simulated = centre_motions(rotated.positions * scale, positions * scale)
+    return ComparedFolder(
+        name,
+        recorded,
+        simulated,
+        predict_from_labels(contacts, recorded),
+        rotated.lattice.ring,
+        np.nanmean(rotated.positions, axis=0) * scale,
+        compute_mm_per_px(values, 128, flat),
+        np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,
+    )
 
 
 def _check_enough(count: int, what: str) -> None:
@@ -178,29 +192,6 @@ def _simulate_contacts(
             displacements.append(simulate_displacements(values, chunk, side))
             progress.advance(len(chunk))
     return np.concatenate(displacements)
-
-
-def _compare_contacts(
-    name: str,
-    observation: PinObservation,
-    contacts: LabelledMotions,
-    displacement: np.ndarray,
-    values: SensorValues,
-) -> ComparedFolder:
-    size, scale = observation.size, 128 / observation.size
-    flat = fit_positions(values, size, observation.positions, displacement)
-    positions = project_positions(values, size, flat, displacement)
-    recorded, simulated = centre_motions(observation.positions * scale, positions * scale)
-    return ComparedFolder(
-        name,
-        recorded,
-        simulated,
-        predict_from_labels(contacts, recorded),
-        observation.lattice.ring,
-        np.nanmean(observation.positions, axis=0) * scale,
-        compute_mm_per_px(values, 128, flat),
-        np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,
-    )
 
 
 def predict_from_labels(contacts: LabelledMotions, motion: np.ndarray) -> np.ndarray:

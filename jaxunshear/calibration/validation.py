@@ -41,12 +41,6 @@ class ComparedFolder:
         fields = {name: getattr(self, name)[rows] for name in (*MOTIONS, "taps")}
         return replace(self, **fields)
 
-    def select_ring(self, ring: int) -> "ComparedFolder":
-        pins = self.ring == ring
-        fields = {name: getattr(self, name)[:, pins] for name in MOTIONS}
-        fields |= {name: getattr(self, name)[pins] for name in ("ring", "rest", "mm_per_px")}
-        return replace(self, **fields)
-
 
 def centre_motions(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Subtract each pin's mean over the contacts in which both motions (N, P, 2) are known."""
@@ -75,9 +69,18 @@ def build_rows(folders: list[ComparedFolder]) -> list[Json]:
     """Score taps and slides over all folders, in full and by ring."""
     rows = []
     for kind, parts in _split_by_kind(folders).items():
-        rows += _score(kind, parts)
-        for ring in np.unique(parts[0].ring):
-            rows += _score(f"{kind}.ring.{ring}", [part.select_ring(ring) for part in parts])
+        counts = [len(part.recorded) for part in parts]
+        vectors: dict[str, np.ndarray] = {}
+        for motion in MOTIONS:
+            arrays = [getattr(part, motion).reshape(-1, 2) for part in parts]
+            vectors[motion] = np.concatenate(arrays)
+        for name in ("mm_per_px", "ring"):
+            of_pins = [getattr(part, name) for part in parts]
+            vectors[name] = np.concatenate([*map(np.tile, of_pins, counts)])
+        rows += _score(kind, vectors, sum(counts))
+        for ring in np.unique(vectors["ring"]):
+            inside = {name: value[vectors["ring"] == ring] for name, value in vectors.items()}
+            rows += _score(f"{kind}.ring.{ring}", inside, sum(counts))
     return rows
 
 
@@ -92,25 +95,16 @@ def _split_by_kind(folders: list[ComparedFolder]) -> dict[str, list[ComparedFold
     return kinds
 
 
-def _collect(parts: list[ComparedFolder]) -> list[np.ndarray]:
-    """Collect the vectors (K, 2) of each of MOTIONS."""
-    motions = []
-    for name in MOTIONS:
-        motions.append(np.concatenate([getattr(part, name).reshape(-1, 2) for part in parts]))
-    return motions
-
-
-def _score(name: str, parts: list[ComparedFolder]) -> list[Json]:
-    recorded, simulated, ceiling = _collect(parts)
-    scale = np.concatenate([np.tile(part.mm_per_px, len(part.recorded)) for part in parts])
+def _score(name: str, vectors: dict[str, np.ndarray], contacts: int) -> list[Json]:
+    """Score vectors (K, 2) of MOTIONS, with their scale `mm_per_px` (K,)."""
+    recorded, simulated = vectors["recorded"], vectors["simulated"]
     residual = recorded - simulated
-    contacts = sum(len(part.recorded) for part in parts)
     scores = [
         ("r2", "1", compute_r2(recorded, simulated)),
         ("residual_px", "px", float(_compute_rms(residual))),
-        ("residual_mm", "mm", float(_compute_rms(residual * scale[:, None]))),
+        ("residual_mm", "mm", float(_compute_rms(residual * vectors["mm_per_px"][:, None]))),
         ("motion_px", "px", float(_compute_rms(recorded))),
-        ("ceiling_r2", "1", compute_r2(recorded, ceiling)),
+        ("ceiling_r2", "1", compute_r2(recorded, vectors["ceiling"])),
     ]
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}

@@ -34,7 +34,7 @@ def validate(arguments: argparse.Namespace, command: str) -> int:
         raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
-    from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION, read_calibration
+    from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION, read_calibration
     from jaxunshear.calibration.validate import validate
 
     calibration = DEFAULT_CALIBRATION

@@ -167,12 +167,12 @@ class PairedData(SimulatedData, SourceSettings):
     """The set `tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     set_name: ClassVar[str] = "tactip_paired"
-    source: ClassVar[type | str] = "jaxunshear.data.simulated_source:SimulatedSource"
+    source: ClassVar[type | str] = "jaxunshear.data.sources:SimulatedSource"
     is_simulated: ClassVar[bool] = True
 
     taps: Count = 1  # canonical images a pose
     slides: Count = 2  # sheared images a pose
-    poses_a_slide: Count = 1  # poses of a split that share their slides (`data/factorial.py`)
+    poses_a_slide: Count = 1  # poses of a split that share their slides (`FactorialReader`)
     # a tap misses its slide's depth by up to this (the paper: 1.0)
     tap_depth_jitter_mm: float = 0.0
 
@@ -229,7 +229,7 @@ class Recorded(SourceSettings):
 
     * "random": folders named `*val*` and `*test*`; poses at random for a split without a folder.
     * "block": poses whose label lies in an interval are for test, those on either side of it for
-      validation, so that no training pose is near a test pose (`data/pose_block.py`).
+      validation, so that no training pose is near a test pose (`data/recorded_splits.py`).
     * "folder": folders so named alone; an error if there is none.
     """
 

@@ -70,6 +70,11 @@ class ImageLabels(NamedTuple):
     moves: np.ndarray  # (N, 6)
     pose_ids: np.ndarray  # (N,) int64, UNKNOWN_ID where unknown
 
+    @classmethod
+    def make_unknown(cls, images: int) -> ImageLabels:
+        unknown = np.full((images, 6), np.nan)
+        return cls(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
+
 
 def read_table(file: Path) -> LabelTable:
     """Read a table. Raises UserError, by file and row, for what is no table of text."""
@@ -91,34 +96,28 @@ def read_table(file: Path) -> LabelTable:
 
 def _read_lines(file: Path) -> dict[int, list[str]]:
     """Read the cells of the lines of a CSV file that are not blank: one at least, or UserError."""
-    reader = csv.reader(io.StringIO(_read_text(file), newline=""))
+    try:
+        data = file.read_bytes()
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        raise _make_error(file, f"cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError as error:
+        row = data.count(b"\n", 0, error.start) + 1
+        remedy = "this is not UTF-8 text: save the table as CSV in UTF-8"
+        raise _make_error(file, remedy, row) from None
+    reader = csv.reader(io.StringIO(text, newline=""))
     lines: dict[int, list[str]] = {}
-    while True:
-        number = reader.line_num + 1
-        try:
-            cells = next(reader, None)
-        except csv.Error as error:
-            raise _make_error(file, f"this is not CSV ({error})", number) from None
-        if cells is None:
-            break
-        if any(cell.strip() for cell in cells):
-            lines[number] = [cell.strip() for cell in cells]
+    number = 1
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                lines[number] = [cell.strip() for cell in cells]
+            number = reader.line_num + 1
+    except csv.Error as error:
+        raise _make_error(file, f"this is not CSV ({error})", number) from None
     if not lines:
         raise _make_error(file, "is empty")
     return lines
-
-
-def _read_text(file: Path) -> str:
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise _make_error(file, f"cannot be read ({error.strerror or error})") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        row = data.count(b"\n", 0, error.start) + 1
-        text = "this is not UTF-8 text: save the table as CSV in UTF-8"
-        raise _make_error(file, text, row) from None
 
 
 def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, list[Problem]]:
@@ -142,12 +141,6 @@ def read_targets(table: LabelTable, names: Sequence[str]) -> tuple[ImageLabels, 
     moves, bad_moves = _read_six(table, numbers, MOVE_COLUMNS, "slide")
     ids, bad_ids = _read_pose_ids(table, numbers)
     return ImageLabels(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
-
-
-def make_unknown_labels(images: int) -> ImageLabels:
-    """Make the labels of images that no table names."""
-    unknown = np.full((images, 6), np.nan)
-    return ImageLabels(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
 
 
 def _index_rows(
@@ -193,23 +186,22 @@ def _read_six(
     what: str,
 ) -> tuple[np.ndarray, list[Problem]]:
     """Read six columns (N, 6) by the naming of the file; a row is NaN unless it has all six."""
-    values = np.full((len(numbers), 6), np.nan)
+    values, bad = np.full((len(numbers), 6), np.nan), dict[int, str]()
     names = max(namings, key=lambda naming: len(set(table.columns).intersection(naming)))
     absent = [name for name in names if name not in table.columns]
     if absent:
         text = f"has no column {', '.join(absent)}: {what}s are not known"
         return values, [Problem.with_place(table.file, text)]
-    bad: dict[int, str] = {}
     for i, number in enumerate(numbers):
         if number is None:
             continue
         cells = table.rows[number]
-        wrong = next((name for name in names if _parse_number(cells[name]) is None), None)
-        if wrong is None:
-            values[i] = [float(cells[name]) for name in names]
+        row = {name: _parse_number(cells[name]) for name in names}
+        if wrong := [name for name, value in row.items() if value is None]:
+            cell = _format_cell(cells[wrong[0]])
+            bad[number] = f"{wrong[0]} is {cell}, no usable number: this {what} is unknown"
         else:
-            cell = _format_cell(cells[wrong])
-            bad[number] = f"{wrong} is {cell}, no usable number: this {what} is unknown"
+            values[i] = list(row.values())
     return values, _summarise_problems(table, bad)
 
 
@@ -230,7 +222,6 @@ def _read_pose_ids(
 
 
 def _parse_number(cell: str, limit: float = MAX_LABEL) -> float | None:
-    """Parse a finite number within the limit; else None."""
     try:
         number = float(cell)
     except ValueError:

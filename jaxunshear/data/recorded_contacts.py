@@ -1,12 +1,13 @@
 """Read recorded contacts: which are taps, which slides, and which split each is in.
 
 contacts = read_contacts(settings)  # labels alone: no image is read
+digest = compute_digest((taps_folder, slides_folder))  # distinguishes recordings
 
 Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
 Imports no JAX.
 """
 
-import re
+import hashlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,18 +17,13 @@ from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.splits import SPLITS, hash_text
 from jaxunshear.data.labels import read_pair_table
-from jaxunshear.data.pose_block import cut_block
+from jaxunshear.data.recorded_splits import cut_block, read_folder_split, split_by_folders
 from jaxunshear.data.recordings import Recordings, read_recordings
 from jaxunshear.errors import UserError
 
 MIN_MOVE = 1e-6  # mm or deg: labels of a move below this are of a tap
-SPLIT_NAMES = {
-    "train": "train",
-    "val": "validation",
-    "valid": "validation",
-    "validation": "validation",
-    "test": "test",
-}
+DIGITS = 16  # of a digest
+PAIRS_PREFIX = "p"
 KINDS = {False: "tap", True: "slide"}  # by `is_slide`
 
 
@@ -80,15 +76,13 @@ def read_contacts(settings: Recorded) -> RecordedContacts:
 
 def read_test_contacts(settings: Recorded) -> RecordedContacts:
     """Read taps and slides, all in the test split: a finished run is scored on them."""
-    if settings.tap_folder == settings.slide_folder:
-        parts = [_classify_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
-    else:
-        folders = ((settings.tap_folder, False), (settings.slide_folder, True))
-        parts = [
-            _select_kind(read_folder(folder, settings.preprocess), is_slide)
-            for folder, is_slide in folders
-            if folder
-        ]
+    taps, slides, parts = settings.tap_folder, settings.slide_folder, []
+    if taps == slides:
+        parts.append(_classify_one_folder(read_folder(taps, settings.preprocess)))
+    elif taps:
+        parts.append(_select_taps(read_folder(taps, settings.preprocess)))
+    if slides and taps != slides:
+        parts.append(_make_contacts(read_folder(slides, settings.preprocess), is_slide=True))
     contacts = _join_contacts(parts)
     return _pair_by_table(contacts, Path(settings.pairs)) if settings.pairs else contacts
 
@@ -101,67 +95,49 @@ def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
     return read_recordings(path, preprocess)
 
 
-class _MoveLabels(NamedTuple):
-    is_labelled: np.ndarray  # (N,) bool
-    is_slide: np.ndarray  # (N,) bool, False where it is not labelled
-
-
-def _classify_moves(move: np.ndarray) -> _MoveLabels:
-    is_labelled = np.isfinite(move).all(axis=1)
-    has_moved = (np.abs(np.nan_to_num(move)) > MIN_MOVE).any(axis=1)
-    return _MoveLabels(is_labelled, is_labelled & has_moved)
+def _find_moves(moves: np.ndarray) -> np.ndarray:
+    """Find which labels (N, 6) of moves are of a slide; False where they are unknown."""
+    return (np.abs(np.nan_to_num(moves)) > MIN_MOVE).any(axis=1) & np.isfinite(moves).all(axis=1)
 
 
 def _classify_one_folder(recordings: Recordings) -> RecordedContacts:
-    is_labelled, is_slide = _classify_moves(_get_labels(recordings.moves, len(recordings)))
+    contacts = _make_contacts(recordings)
+    is_labelled = np.isfinite(contacts.move).all(axis=1)
     if not is_labelled.any():
         raise UserError(
             f"{recordings.path} has no labels that say which contacts are taps: name the two "
             "folders, `jaxunshear fit --taps DIR --slides DIR`"
         )
-    contacts = _make_contacts(recordings, is_slide)
-    if is_labelled.all():
-        return contacts
-    note = f"{int((~is_labelled).sum())} contacts without a label of their move are left out"
-    return _drop(contacts, ~is_labelled, note)
+    contacts = contacts._replace(is_slide=_find_moves(contacts.move))
+    return _drop(contacts, ~is_labelled, "without a label of their move are left out")
 
 
-def _select_kind(recordings: Recordings, is_slide: bool) -> RecordedContacts:
-    """Return the slides of a folder, or its taps: the contacts without a move in the labels."""
-    contacts = _make_contacts(recordings, np.full(len(recordings), is_slide))
-    if is_slide:
-        return contacts
-    has_moved = _classify_moves(contacts.move).is_slide
+def _select_taps(recordings: Recordings) -> RecordedContacts:
+    """Select the contacts of a folder of taps that have no move in the labels."""
+    contacts = _make_contacts(recordings)
+    has_moved = _find_moves(contacts.move)
     if has_moved.all():
-        raise UserError(
-            f"{recordings.path} holds no taps: each of its contacts has a move in its labels"
-        )
-    if not has_moved.any():
+        raise UserError(f"{recordings.path} holds no taps: each contact has a move in its labels")
+    return _drop(contacts, has_moved, "have a move in their labels: no taps, left out")
+
+
+def _drop(contacts: RecordedContacts, dropped: np.ndarray, why: str) -> RecordedContacts:
+    if not dropped.any():
         return contacts
-    note = (
-        f"{recordings.path}: {int(has_moved.sum())} contacts have a move in their labels: "
-        "no taps, left out"
-    )
-    return _drop(contacts, has_moved, note)
-
-
-def _drop(contacts: RecordedContacts, dropped: np.ndarray, note: str) -> RecordedContacts:
+    note = f"{int(dropped.sum())} contacts {why}"
     return contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~dropped))
 
 
-def _get_labels(labels: np.ndarray | None, count: int) -> np.ndarray:
-    return np.full((count, 6), np.nan) if labels is None else labels
-
-
-def _make_contacts(recordings: Recordings, is_slide: np.ndarray) -> RecordedContacts:
-    count, pose_ids = len(recordings), recordings.pose_ids
+def _make_contacts(recordings: Recordings, is_slide: bool = False) -> RecordedContacts:
+    count = len(recordings)
+    unknown = np.full((count, 6), np.nan)
     return RecordedContacts(
         files=recordings.files,
         names=recordings.names,
-        pose=_get_labels(recordings.poses, count),
-        move=_get_labels(recordings.moves, count),
-        pose_id=np.full(count, -1) if pose_ids is None else pose_ids,
-        is_slide=is_slide,
+        pose=unknown if recordings.poses is None else recordings.poses,
+        move=unknown if recordings.moves is None else recordings.moves,
+        pose_id=np.full(count, -1) if recordings.pose_ids is None else recordings.pose_ids,
+        is_slide=np.full(count, is_slide),
         split=np.full(count, SPLITS.index("test")),
         notes=tuple(recordings.notes),
     )
@@ -172,10 +148,7 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
 
     Taps and slides are split alike.
     """
-    names = [
-        _parse_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)
-    ]
-    folder_split = np.array(names)
+    folder_split = np.array([*map(read_folder_split, contacts.files, contacts.names)])
     if settings.split == "block":
         return _split_by_block(contacts, folder_split, settings)
     split = np.zeros(len(folder_split), int)
@@ -183,40 +156,10 @@ def _split(contacts: RecordedContacts, settings: Recorded) -> RecordedContacts:
     for is_slide in KINDS:
         rows = np.flatnonzero(contacts.is_slide == is_slide)
         if len(rows):
-            split[rows] = _split_kind(KINDS[is_slide], folder_split[rows], keys[rows], settings)
-    return contacts._replace(split=split)
-
-
-def _split_kind(
-    kind: str, folder_split: np.ndarray, keys: np.ndarray, settings: Recorded
-) -> np.ndarray:
-    """Split the taps, or the slides: (n,) indices into SPLITS.
-
-    Names of folders count only if some contacts are left to learn from: a folder that happens to be
-    called `test` is no split. `keys` (n,) decide where names leave the split open.
-    """
-    is_open = (folder_split == "") | (folder_split == "train")
-    if not is_open.any():
-        folder_split, is_open = np.full_like(folder_split, ""), np.full(len(keys), True)
-    split = np.zeros(len(keys), int)
-    for index, name in enumerate(SPLITS):
-        split[folder_split == name] = index
-    start = 0.0
-    for name, share in (("test", settings.test), ("validation", settings.validation)):
-        if name in folder_split:
-            continue
-        if settings.split == "folder":
-            raise UserError(
-                f"paired.split folder: no folder of {kind}s has the name of the split '{name}', "
-                f"such as csv_{name}: move contacts into one, or use --paired.split random"
+            split[rows] = split_by_folders(
+                KINDS[is_slide], folder_split[rows], keys[rows], settings
             )
-        chosen = is_open & (keys >= start) & (keys < start + share)
-        rest = is_open & (split == 0)
-        if not chosen.any() and rest.sum() > len(SPLITS):  # of few contacts chance may take none
-            chosen = rest & (keys == keys[rest].min())
-        split[chosen] = SPLITS.index(name)
-        start += share
-    return split
+    return contacts._replace(split=split)
 
 
 def _split_by_block(
@@ -234,24 +177,9 @@ def _split_by_block(
             "`jaxunshear fit --taps DIR --slides DIR`"
         )
     has_pose = np.isfinite(contacts.pose).all(axis=1)
-    if not has_pose.all():
-        note = f"split block: {int((~has_pose).sum())} contacts without a pose are left out"
-        contacts = _drop(contacts, ~has_pose, note)
+    contacts = _drop(contacts, ~has_pose, "without a pose are left out by split block")
     split, note = cut_block(contacts.pose, settings.test, settings.validation, settings.seed)
     return contacts._replace(split=split, notes=(*contacts.notes, note))
-
-
-def _parse_split(file: Path, name: str) -> str:
-    """Return the split that a contact's folders name (`csv_train`, `val`, `test_2`), or "".
-
-    These are the folders below the one that the settings name, and that one.
-    """
-    folders = file.parent.resolve().parts[-1 - name.count("/") :]
-    for folder in reversed(folders):
-        for word in re.split(r"[^a-z]+", folder.lower()):
-            if word in SPLIT_NAMES:
-                return SPLIT_NAMES[word]
-    return ""
 
 
 def _draw_split_keys(contacts: RecordedContacts, seed: int) -> np.ndarray:
@@ -315,3 +243,28 @@ def _pair_by_table(contacts: RecordedContacts, table: Path) -> RecordedContacts:
     if not (pose_id >= 0).any():
         raise UserError(f"{table} pairs nothing")
     return contacts._replace(pose_id=pose_id, pose=pose, paired_by_table=True)
+
+
+def compute_digest(folders: tuple[str, ...], pairs: str = "") -> str:
+    """Compute the digest of each folder, and of a table of pairs if there is one, joined by `+`.
+
+    Each has sixteen hexadecimal digits; those of the table follow a `p`. A folder's digest is of
+    its labels by their bytes and its images by name and size, so it is the same beside other
+    folders.
+    """
+    parts = []
+    for folder in dict.fromkeys(folders):
+        digest, recordings = hashlib.sha256(), read_folder(folder, Preprocess())
+        for file, name in zip(recordings.files, recordings.names, strict=True):
+            digest.update(f"{name} {file.stat().st_size}\n".encode())
+        for table in sorted(Path(folder).rglob("*.csv")):
+            digest.update(table.read_bytes())
+        parts.append(digest.hexdigest()[:DIGITS])
+    if pairs and Path(pairs).is_file():
+        parts.append(PAIRS_PREFIX + hashlib.sha256(Path(pairs).read_bytes()).hexdigest()[:DIGITS])
+    return "+".join(parts)
+
+
+def parse_folder_digests(digest: str) -> set[str]:
+    """Return the digests of the folders in a joined digest."""
+    return {part for part in digest.split("+") if part and not part.startswith(PAIRS_PREFIX)}

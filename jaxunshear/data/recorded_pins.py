@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.config.image import Preprocess
-from jaxunshear.data.recorded_probes import LARGEST_PX
-from jaxunshear.data.recordings import Recordings, read_image, read_recordings
-from jaxunshear.errors import UserError
+from jaxunshear.data.recordings import Recordings, read_first_image, read_recordings
+from jaxunshear.data.sensor_frame import LARGEST_PX
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.lattice_fitting import MarkerLayout, fit_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, detect_pins
@@ -51,17 +50,6 @@ class Pins:
     shown: list[ShownImage]
 
 
-def _choose_size(path: Path) -> int:
-    """Choose the px of prepared images: those of the recordings at `path`, up to LARGEST_PX."""
-    recordings = read_recordings(path, Preprocess())
-    for file in recordings.files:
-        try:
-            return min(LARGEST_PX, *read_image(file).shape[:2])
-        except UserError:
-            continue
-    return LARGEST_PX  # none can be read, which `iterate_frames` reports
-
-
 def find_pins(
     path: Path,
     lattice: Lattice | MarkerLayout,
@@ -70,12 +58,16 @@ def find_pins(
 ) -> Pins:
     """Find the pins of an image or a folder of recordings.
 
-    Images are prepared as `preprocess` says, or else in their own size. A `lattice` holds the rest
-    positions; a layout is fitted, to untouched images at `rest` or else to the images themselves:
-    motions are then from their mean position. Raises `UserError` if nothing can be read or pins are
-    not this layout's.
+    Images are prepared as `preprocess` says, or else in their own size, up to LARGEST_PX. A
+    `lattice` holds the rest positions; a layout is fitted, to untouched images at `rest` or else
+    to the images themselves: motions are then from their mean position. Raises `UserError` if
+    nothing can be read or pins are not this layout's.
     """
-    preprocess = preprocess or Preprocess(size=_choose_size(path))
+    if preprocess is None:
+        first = read_first_image(read_recordings(path, Preprocess()).files)
+        preprocess = Preprocess(
+            size=LARGEST_PX if first is None else min(LARGEST_PX, *first.shape[:2])
+        )
     recordings = read_recordings(path, preprocess)
     view = recordings.find_common_view()
     detection = _detect_all(recordings, view)

@@ -3,10 +3,9 @@
 stored = RecordedSet(settings, open_set(settings, data_dir, sensor))
 taps = stored.read_taps()  # Reader of image, pins, pose, ...
 pairs = stored.read_pairs(targets, render)  # Reader of canonical, sheared, their pins, pose, ...
-"""
 
-from collections.abc import Callable
-from pathlib import Path
+How a slide gets its partner is in `pairing`.
+"""
 
 import numpy as np
 
@@ -19,70 +18,16 @@ from jaxunshear.config.targets import (
     make_move_targets,
 )
 from jaxunshear.data import pairing
-from jaxunshear.data.chunks import load_chunk, unpack_bits
-from jaxunshear.data.preprocessing import SensorFrame
-from jaxunshear.data.reader import Batch, Reader, SetReader
-from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_examples import count_contacts
+from jaxunshear.data.chunks import unpack_bits
+from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer, number_poses
+from jaxunshear.data.reader import Batch, Reader
+from jaxunshear.data.recorded_frames import UnstoredSet
+from jaxunshear.data.stored_sets import SetReader
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 from jaxunshear.perception.lattice import Lattice, make_lattice
-from jaxunshear.perception.preprocess import Box, View
-
-TapRenderer = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
-# images (N, S, S) uint8, or None if the estimator takes pins; pins (N, P, 2) px -> poses (N, 6)
-PoseEstimator = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
-# split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
-SlideSimulator = Callable[[str], Batch]
 
 CONTACT_FIELDS = ("pose", "move", "sure", "number", "pose_id", "stimulus")
-
-
-def parse_frame(stored: Json) -> SensorFrame:
-    """Parse what metadata keep of a sensor's frames."""
-    whites = tuple((kind, white) for kind, white in stored["whites"])
-    return SensorFrame(
-        view=View(Box(*stored["box"]) if stored["box"] else None, whites),
-        rest=np.array(stored["place_px"]),
-        ring=np.array(stored["shell"]),
-        spacing_px=stored["spacing_px"],
-        radius_px=stored["radius_px"],
-        size=stored["size"],
-        pins_px=stored["pins_px"],
-    )
-
-
-class UnstoredSet:
-    """Holds chunks of prepared frames in the place of a stored set, all in its test split."""
-
-    def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
-        chunks = [load_chunk(path) for path in paths]
-
-        def join(name: str) -> np.ndarray:
-            return np.concatenate([chunk[name] for chunk in chunks])
-
-        usable, identified = join("usable"), join("sure")
-        self._test: Batch = {
-            "image": join("images")[usable],
-            "pins": join("pins")[usable].astype(np.float32),
-            "sure": identified[usable].astype(np.int32),
-            "slid": contacts.is_slide[usable].astype(np.int32),
-            "pose": contacts.pose[usable].astype(np.float32),
-            "move": contacts.move[usable].astype(np.float32),
-            "pose_id": contacts.pose_id[usable].astype(np.int32),
-            "number": np.flatnonzero(usable).astype(np.int32),
-        }
-        share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
-        self.metadata: Json = {
-            "counts": count_contacts(contacts, usable, identified, join("problem")),
-            "frame": frame,
-            "pins": {"sure": share},
-            "notes": list(contacts.notes),
-        }
-
-    def rows(self, split: str) -> Batch:
-        """Return the rows of a split by field: none except for the test."""
-        return self._test if split == "test" else _take_rows(self._test, np.s_[:0])
 
 
 class RecordedSet:
@@ -98,7 +43,7 @@ class RecordedSet:
 
     @property
     def frame(self) -> Json:
-        """What the sensor's frames have in common; see `preprocessing.SensorFrame`."""
+        """What the sensor's frames have in common; see `sensor_frame.SensorFrame`."""
         return self.metadata["frame"]
 
     def make_lattice(self) -> Lattice:
@@ -136,12 +81,12 @@ class RecordedSet:
 
         Each has a pose number of its own.
         """
-        return Reader(lambda split: _number_poses(self.read_labelled_taps(split)), self.size)
+        return Reader(lambda split: number_poses(self.read_labelled_taps(split)), self.size)
 
     def read_labelled_taps(self, split: str) -> Batch:
         """Read all labelled taps of a split, images at one bit a pixel."""
         rows = self._select(split, is_slide=False)
-        return _take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
+        return pairing.take_rows(rows, np.isfinite(rows["pose"]).all(axis=1))
 
     def read_slides(self, simulate: SlideSimulator | None = None, images: bool = True) -> Reader:
         """Read labelled slides without partners.
@@ -157,8 +102,10 @@ class RecordedSet:
                 return self._simulate_slides(split, simulate, images)
             slides = self._select_slides(split)
             if split == "train" and self.settings.direct_taps == "recorded":
-                slides = _concatenate([slides, _make_zero_slides(self.read_labelled_taps(split))])
-            return _number_poses(slides)
+                taps = self.read_labelled_taps(split)
+                still = _rename_as_slides(taps | {"move": np.zeros_like(taps["pose"])})
+                slides = _concatenate(slides, still)
+            return number_poses(slides)
 
         return Reader(load, self.size)
 
@@ -172,9 +119,7 @@ class RecordedSet:
     ) -> Reader:
         """Read labelled slides, each with a partner by the settings' pairing.
 
-        The further fields are canonical and canonical_pins of the partner, `weight` (B,), what a
-        pair counts in training, and `gap` (B, 6), the difference of the partner's pose. Raises
-        UserError if no slide has a partner.
+        The fields of the partner are those of `pairing`. Raises UserError if no slide has one.
 
         Args:
             targets: What "nearest" compares.
@@ -184,14 +129,21 @@ class RecordedSet:
             simulate: For "simulated", all slides but the test's are simulated, each paired with the
                 tap it was made from.
         """
+        method = self.settings.pairing
 
         def load(split: str) -> Batch:
             if simulate and split != "test":
                 return self._simulate_slides(split, simulate, images)
             slides = self._select_slides(split, estimate, images)
-            if self.settings.pairing in RENDERED_PAIRINGS:
-                return self._pair_with_rendered(slides, targets, render, images)
-            return self._pair_with_taps(split, slides, targets)
+            taps = self.read_labelled_taps("train")
+            if method in RENDERED_PAIRINGS:
+                assert render is not None
+                warp = self._make_image_warper() if images else None
+                return pairing.pair_with_renderings(slides, targets, render, taps, warp)
+            # a tap of another held-out split would let that split choose the checkpoint
+            if split != "train":
+                taps = _concatenate(taps, self.read_labelled_taps(split))
+            return pairing.pair_with_taps(slides, taps, targets, method)
 
         return Reader(load, self.size)
 
@@ -207,11 +159,8 @@ class RecordedSet:
             unpacked = unpack_bits(rows["image"][~has_label], self.size) if images else None
             pose = rows["pose"].copy()
             pose[~has_label] = estimate(unpacked, rows["pins"][~has_label])
-            rows = rows | {"pose": pose}
-        else:
-            rows = _take_rows(rows, has_label)
-        batch = {name: rows[name] for name in CONTACT_FIELDS}
-        return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
+            return _rename_as_slides(rows | {"pose": pose})
+        return _rename_as_slides(pairing.take_rows(rows, has_label))
 
     def _is_labelled(self, rows: Batch) -> np.ndarray:
         """Return which contacts (N,) are in the share whose labels are used.
@@ -221,114 +170,37 @@ class RecordedSet:
         draws = [hash_text(f"label {self.seed} {n}") / 2**64 for n in rows["number"].tolist()]
         return np.array(draws) < self.settings.labelled
 
-    def _pair_with_rendered(
-        self, slides: Batch, targets: Targets, render: TapRenderer | None, images: bool
-    ) -> Batch:
-        count = len(slides["pose"])
-        if render is None:
-            raise ValueError(f"pairing '{self.settings.pairing}' takes a renderer")
-        pins = render(slides["pose"]).astype(np.float32)
-        partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
-        if images:
-            partner["canonical"] = self._render_targets(slides["pose"], pins, targets, render)
-        return _number_poses(slides | partner | {"weight": np.ones(count, np.float32)})
-
-    def _pair_with_taps(self, split: str, slides: Batch, targets: Targets) -> Batch:
-        pairing_name = self.settings.pairing
-        # a tap of another held-out split would let that split choose the checkpoint
-        splits = dict.fromkeys(("train", split))
-        taps = _concatenate([self.read_labelled_taps(each) for each in splits])
-        if pairing_name == "nearest":
-            row, distance = pairing.find_nearest(targets, slides["pose"], taps["pose"])
-            weight = pairing.compute_pair_weights(distance)
-        else:
-            row = pairing.match_same_pose(
-                slides["pose"],
-                slides["pose_id"],
-                taps["pose"],
-                taps["pose_id"],
-                checked=pairing_name == "pose_id",
-            )
-            slides, row = _take_rows(slides, row >= 0), row[row >= 0]
-            if not len(row):
-                raise UserError(
-                    f"no {split} slide has a tap of its pose_id at its pose: record taps and "
-                    "slides of the same poses, or use --paired.pairing rendered"
-                )
-            weight = np.ones(len(row), np.float32)
-        gap = pairing.compute_pose_gaps(slides["pose"], taps["pose"][row]).astype(np.float32)
-        pairs = slides | {
-            "canonical": taps["image"][row],
-            "canonical_pins": taps["pins"][row],
-            "gap": gap,
-            "weight": weight,
-        }
-        return pairs if pairing_name in ("pose_id", "file") else _number_poses(pairs)
-
     def _simulate_slides(self, split: str, simulate: SlideSimulator, images: bool) -> Batch:
         """Simulate slides to the taps of a split, each paired with its tap."""
         slides, taps = simulate(split), self.read_labelled_taps(split)
         row, sheared_pins = slides["row"], slides["sheared_pins"]
-        count = len(row)
         batch = {name: taps[name][row] for name in ("pose", "sure", "stimulus")}
-        batch |= {
+        batch |= pairing.make_full_pairs(len(row)) | {
             "sheared_pins": sheared_pins,
             "canonical_pins": taps["pins"][row],
             "move": slides["move"],
-            "weight": np.ones(count, np.float32),
-            "gap": np.zeros((count, 6), np.float32),
+            "number": np.arange(len(row), dtype=np.int32),
         }
         if images:
             motion = np.nan_to_num(sheared_pins - batch["canonical_pins"])
             batch["canonical"] = taps["image"][row]
-            batch["sheared"] = self._warp_images(batch["canonical"], motion)
-        return _number_poses(batch | {"number": np.arange(count, dtype=np.int32)})
+            batch["sheared"] = self._make_image_warper()(batch["canonical"], motion)
+        return number_poses(batch)
 
-    def _render_targets(
-        self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: TapRenderer
-    ) -> np.ndarray:
-        """Render images (N, S, S) uint8 of taps at poses (N, 6), with pins (N, P, 2) px.
-
-        Each is the nearest training tap, its pins moved to where the renderer puts them. So it has
-        real dots and the real housing, as the taps that a PoseNet learnt from; to such a network
-        dots drawn anew appear foreign.
-        """
-        taps = self.read_labelled_taps("train")
-        row, _ = pairing.find_nearest(targets, poses, taps["pose"])
-        return self._warp_images(taps["image"][row], pins - render(taps["pose"][row]))
-
-    def _warp_images(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
-        """Warp images at one bit a pixel so that their pins move by `motion` (N, P, 2) px.
-
-        Returns (N, S, S) uint8.
-        """
+    def _make_image_warper(self) -> pairing.ImageWarper:
         rest, spacing_px = np.array(self.frame["place_px"]), self.frame["spacing_px"]
-        pixel_motion = pairing.interpolate_over_pixels(rest, spacing_px, self.size)
-        return pairing.warp_images(unpack_bits(images, self.size), motion, pixel_motion)
+        return pairing.make_image_warper(rest, spacing_px, self.size)
 
     def _select(self, split: str, is_slide: bool) -> Batch:
         rows = self.stored.rows(split)
         stimulus = np.zeros(len(rows["slid"]), np.int32)
-        return _take_rows(rows | {"stimulus": stimulus}, rows["slid"] == int(is_slide))
+        return pairing.take_rows(rows | {"stimulus": stimulus}, rows["slid"] == int(is_slide))
 
 
-def _take_rows(rows: Batch, selected: np.ndarray | np.bool | slice) -> Batch:
-    return {name: value[selected] for name, value in rows.items()}
+def _rename_as_slides(contacts: Batch) -> Batch:
+    batch = {name: contacts[name] for name in CONTACT_FIELDS}
+    return batch | {"sheared": contacts["image"], "sheared_pins": contacts["pins"]}
 
 
-def _concatenate(parts: list[Batch]) -> Batch:
-    joined: Batch = {}
-    for name in parts[0]:
-        joined[name] = np.concatenate([part[name] for part in parts])
-    return joined
-
-
-def _make_zero_slides(taps: Batch) -> Batch:
-    slides = taps | {"move": np.zeros_like(taps["pose"])}
-    batch = {name: slides[name] for name in CONTACT_FIELDS}
-    return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}
-
-
-def _number_poses(rows: Batch) -> Batch:
-    """Give each contact a pose number of its own: none is paired with another's partner."""
-    return rows | {"pose_id": rows["number"]}
+def _concatenate(first: Batch, second: Batch) -> Batch:
+    return {name: np.concatenate([value, second[name]]) for name, value in first.items()}

@@ -9,7 +9,7 @@ from jaxunshear.config.data import RENDERED_PAIRINGS, DataSettings, Recorded
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.registry import POSENETS
 from jaxunshear.config.targets import Targets
-from jaxunshear.data.digests import parse_folder_digests
+from jaxunshear.data.recorded_contacts import parse_folder_digests
 from jaxunshear.data.sources import DataSource, Examples, Helpers, PinLayout
 from jaxunshear.files import Json
 
@@ -59,8 +59,8 @@ class RecordedSource(DataSource):
         return origin
 
     def open_stored(self, data_dir: Path, settings: DataSettings | None = None) -> "RecordedSet":
-        from jaxunshear.data.reader import open_set
         from jaxunshear.data.recorded_set import RecordedSet
+        from jaxunshear.data.stored_sets import open_set
 
         used, experiment = cast(Recorded, settings or self.settings), self.experiment
         return RecordedSet(used, open_set(used, data_dir, experiment.sensor), experiment.seed)

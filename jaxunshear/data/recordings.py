@@ -17,7 +17,7 @@ import io
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -31,7 +31,6 @@ from jaxunshear.data.labels import (
     UNKNOWN_ID,
     ImageLabels,
     Problem,
-    make_unknown_labels,
     read_table,
     read_targets,
 )
@@ -107,7 +106,9 @@ class Recordings:
         for row, file in enumerate(self.files):
             name, folder = self._name(file), file.parent
             if folder not in views:
-                views[folder], names_by_size[folder] = self._complete_view(view, folder), {}
+                common = view if view and view.box else self.find_common_view(folder)
+                views[folder] = view._replace(box=common.box) if view else common
+                names_by_size[folder] = {}
             try:
                 raw = read_image(file)
                 image = prepare_frame(self.preprocess, raw, views[folder])
@@ -125,13 +126,6 @@ class Recordings:
             if len(sizes) > 1:
                 text = f"images of {len(sizes)} sizes: {_format_sizes(sizes)}"
                 self._note(Problem.with_place(folder, text))
-
-    def _complete_view(self, view: View | None, folder: Path) -> View:
-        """Return `view` with the crop of a folder if it has none, and the whites if it is None."""
-        if view is not None and view.box is not None:
-            return view
-        common = self.find_common_view(folder)
-        return common if view is None else view._replace(box=common.box)
 
     def _note(self, problem: str) -> None:
         if problem not in self.notes:  # frames may be asked for twice
@@ -178,6 +172,14 @@ def read_image(file: Path | bytes) -> np.ndarray:
         raise UserError(f"no readable image ({get_first_line(error)})") from None
 
 
+def read_first_image(files: Sequence[Path]) -> np.ndarray | None:
+    """Read the first image that can be read; None if there is none."""
+    for file in files:
+        with contextlib.suppress(UserError):
+            return read_image(file)
+    return None
+
+
 def _decode_image(data: bytes) -> np.ndarray:
     # Pillow passes over the checksums of a PNG's pixels: a damaged file may give another image.
     if data.startswith(PNG):
@@ -194,11 +196,7 @@ def _decode_image(data: bytes) -> np.ndarray:
         ImageOps.exif_transpose(opened, in_place=True)
         is_plain = opened.mode in PLAIN_MODES or opened.mode.startswith("I;16")
         raw = np.array(opened if is_plain else opened.convert("RGB"))
-    return _apply_tiff_tags(raw, tags)
-
-
-def _apply_tiff_tags(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:
-    """Do what Pillow leaves out for a TIFF: 32 bits without a sign, and 16 bits with white at 0."""
+    # what Pillow leaves out for a TIFF: 32 bits without a sign, and 16 bits with white at 0
     if tags and raw.dtype == np.int32 and tags.get(SAMPLE_FORMAT, 1) in (1, (1,)):
         return raw.view(np.uint32)
     if raw.dtype == np.uint16 and tags.get(PHOTOMETRIC) == 0:
@@ -237,15 +235,15 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
             f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), "
             "nor a known layout of recordings"
         )
-    pose_ids = np.concatenate([part.pose_ids for part in labels])
+    joined = ImageLabels(*map(np.concatenate, zip(*labels, strict=True)))
     return Recordings(
         path,
         preprocess,
         tuple(files),
-        _drop_if_unknown(np.concatenate([part.poses for part in labels])),
-        _drop_if_unknown(np.concatenate([part.moves for part in labels])),
+        joined.poses if np.isfinite(joined.poses).any() else None,
+        joined.moves if np.isfinite(joined.moves).any() else None,
         notes,
-        pose_ids if (pose_ids != UNKNOWN_ID).any() else None,
+        joined.pose_ids if (joined.pose_ids != UNKNOWN_ID).any() else None,
     )
 
 
@@ -292,17 +290,17 @@ def _list_images(folder: Path) -> list[Path]:
     """List the images of a folder by name, numbers by their value."""
     if not folder.is_dir():
         return []
+
+    def split_at_numbers(path: Path) -> list[int | str]:
+        parts = re.split(r"(\d+)", path.name)
+        return [int(part) if part.isdecimal() else part for part in parts]
+
     images = [
         path
         for path in folder.iterdir()
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
-    return sorted(images, key=_split_at_numbers)
-
-
-def _split_at_numbers(path: Path) -> list[int | str]:
-    parts = re.split(r"(\d+)", path.name)
-    return [int(part) if part.isdecimal() else part for part in parts]
+    return sorted(images, key=split_at_numbers)
 
 
 def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLabels:
@@ -316,11 +314,7 @@ def _read_labels(folder: Path, images: list[Path], notes: list[str]) -> ImageLab
                 continue
             notes += problems
             return labels
-    return make_unknown_labels(len(images))
-
-
-def _drop_if_unknown(values: np.ndarray) -> np.ndarray | None:
-    return values if np.isfinite(values).any() else None
+    return ImageLabels.make_unknown(len(images))
 
 
 def _format_sizes(names: dict[tuple[int, ...], list[str]]) -> str:

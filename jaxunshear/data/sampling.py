@@ -64,24 +64,6 @@ def _sample_poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
     return np.concatenate([poses, tilts], axis=1)
 
 
-def _sample_moves(settings: PairedData, stimulus: str) -> np.ndarray:
-    ranges, shape = settings.ranges, (settings.poses, settings.slides)
-    generator = _make_generator(settings.seed, stimulus, "move")
-    moves = sample_slides(generator, settings.poses * settings.slides, ranges.move_mm)
-    moves = moves.reshape(*shape, 2)
-    if not ranges.twist_deg:
-        return moves
-    generator = _make_generator(settings.seed, stimulus, "twist")
-    twists = generator.uniform(-ranges.twist_deg, ranges.twist_deg, shape)
-    return np.concatenate([moves, twists[..., None]], axis=-1)
-
-
-def _compute_ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
-    """Return (poses,) in [0, 1]: stimuli take turns, so that wear does not reveal the shape."""
-    order = np.arange(settings.poses) * len(settings.stimuli) + stimulus
-    return order / (settings.poses * len(settings.stimuli) - 1)
-
-
 def sample_pairs(settings: PairedData) -> ContactSamples:
     """Sample for every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
     check_settings(settings)
@@ -90,8 +72,11 @@ def sample_pairs(settings: PairedData) -> ContactSamples:
     pose, move = [], []
     for name in settings.names:
         poses = np.repeat(_sample_poses(settings, name)[:, None], contacts, axis=1)
-        poses[:, ~is_slide, 3] = _jitter_depth(settings, name, poses[:, ~is_slide, 3])
-        moves = _sample_slide_moves(settings, name, yaw=poses[:, 0, 2])
+        depth, jitter = poses[:, ~is_slide, 3], settings.tap_depth_jitter_mm
+        depth += _make_generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
+        least = min(MIN_DEPTH_MM, settings.ranges.depth_min_mm)
+        poses[:, ~is_slide, 3] = np.maximum(depth, least)
+        moves = _sample_moves(settings, name, yaw=poses[:, 0, 2])
         still = np.zeros((settings.poses, settings.taps, moves.shape[-1]))
         pose.append(poses.reshape(-1, poses.shape[-1]))
         move.append(np.concatenate([still, moves], axis=1).reshape(-1, moves.shape[-1]))
@@ -106,22 +91,22 @@ def sample_pairs(settings: PairedData) -> ContactSamples:
     )
 
 
-def _jitter_depth(settings: PairedData, stimulus: str, depth: np.ndarray) -> np.ndarray:
-    jitter = settings.tap_depth_jitter_mm
-    generator = _make_generator(settings.seed, stimulus, "depth")
-    change = generator.uniform(-jitter, jitter, depth.shape)
-    return np.maximum(depth + change, min(MIN_DEPTH_MM, settings.ranges.depth_min_mm))
-
-
-def _sample_slide_moves(settings: PairedData, stimulus: str, yaw: np.ndarray) -> np.ndarray:
+def _sample_moves(settings: PairedData, stimulus: str, yaw: np.ndarray) -> np.ndarray:
     """Sample the moves (poses, slides, 2 or 3) of slides that end at poses of this yaw deg.
 
     Poses with the same leader share their moves in the sensor frame.
     """
+    ranges, shape = settings.ranges, (settings.poses, settings.slides)
+    generator = _make_generator(settings.seed, stimulus, "move")
+    moves = sample_slides(generator, settings.poses * settings.slides, ranges.move_mm)
     leader = find_slide_leaders(settings, stimulus)
-    moves = _sample_moves(settings, stimulus)[leader]
     turn = np.radians(yaw - yaw[leader])[:, None]
-    return np.concatenate([rotate_2d(moves[..., :2], turn), moves[..., 2:]], axis=-1)
+    moves = rotate_2d(moves.reshape(*shape, 2)[leader], turn)
+    if not ranges.twist_deg:
+        return moves
+    generator = _make_generator(settings.seed, stimulus, "twist")
+    twists = generator.uniform(-ranges.twist_deg, ranges.twist_deg, shape)[leader]
+    return np.concatenate([moves, twists[..., None]], axis=-1)
 
 
 def find_slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
@@ -158,7 +143,9 @@ def _make_samples(
     repeats = len(pose) // (len(names) * settings.poses)  # contacts of a pose
     stimulus = np.repeat(np.arange(len(names)), settings.poses * repeats)
     pose_id = np.tile(np.repeat(np.arange(settings.poses), repeats), len(names))
-    ages = [_compute_ages(settings, index) for index in range(len(names))]
+    # stimuli take turns, so that wear does not reveal the shape
+    order = np.arange(settings.poses) * len(names) + np.arange(len(names))[:, None]
+    ages = order.ravel() / (order.size - 1)
     splits = [assign_splits(settings.seed, name, settings.poses) for name in names]
     scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
     return ContactSamples(
@@ -166,7 +153,7 @@ def _make_samples(
         pose_id=pose_id,
         instance=instance,
         is_slide=is_slide,
-        age=np.repeat(np.concatenate(ages), repeats),
+        age=np.repeat(ages, repeats),
         split=np.repeat(np.concatenate(splits), repeats),
         edge=compute_edge_labels(settings.stimuli, scenes),
     )

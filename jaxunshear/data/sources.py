@@ -13,27 +13,30 @@ import pkgutil
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
 from jaxunshear.config.configs import compute_fingerprint, describe_set
-from jaxunshear.config.data import DataSettings, SourceSettings
-from jaxunshear.config.experiment import Experiment
-from jaxunshear.config.network_config import NetworkConfig
-from jaxunshear.config.targets import Targets, make_label_targets, make_move_targets
+from jaxunshear.config.data import DataSettings, PairedData, PoseData, SourceSettings
+from jaxunshear.config.experiment import Experiment, list_further_tests
+from jaxunshear.config.network_config import NetworkConfig, takes_taps
+from jaxunshear.config.targets import (
+    Targets,
+    make_label_targets,
+    make_move_targets,
+    make_range_targets,
+    make_slide_targets,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.files import Json
 
 if TYPE_CHECKING:
-    from jaxunshear.data.chunks import SimulationEngine
+    from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
     from jaxunshear.data.reader import Batch, Reader
-    from jaxunshear.data.recorded_set import (
-        PoseEstimator,
-        RecordedSet,
-        SlideSimulator,
-        TapRenderer,
-    )
+    from jaxunshear.data.recorded_set import RecordedSet
+    from jaxunshear.data.simulation import SimulationEngine
+    from jaxunshear.data.stored_sets import SetReader
 
 
 class PinLayout(NamedTuple):
@@ -90,7 +93,7 @@ class DataSource:
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         self.settings: Any = experiment.paired
-        # whether poses share slides, so that a batch can have the partners of `data/factorial.py`
+        # whether poses share slides, so that a batch can have the partners of `FactorialReader`
         self.shares_slides = getattr(self.settings, "poses_a_slide", 1) > 1
 
     def read_rows(self, split: str) -> "Batch":
@@ -109,7 +112,7 @@ class DataSource:
         self, data_dir: Path, engine: "SimulationEngine | None" = None
     ) -> dict[str, Json]:
         """Make the sets of `list_sets` that are missing; returns their metadata by name."""
-        from jaxunshear.data.generation import make_set
+        from jaxunshear.data.stored_sets import make_set
 
         sensor = self.experiment.sensor
         return {
@@ -184,6 +187,75 @@ class DataSource:
     ) -> "Reader":
         """Open recorded slides with the taps that they are paired with. Raises UserError."""
         raise UserError(f"'{self.experiment.name}' is not about recordings")
+
+
+class SimulatedSource(DataSource):
+    """Simulated pairs and taps: `PairedData` and `PoseData`."""
+
+    evaluator = "jaxunshear.evaluation.simulated_evaluation:evaluate_simulation"
+    pose_frame = (
+        "x_mm and yaw_deg are relative to the simulated stimulus' target point, "
+        "edge_mm (negative inside) and edge_deg give the nearest edge in the sensor frame; "
+        "recorded_* are the labels that came with the images, in their own work frame."
+    )
+    predicts_directly = False
+
+    @property
+    def suits_recordings(self) -> bool:
+        """Whether the networks learnt from pins as other sensors and cameras would show them."""
+        experiment = self.experiment
+        return experiment.unshear.input == "pins" and experiment.pins.turned > 0
+
+    def describe(self) -> str:
+        sensor, names = self.experiment.sensor.name, ", ".join(self.settings.names)
+        simulated = f"These networks have seen simulated touches only (sensor {sensor}, {names})"
+        if self.suits_recordings:
+            return (
+                f"{simulated}, drawn as other sensors and cameras would show them. "
+                "What they read has a zero and a sense of its own, which a few labelled taps show "
+                "(`jaxunshear evaluate MODEL --recordings DIR`); "
+                "more exact are networks that learn from your own (`jaxunshear fit`)."
+            )
+        return (
+            f"{simulated}: for recordings take the weights `skin`, "
+            "or learn from your own with `jaxunshear fit`."
+        )
+
+    def list_sets(self) -> dict[str, DataSettings]:
+        sets: dict[str, DataSettings] = {self.settings.set_name: self.settings}
+        if takes_taps(self.experiment):
+            sets[PoseData.set_name] = cast(PoseData, self.experiment.pose)
+        return sets | list_further_tests(self.experiment)
+
+    def list_test_digests(self) -> set[str]:
+        tests = list_further_tests(self.experiment).values()
+        return {digest for test in tests for digest in self.list_digests(test)}
+
+    def open_examples(self, config: NetworkConfig, data_dir: Path, helpers: Helpers) -> Examples:
+        settings = cast(PairedData | PoseData, config.source)
+        reader = self.open_set(settings, data_dir)
+        size, is_paired = settings.preprocess.size, config.spec.learns_from != "taps"
+        rest = np.zeros((0, 2), np.float32)
+        if config.modality == "pins":
+            # the rest positions of recordings are means over taps, for want of untouched pins
+            pins = reader.rows("train")["canonical_pins" if is_paired else "pins"]
+            rest = pins.mean(axis=0, dtype=np.float64)
+        radius_px = config.sensor.pin_radius_mm * size / settings.camera.mm_across
+        return Examples(
+            reader,
+            make_range_targets(config.targets, settings.ranges),
+            PinLayout(rest, radius_px, size),
+            reader.length("train"),
+            slide_targets=make_slide_targets(settings.ranges) if is_paired else (),
+        )
+
+    def open_set(self, settings: DataSettings, data_dir: Path) -> "SetReader":
+        """Open a set. Raises UserError if it is missing or was made with other settings."""
+        from jaxunshear.data.stored_sets import FactorialReader, SetReader, open_set
+
+        is_factorial = self.shares_slides and settings == self.settings
+        kind = FactorialReader if is_factorial else SetReader
+        return open_set(settings, data_dir, self.experiment.sensor, kind)
 
 
 def open_source(experiment: Experiment) -> DataSource:

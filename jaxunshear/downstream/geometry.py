@@ -22,7 +22,7 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Voronoi, cKDTree
 from sklearn.linear_model import Ridge
 
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice
 from jaxunshear.perception.pin_tracking import measure_motions

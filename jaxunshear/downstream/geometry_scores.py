@@ -14,13 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.data import simulated_contacts
+from jaxunshear.data import simulation
 from jaxunshear.data.recordings import read_recordings
-from jaxunshear.data.simulated_contacts import (
-    SimulatedContacts,
-    render_untouched_images,
-    simulate_contacts,
-)
+from jaxunshear.data.simulation import SimulatedContacts, render_untouched_images, simulate_contacts
 from jaxunshear.downstream.geometry import (
     INVERSE,
     HeightEstimator,
@@ -78,7 +74,7 @@ def score_geometry(model: TrainedModel, count: int = 300) -> GeometryResult:
             "train one first, or name another --model"
         )
     lattice, experiment = model.lattice, model.experiment
-    taps = simulate_contacts(experiment, simulated_contacts.SCALE_TAPS, seed=1)
+    taps = simulate_contacts(experiment, simulation.SCALE_TAPS, seed=1)
     estimators = make_height_estimators(lattice, taps)
     contacts = simulate_contacts(experiment, count)
     untouched = render_untouched_images(experiment, len(contacts.stimulus))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.data import simulated_contacts
+from jaxunshear.data import simulation
 from jaxunshear.data.chunks import unpack_bits
-from jaxunshear.data.simulated_contacts import SimulatedContacts, simulate_contacts
+from jaxunshear.data.simulation import SimulatedContacts, simulate_contacts
 from jaxunshear.downstream.contour import Contour, trace_contour
 from jaxunshear.downstream.geometry import measure_tap_motions
 from jaxunshear.downstream.reconstruct import (
@@ -102,7 +102,7 @@ def reconstruct(
 
     @cache
     def make_estimators(depth_mm: float) -> dict[str, ShapeEstimator]:
-        taps = simulate_contacts(model.experiment, simulated_contacts.SCALE_TAPS, 1, depth_mm)
+        taps = simulate_contacts(model.experiment, simulation.SCALE_TAPS, 1, depth_mm)
         return _make_estimators(model, taps)
 
     def reconstruct_task(task: ServoTask, trajectories: Trajectories) -> ReconstructionResult:

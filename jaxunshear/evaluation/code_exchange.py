@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.registry import DISENTANGLED
-from jaxunshear.data.factorial import FactorialReader
 from jaxunshear.data.reader import Reader
+from jaxunshear.data.stored_sets import FactorialReader
 from jaxunshear.evaluation.bootstrap import compute_interval, number_poses, resample_means
 from jaxunshear.evaluation.codes import BATCH, CodeNetwork, load_code_network
 from jaxunshear.evaluation.slide_estimation import split_by_slip

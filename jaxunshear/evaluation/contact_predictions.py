@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxunshear.config.image import Preprocess
 from jaxunshear.data.recorded_contacts import RecordedContacts
-from jaxunshear.data.recorded_probes import find_training_view
 from jaxunshear.data.recordings import read_image
+from jaxunshear.data.sensor_frame import find_training_view
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED
 from jaxunshear.inference.trained_model import TrainedModel

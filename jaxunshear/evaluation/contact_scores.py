@@ -26,7 +26,7 @@ from jaxunshear.evaluation.score import (
     score_poses,
 )
 from jaxunshear.models.modality import IMAGES, PINS
-from jaxunshear.perception.png import to_uint8
+from jaxunshear.perception.drawing import to_uint8
 from jaxunshear.progress import Progress
 from jaxunshear.selection import select_evenly
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
-from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.preprocessing import prepare_chunks
-from jaxunshear.data.recorded_contacts import read_test_contacts
-from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet, parse_frame
+from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
+from jaxunshear.data.recorded_frames import UnstoredSet, prepare_chunks
+from jaxunshear.data.recorded_set import RecordedSet
+from jaxunshear.data.sensor_frame import parse_frame
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.conformal import compute_coverage, compute_half_widths

@@ -25,9 +25,8 @@ import numpy as np
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.targets import RECORDED_FIELDS, Target, list_target_names, make_label_targets
-from jaxunshear.data.digests import compute_digest
-from jaxunshear.data.preprocessing import MIN_FRAMES, find_sensor_frame
-from jaxunshear.data.recorded_contacts import read_test_contacts
+from jaxunshear.data.recorded_contacts import compute_digest, read_test_contacts
+from jaxunshear.data.sensor_frame import MIN_FRAMES, find_sensor_frame
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.contact_predictions import ContactPredictions, predict_contacts
 from jaxunshear.evaluation.label_alignment import (

@@ -14,9 +14,8 @@ from jaxunshear.config.experiment import Experiment, list_further_tests
 from jaxunshear.config.registry import DISENTANGLED
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_range_targets, read_true_values
-from jaxunshear.data.generation import read_metadata
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sources import Examples
+from jaxunshear.data.stored_sets import open_set, read_metadata
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import collect_training_taps
 from jaxunshear.evaluation.contact_scores import (
@@ -49,7 +48,7 @@ from jaxunshear.evaluation.result_tables import (
 from jaxunshear.evaluation.score_files import SMOOTH, EvaluatedRun
 from jaxunshear.metrics.pin_error import measure_pin_errors
 from jaxunshear.models.modality import IMAGES, PINS, get_modality
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.results.run import Counts, FurtherTest, ResultBar, Results, Tables
 from jaxunshear.simulator.scene import NEAR_MM, TURN_DEG, has_one_edge
 from jaxunshear.training.examples import open_examples

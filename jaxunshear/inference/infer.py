@@ -24,7 +24,7 @@ from jaxunshear.inference.trained_model import TrainedModel, load_model
 from jaxunshear.metrics.machine import describe_machine, list_versions
 from jaxunshear.metrics.pose_error import compute_pose_errors
 from jaxunshear.output_checks import check_not_among
-from jaxunshear.perception.png import encode_png, to_uint8
+from jaxunshear.perception.drawing import encode_png, to_uint8
 from jaxunshear.perception.preprocess import prepare_frame
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress

@@ -13,11 +13,11 @@ from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.angles import wrap_degrees
-from jaxunshear.data.preprocessing import SensorFrame, to_detection_px, to_image_px
+from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED, run_in_batches
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice import Lattice, make_lattice
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
 from jaxunshear.perception.sensor_check import (
     MIN_PLAUSIBILITY,

@@ -26,9 +26,13 @@ from jaxunshear.config.image import Preprocess
 from jaxunshear.config.registry import ALL_NETWORKS, DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import list_target_names
-from jaxunshear.data.preprocessing import LIKE_REMEDY, SensorFrame, find_recordings_frame
-from jaxunshear.data.recorded_set import parse_frame
 from jaxunshear.data.recordings import read_recordings
+from jaxunshear.data.sensor_frame import (
+    LIKE_REMEDY,
+    SensorFrame,
+    find_recordings_frame,
+    parse_frame,
+)
 from jaxunshear.data.sources import DataSource, open_source
 from jaxunshear.errors import Note, UserError
 from jaxunshear.files import read_object
@@ -56,8 +60,8 @@ from jaxunshear.models.posenet import unscale_outputs
 from jaxunshear.models.registry import encode
 from jaxunshear.models.weights import Tree
 from jaxunshear.perception.lattice import Lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.preprocess import View, prepare_frame
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import SensorAppearance, measure_sensor_appearance
 from jaxunshear.training.checkpoint import has_model, read_slides
 from jaxunshear.training.examples import FRAME

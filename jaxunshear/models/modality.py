@@ -13,11 +13,11 @@ from jax import Array
 
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.losses import InputKind
-from jaxunshear.data.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
+from jaxunshear.data.reader import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.files import Json
 from jaxunshear.models import distances, pin_networks
 from jaxunshear.models.weights import AnyArray, Net, Variables
-from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.drawing import draw_dots
 
 Batch = Json
 

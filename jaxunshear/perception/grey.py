@@ -59,7 +59,11 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> Float32[np.ndarray, "H W"]:
         raw = raw[..., 0]
     _check_shape_and_type(raw)
     level = find_white_level(raw)
-    _check_not_negative(raw, level)
+    lowest = 0 if raw.dtype == bool else raw.min()
+    if lowest < (-level / 2 if np.issubdtype(raw.dtype, np.floating) else 0):
+        raise UserError(
+            f"this image holds numbers below zero (down to {lowest:g}): save it so that black is 0"
+        )
     grey = raw.astype(np.float32) / (level if level == 1 else max(level, white))
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 
@@ -79,16 +83,6 @@ def _check_shape_and_type(raw: np.ndarray) -> None:
             raise UserError("this image holds values that are not finite (NaN or infinity)")
     elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
-
-
-def _check_not_negative(raw: np.ndarray, white: float) -> None:
-    if raw.dtype == bool:
-        return
-    lowest, limit = raw.min(), -white / 2 if np.issubdtype(raw.dtype, np.floating) else 0
-    if lowest < limit:
-        raise UserError(
-            f"this image holds numbers below zero (down to {lowest:g}): save it so that black is 0"
-        )
 
 
 def is_binary(grey: Shaped[np.ndarray, "H W"]) -> bool:

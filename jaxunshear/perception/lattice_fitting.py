@@ -4,17 +4,20 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from jaxunshear.angles import rotation_2d
+from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import Lattice, compute_rings, estimate_rings, make_lattice
 from jaxunshear.perception.pin_detection import DetectedPins, find_hull
 from jaxunshear.perception.pin_tracking import track_all
-from jaxunshear.simulator.pin_layout import compute_pin_lattice
+from jaxunshear.simulator.camera import project, to_image_px
+from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
 
 RADIAL_BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: by how much the middle is drawn in
 TURN_DEG = 1.5
@@ -82,7 +85,13 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
     `frames` holds the detected pins px of each image. Raises UserError if these do not appear to be
     pins of this layout.
     """
-    frames = _select_frames(frames, layout)
+    full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
+    if not full:
+        most = max((len(pins) for pins in frames), default=0)
+        raise UserError(
+            f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
+        )
+    frames = full[:: -(-len(full) // MAX_IMAGES)]
     rest = _guess_rest(frames, layout)
     for _ in range(2):
         lattice = make_lattice(rest, layout.ring)
@@ -95,17 +104,6 @@ def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: MarkerLayout) ->
             )
         rest = rest + mean_motion
     return make_lattice(rest, layout.ring)
-
-
-def _select_frames(frames: list[np.ndarray], layout: MarkerLayout) -> list[np.ndarray]:
-    """Select up to MAX_IMAGES that show most pins. Raises UserError if there are none."""
-    full = [pins for pins in frames if len(pins) >= MIN_PIN_SHARE * len(layout.flat)]
-    if not full:
-        most = max((len(pins) for pins in frames), default=0)
-        raise UserError(
-            f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}"
-        )
-    return full[:: -(-len(full) // MAX_IMAGES)]
 
 
 def _measure_mean_motion(lattice: Lattice, frames: list[np.ndarray]) -> np.ndarray | None:
@@ -132,7 +130,11 @@ def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
     """
     flat = layout.flat / np.linalg.norm(layout.flat, axis=-1).max()
     radius = np.linalg.norm(flat, axis=-1, keepdims=True)
-    hulls = np.concatenate([_select_hull(pins) for pins in frames])
+    outlines = []
+    for pins in frames:
+        corners = find_hull(pins)
+        outlines.append(pins[corners] if len(corners) else pins)
+    hulls = np.concatenate(outlines)
     centre = (np.percentile(hulls, 2, axis=0) + np.percentile(hulls, 98, axis=0)) / 2
     rim = float(np.median(np.linalg.norm(hulls - centre, axis=-1)))
     outer = layout.ring >= layout.ring.max() - 2
@@ -156,7 +158,8 @@ def _guess_rest(frames: list[np.ndarray], layout: MarkerLayout) -> np.ndarray:
     return place(turns[best], RADIAL_BENDS[np.argmin(distance[best])])
 
 
-def _select_hull(pins: np.ndarray) -> np.ndarray:
-    """Select the pins on the convex hull, or all of them if there is none."""
-    corners = find_hull(pins)
-    return pins[corners] if len(corners) else pins
+def compute_rest_lattice(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
+    """Compute the lattice, px of the prepared image, of a sensor that touches nothing."""
+    px = project(camera, jnp.asarray(compute_pin_tips(sensor), jnp.float32), sensor)
+    rest = np.asarray(to_image_px(camera, preprocess, px), float)
+    return make_lattice(rest, compute_rings(sensor))

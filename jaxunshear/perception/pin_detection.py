@@ -67,7 +67,9 @@ def _detect(image: np.ndarray, split: "_Split") -> DetectedPins:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
     components = _find_components(image > (127 if image.dtype == np.uint8 else 0.5))
     short = components.length < len(image) / 5  # the housing ring is longer
-    candidate = short & _is_inside_mask(components)
+    at_edge = np.zeros(len(short) + 1, bool)
+    at_edge[components.labels.ravel()[_find_edge_pixels(*components.labels.shape)]] = True
+    candidate = short & ~at_edge[1:]
     mask = np.append(False, short)[components.labels]
     if not candidate.any():
         return DetectedPins(np.zeros((0, 2)), mask=mask)
@@ -107,13 +109,6 @@ def _measure_parts(labels: np.ndarray, count: int) -> MeasuredPins:
     area = np.bincount(number, None, count)
     row, column = np.bincount(number, rows, count), np.bincount(number, columns, count)
     return MeasuredPins(np.stack([column, row], -1) / area[:, None], area)
-
-
-def _is_inside_mask(components: _Components) -> np.ndarray:
-    """Return which components (N,) do not reach the edge of the circular mask."""
-    at_edge = np.zeros(len(components.area) + 1, bool)
-    at_edge[components.labels.ravel()[_find_edge_pixels(*components.labels.shape)]] = True
-    return ~at_edge[1:]
 
 
 @lru_cache(maxsize=8)

@@ -198,7 +198,12 @@ def refine_track(lattice: Lattice, track: PinTrack, detected: DetectedPins) -> P
     good = (share > AREA_RANGE[0]) & (share < AREA_RANGE[1]) & near
     motion[again] = np.where(good[:, None], position - lattice.rest[again], np.nan)
     for _ in range(MAX_RIM_DEPTH):
-        motion[_find_rim_pins(lattice, motion)] = np.nan
+        missing = np.isnan(motion[:, 0])
+        if not missing.any():
+            break
+        # the housing hides part of the pins next to a missing one, or all of it
+        beside_missing = missing[lattice.neighbours[:, :NEAREST]].any(axis=1)
+        motion[(lattice.measure_offsets(motion) > MIN_OFFSET) & beside_missing] = np.nan
     assessed = assess_track(lattice, motion, track.identity, len(detected.pins))
     return _snap_to_dots(lattice, assessed, again, detected)
 
@@ -221,18 +226,6 @@ def _snap_to_dots(
     motion = track.motion.copy()
     motion[rows[near]] = dots[nearest[near]] - lattice.rest[rows[near]]
     return track._replace(motion=motion)
-
-
-def _find_rim_pins(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """Find pins (P,) bool off their neighbours and next to a missing one.
-
-    The housing hides part of them, or all.
-    """
-    missing = np.isnan(motion[:, 0])
-    if not missing.any():
-        return missing
-    beside_missing = missing[lattice.neighbours[:, :NEAREST]].any(axis=1)
-    return (lattice.measure_offsets(motion) > MIN_OFFSET) & beside_missing
 
 
 def _measure_windows(white: np.ndarray, position: np.ndarray, radius: float) -> MeasuredPins:

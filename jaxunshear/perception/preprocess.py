@@ -10,7 +10,6 @@ of matrices.
 """
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
@@ -80,10 +79,7 @@ def _jax_matmul(a: Array, b: ArrayLike) -> Array:
 def _both_sides(
     matmul: Callable[[Grey, np.ndarray], Grey], matrix: np.ndarray, image: Grey
 ) -> Grey:
-    """Return M X M^T for every image.
-
-    Both are products of tall plain matrices, which are faster than a batch of small ones.
-    """
+    """Return M X M^T of each image: two products of tall matrices, faster than many small ones."""
     half = matmul(image, matrix.T)
     return matmul(half.swapaxes(-1, -2), matrix.T).swapaxes(-1, -2)
 
@@ -148,20 +144,13 @@ def prepare_frame(
     mask = make_mask(preprocess)
     if square.dtype == bool and len(square) == preprocess.size:
         return (square & mask).view(np.uint8) * np.uint8(255)
-    with _limit_to_one_thread():
+    # on busy cores two threads take ten times as long for products as small as these
+    with _blas().limit(limits=1, user_api="blas"):
         if not is_binary(grey):
             return _binarise(np.matmul, preprocess, square)
         small = _both_sides(np.matmul, make_area_matrix(len(square), preprocess.size), square)
     white = (small >= compute_middle_level(grey)) & mask
     return white.astype(np.uint8) * np.uint8(255)
-
-
-def _limit_to_one_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread.
-
-    On busy cores two threads take ten times as long for products as small as these.
-    """
-    return _blas().limit(limits=1, user_api="blas")
 
 
 @lru_cache(maxsize=1)
@@ -200,13 +189,9 @@ def _find_box(preprocess: Preprocess, grey: np.ndarray) -> Box:
 
 
 def _frame_pins(grey: np.ndarray, outer_pins: float) -> Box:
-    """Frame the pins of a binary frame, or take its middle square if that is near enough.
-
-    Resampling costs a binary image its edges, so it needs a clear reason.
-    """
+    """Frame the pins of a binary frame; resampling costs it its edges, so needs a clear reason."""
     pins = _find_pin_circle(grey > compute_middle_level(grey))
-    scale = None if pins is None else pins.radius / outer_pins / min(grey.shape)
-    if pins is None or scale is None or abs(scale - 1) < MAX_FRAMING_ERROR:
+    if pins is None or abs(pins.radius / outer_pins / min(grey.shape) - 1) < MAX_FRAMING_ERROR:
         return _make_middle_box(grey.shape)
     return _make_box(pins.row, pins.column, pins.radius / outer_pins)
 
@@ -245,9 +230,7 @@ def _find_disc_rim(grey: np.ndarray) -> np.ndarray:
 def _find_pin_circle(white: np.ndarray) -> "_Circle | None":
     """Fit a circle to the outermost of the white dots (H, W); None if it is not plausible."""
     circle = _fit_circle(_find_outer_dots(white))
-    if circle is None or not _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR):
-        return None
-    return circle
+    return circle if _is_plausible(circle, white, PIN_RADIUS_RANGE, MAX_PIN_CIRCLE_ERROR) else None
 
 
 def _find_outer_dots(white: np.ndarray) -> np.ndarray:
@@ -286,8 +269,10 @@ def _fit_circle(points: np.ndarray) -> _Circle | None:
 
 
 def _is_plausible(
-    circle: _Circle, image: np.ndarray, radius_range: tuple[float, float], max_error: float
+    circle: _Circle | None, image: np.ndarray, radius_range: tuple[float, float], max_error: float
 ) -> bool:
+    if circle is None:
+        return False
     side = min(image.shape)
     is_sized = radius_range[0] * side < circle.radius < radius_range[1] * side
     return is_sized and circle.error <= max_error * circle.radius

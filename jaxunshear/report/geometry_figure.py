@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.downstream.geometry import HEIGHT_METHODS, INVERSE, interpolate_surface
 from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, compute_correlation
 from jaxunshear.perception.lattice import Lattice

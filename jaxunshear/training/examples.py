@@ -16,8 +16,9 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import POSENET_SHEARED, RENDERER
 from jaxunshear.config.targets import RECORDED_FIELDS
+from jaxunshear.data.pairing import PoseEstimator, SlideSimulator, TapRenderer
 from jaxunshear.data.reader import Batch, Reader
-from jaxunshear.data.recorded_set import PoseEstimator, RecordedSet, SlideSimulator, TapRenderer
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.data.sources import Examples, open_source
 from jaxunshear.errors import UserError
 from jaxunshear.models import pin_networks, posenet

@@ -16,9 +16,9 @@ import numpy as np
 
 from jaxunshear.config.network_config import NetworkConfig
 from jaxunshear.config.splits import hash_text
-from jaxunshear.data.pose_groups import group_by_pose
-from jaxunshear.data.reader import Batch, Reader, SetReader, open_set
+from jaxunshear.data.reader import Batch, Reader, group_by_pose
 from jaxunshear.data.sources import Examples
+from jaxunshear.data.stored_sets import SetReader, open_set
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 Batches = Callable[[int], Iterator[Batch]]

@@ -19,19 +19,15 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.angles import rotation_2d
-from jaxunshear.calibration.calibration_result import DEFAULT_CALIBRATION
+from jaxunshear.calibration.alignment import LabelView, RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.calibration.labels import find_depth_axis
-from jaxunshear.calibration.simulated_slides import (
-    LabelView,
-    RecordedTaps,
-    fit_label_view,
-    simulate_shear,
-)
+from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.data.chunks import load_chunk, write_chunks
+from jaxunshear.data.pairing import SlideSimulator
 from jaxunshear.data.reader import Batch
-from jaxunshear.data.recorded_set import RecordedSet, SlideSimulator
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.errors import UserError
 from jaxunshear.training.domain_randomisation import SHIFTED, TURNED_DEG
 

@@ -72,7 +72,7 @@ def make_unshear_task(
     """Make the task of a network that unshears.
 
     Codes that can be exchanged take partners where poses share slides, the fields `other` and
-    `swapped` of the modality, see `data.factorial`; elsewhere the pose code of a slide is to agree
+    `swapped` of the modality, see `data.reader`; elsewhere the pose code of a slide is to agree
     with its tap's. The loss "tap_identity" needs {"tap_pins"} (T, P, 2) px, "consistency"
     {"one_pins", "another_pins"} (A, P, 2) px.
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import EDGE_STIMULUS, make_paths, read_motions
-from jaxunshear.calibration.rendering import render_images
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.simulator.simulate import follow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
-from jaxunshear.calibration.sampling import RecordedImages
+from jaxunshear.calibration.recorded_groups import RecordedImages
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.errors import UserError
@@ -106,9 +106,6 @@ def test_an_image_whose_slide_cannot_be_read_is_no_tap():
 def test_what_was_held_is_not_called_undetermined(results):
     held = _parameters(results[0])["pin_spacing_mm"]
     assert held["held"] and held["after"] == held["before"] and held["low"] is None
-    line = next(
-        line
-        for line in (results[1] / "calibration.txt").read_text().splitlines()
-        if "pin_spacing_mm" in line
-    )
+    lines = (results[1] / "calibration.txt").read_text().splitlines()
+    line = next(line for line in lines if "pin_spacing_mm" in line)
     assert "held" in line and "not determined" not in line

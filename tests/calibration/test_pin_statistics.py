@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from jaxunshear.calibration.calibrate import summarise_group
+from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.pin_statistics import (
     average_central_pins,
@@ -16,8 +18,6 @@ from jaxunshear.calibration.pin_statistics import (
     summarise_pins,
 )
 from jaxunshear.calibration.problem import RecordedGroup
-from jaxunshear.calibration.rendering import render_images
-from jaxunshear.calibration.report import summarise_group
 from jaxunshear.config.image import Camera
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.errors import UserError
@@ -149,7 +149,7 @@ def test_black_images_are_refused():
 
 
 def test_real_pins_can_be_followed(real_recordings):
-    from jaxunshear.calibration.sampling import sample_folders
+    from jaxunshear.calibration.recorded_groups import sample_folders
 
     parts, _ = sample_folders(real_recordings / "surface_3d_sample", 24, 0)
     observation = observe_pins(parts[0].images, TACTIP_331)

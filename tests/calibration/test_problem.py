@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from jaxunshear.calibration import problem
+from jaxunshear.calibration.fit import render_images
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.pin_statistics import observe_pins
 from jaxunshear.calibration.prediction import PROBE_RINGS, make_values
 from jaxunshear.calibration.problem import UNSOLVED_RESIDUAL_PX, Problem, RecordedGroup
-from jaxunshear.calibration.rendering import render_images
 from jaxunshear.config.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from tests.calibration.conftest import GUESS, SMALL

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.calibration_result import Calibration
+from jaxunshear.calibration.alignment import RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.calibration.labels import read_motions
 from jaxunshear.calibration.prediction import (
+    Calibration,
     find_solutions,
     project_positions,
     simulate_displacements,
 )
-from jaxunshear.calibration.simulated_slides import RecordedTaps, fit_label_view, simulate_shear
 from jaxunshear.errors import UserError
 from jaxunshear.perception.lattice import compute_rings, make_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_lattice

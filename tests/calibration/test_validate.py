@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.calibration.calibration_result import (
-    DEFAULT_CALIBRATION,
-    Calibration,
-    read_calibration,
-)
-from jaxunshear.calibration.sampling import are_among, list_sampled_images, split_folders
+from jaxunshear.calibration.prediction import DEFAULT_CALIBRATION, Calibration, read_calibration
+from jaxunshear.calibration.recorded_groups import are_among, list_sampled_images, split_folders
 from jaxunshear.calibration.validate import PRESET_RECORDINGS, validate
 from jaxunshear.config.image import Camera
 from jaxunshear.errors import UserError

@@ -102,7 +102,7 @@ def test_a_teacher_is_trained_before_the_networks_that_it_teaches():
 @pytest.fixture
 def record_training(monkeypatch, tmp_path):
     """Return what `run_stages` asks of a training: its arguments, but for the folder."""
-    from jaxunshear.data import reader
+    from jaxunshear.data import stored_sets
     from jaxunshear.training import few_pairs, trainer
 
     class Reader:
@@ -136,7 +136,7 @@ def record_training(monkeypatch, tmp_path):
             calls.append(words)
             return Reader()
 
-        monkeypatch.setattr(reader, "open_set", open_set)
+        monkeypatch.setattr(stored_sets, "open_set", open_set)
         monkeypatch.setattr(few_pairs, "open_set", open_set)
         monkeypatch.setattr(trainer, "train", train)
         out = tmp_path / str(len(list(tmp_path.iterdir())))

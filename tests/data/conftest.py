@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.config.data import PairedData, PoseData
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import SimulationEngine
+from jaxunshear.data.simulation import SimulationEngine
 
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32
@@ -52,13 +52,10 @@ def simulate(sensor, names, scenes):
 
 def render(settings, sensor, tips, number, age):
     size = settings.preprocess.size
-    images = [
-        np.random.default_rng([settings.seed, int(index)]).random((size, size)) < 0.3
-        for index in number
-    ]
-    pins = np.asarray(tips[..., :2] + size / 2, np.float32) + PINS_PER_CONTACT * np.reshape(
-        number, (-1, 1, 1)
-    )
+    generators = [np.random.default_rng([settings.seed, int(index)]) for index in number]
+    images = [generator.random((size, size)) < 0.3 for generator in generators]
+    pins = np.asarray(tips[..., :2] + size / 2, np.float32)
+    pins = pins + PINS_PER_CONTACT * np.reshape(number, (-1, 1, 1))
     return np.stack(images).astype(np.uint8) * np.uint8(255), pins.astype(np.float32)
 
 

@@ -20,11 +20,11 @@ from jaxunshear.config.configs import CONFIGS, get_set_folder, get_unfinished_fo
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.stimuli import Outline
-from jaxunshear.data.builders.stored import SetConfig, compute_sha256
+from jaxunshear.data.builders import SetConfig, compute_sha256
 from jaxunshear.data.chunks import load_chunk
-from jaxunshear.data.generation import make_set
 from jaxunshear.data.sampling import sample_contacts
 from jaxunshear.data.sources import open_source
+from jaxunshear.data.stored_sets import make_set
 from jaxunshear.errors import UserError
 
 BUILDERS = {
@@ -43,7 +43,7 @@ def test_a_library_that_came_in_parts_is_one_line():
         "import sys, types; "
         "sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
     )
-    words = [sys.executable, "-c", f"{parts}; import jaxunshear.data.builders.stored"]
+    words = [sys.executable, "-c", f"{parts}; import jaxunshear.data.builders"]
     said = subprocess.run(words, check=False, capture_output=True, text=True).stderr
     assert said.splitlines()[-1].startswith(
         "jaxunshear.errors.UserError: tensorflow_datasets could not be imported"
@@ -78,9 +78,8 @@ def test_the_data_card_and_the_citation_come_along(name):
     for word in ("simulated", "mm", "Licence", "Splits", "Limits"):
         assert word in metadata.description
     assert "Induced Shear" in metadata.citation
-    assert set(metadata.tags) <= {
-        tag.split(" ")[0] for tag in tfds.core.dataset_metadata.valid_tags()
-    }
+    known = [tag.split(" ")[0] for tag in tfds.core.dataset_metadata.valid_tags()]
+    assert set(metadata.tags) <= set(known)
     card = " ".join(metadata.description.split())
     builder = BUILDERS[name](config="tiny", data_dir="/nowhere")
     for field in builder.info.features:
@@ -95,9 +94,8 @@ def test_metadata_gives_settings_and_counts(paired, sensor, engine, tmp_path):
     assert metadata["sensor"]["name"] == "small"
     assert metadata["counts"]["written"] == {"train": 36, "validation": 12, "test": 12}
     assert metadata["counts"]["dropped_scenes"] == []
-    assert metadata == json.loads(
-        (get_set_folder(paired, sensor, tmp_path) / "metadata.json").read_text()
-    )
+    file = get_set_folder(paired, sensor, tmp_path) / "metadata.json"
+    assert metadata == json.loads(file.read_text())
 
 
 def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_path):
@@ -105,9 +103,8 @@ def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_pa
     own = dataclasses.replace(paired, stimuli=("disk", kite))
     metadata = make_set(own, sensor, tmp_path, engine)
     assert metadata["settings"]["stimuli"][1]["points"][1] == [12, 0]
-    assert (
-        make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
-    )  # found again
+    # found again
+    assert make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata
     rows = tfds.builder_from_directory(get_set_folder(own, sensor, tmp_path)).as_data_source("test")
     assert rows.dataset_info.features["stimulus"].names == ["disk", "kite"]
     assert {int(row["stimulus"]) for row in rows} == {0, 1}
@@ -123,9 +120,8 @@ def test_both_sets_of_an_experiment(paired, pose, sensor, engine, tmp_path):
 
 def test_a_set_is_made_once_and_the_same_again_elsewhere(pose, sensor, engine, tmp_path):
     make_set(pose, sensor, tmp_path / "a", engine)
-    make_set(
-        pose, sensor, tmp_path / "a", engine._replace(simulate=None)
-    )  # would fail if it simulated
+    # would fail if it simulated
+    make_set(pose, sensor, tmp_path / "a", engine._replace(simulate=None))
     make_set(pose, sensor, tmp_path / "b", engine)
     first, second = (checksums(get_set_folder(pose, sensor, tmp_path / name)) for name in "ab")
     assert first == second
@@ -146,9 +142,7 @@ def test_other_settings_in_the_same_place_are_refused_by_field(pose, sensor, eng
 
 
 @pytest.mark.parametrize("stage", ["chunks", "shards"])
-def test_a_full_disk_is_reported_and_loses_nothing(
-    stage, pose, sensor, engine, tmp_path, monkeypatch
-):
+def test_a_full_disk_loses_nothing(stage, pose, sensor, engine, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         if stage == "chunks":
             replace = os.replace
@@ -195,27 +189,20 @@ def test_nothing_that_converges_is_refused(pose, sensor, engine, tmp_path):
 SCRIPT = """
 import runpy, sys
 from pathlib import Path
-from jaxunshear.data.generation import make_set
+from jaxunshear.data.stored_sets import make_set
 fake = runpy.run_path(sys.argv[1])
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), fake["ENGINE"])
 """
 
 
 def start(folder: Path, seconds: float) -> subprocess.Popen:
-    words = [
-        sys.executable,
-        "-c",
-        SCRIPT,
-        str(Path(__file__).with_name("conftest.py")),
-        str(folder),
-    ]
+    stand_in = Path(__file__).with_name("conftest.py")
+    words = [sys.executable, "-c", SCRIPT, str(stand_in), str(folder)]
     environment = {**os.environ, "FAKE_SECONDS": str(seconds)}
     return subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True)
 
 
-def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
-    paired, sensor, engine, tmp_path
-):
+def test_a_killed_run_goes_on_to_the_same_bits(paired, sensor, engine, tmp_path):
     make_set(paired, sensor, tmp_path / "full", engine)
     chunks = get_unfinished_folder(paired, sensor, tmp_path / "killed")
     process = start(tmp_path / "killed", 0.5)
@@ -243,9 +230,8 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(
     make_set(paired, sensor, tmp_path / "killed", engine)
     assert {path.name: path.stat().st_mtime_ns for path in half.iterdir()} == kept
     assert all(load_chunk(path)["usable"].all() for path in half.iterdir())
-    assert checksums(get_set_folder(paired, sensor, tmp_path / "killed")) == checksums(
-        get_set_folder(paired, sensor, tmp_path / "full")
-    )
+    full, killed = [get_set_folder(paired, sensor, tmp_path / name) for name in ("full", "killed")]
+    assert checksums(killed) == checksums(full)
     assert not chunks.exists()
 
 

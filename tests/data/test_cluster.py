@@ -16,8 +16,7 @@ from jaxunshear import cluster
 from jaxunshear.cluster import Call, run_locally
 from jaxunshear.config.configs import get_set_folder, get_unfinished_folder
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 STAND_IN = Path(__file__).with_name("conftest.py")
@@ -28,7 +27,7 @@ SCRIPT = """
 import runpy, sys
 from pathlib import Path
 from jaxunshear.cluster import make_ray_runner
-from jaxunshear.data.generation import make_set
+from jaxunshear.data.stored_sets import make_set
 fake = runpy.run_path(sys.argv[1])
 engine = fake["ENGINE"]._replace(run_calls=make_ray_runner(sys.argv[3], 1))
 make_set(fake["PAIRED"], fake["SENSOR"], Path(sys.argv[2]), engine)
@@ -73,11 +72,9 @@ def test_what_cannot_be_is_refused_in_one_line(command, tmp_path, name, words, l
 def test_without_ray_data_says_how_to_get_it(command, absent):
     absent("ray")
     answer = command("data", TINY, "--engine", "ray")
-    assert (
-        answer.code == 2
-        and "--engine ray needs Ray: pip install" in answer.err
-        and "[ray]" in answer.err
-    )
+    assert answer.code == 2
+    assert "--engine ray needs Ray: pip install" in answer.err
+    assert "[ray]" in answer.err
 
 
 @pytest.fixture
@@ -98,9 +95,7 @@ def nodes(monkeypatch, tmp_path):
 
 
 @pytest.mark.long
-def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(
-    nodes, paired, sensor, engine, tmp_path
-):
+def test_a_set_outlives_workers_nodes_and_commands(nodes, paired, sensor, engine, tmp_path):
     """Check for the same bits as on one machine.
 
     No chunk that a stopped command had kept is made twice.

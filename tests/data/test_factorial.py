@@ -9,19 +9,17 @@ from jaxunshear.angles import rotate_2d
 from jaxunshear.config import configs
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.factorial import (
+from jaxunshear.data.reader import (
     IMAGE,
     OTHER,
     OTHER_IMAGE,
     SHEARED_PINS,
     SWAPPED,
     SWAPPED_IMAGE,
-    FactorialReader,
-    index_shared_slides,
+    shift_examples,
 )
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import shift_examples
 from jaxunshear.data.sampling import find_slide_leaders, sample_pairs
+from jaxunshear.data.stored_sets import FactorialReader, index_shared_slides, make_set
 from jaxunshear.errors import UserError
 
 FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_a_slide=4)
@@ -61,9 +59,8 @@ def test_without_sharing_every_pose_has_the_slides_it_always_had():
     assert np.array_equal(find_slide_leaders(alone, "disk"), np.arange(45))
     shots = sample_pairs(alone)
     moves = shots.scenes.move[shots.is_slide]
-    assert np.mean(np.any(moves == 0, axis=1)) == pytest.approx(
-        2 / 3, abs=0.15
-    )  # along one axis of the target: not turned
+    # along one axis of the target: not turned
+    assert np.mean(np.any(moves == 0, axis=1)) == pytest.approx(2 / 3, abs=0.15)
 
 
 def test_poses_and_taps_do_not_depend_on_who_shares():
@@ -82,12 +79,9 @@ def rows(dropped=()):
     shots = sample_pairs(FOUR)
     here = np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("train")))
     here = np.delete(here, list(dropped))
-    batch = {
-        "stimulus": shots.scenes.stimulus,
-        "pose_id": shots.pose_id,
-        "slide_id": shots.instance,
-    }
-    return {name: value[here] for name, value in batch.items()}
+    fields = (shots.scenes.stimulus, shots.pose_id, shots.instance)
+    names = ("stimulus", "pose_id", "slide_id")
+    return {name: value[here] for name, value in zip(names, fields, strict=True)}
 
 
 @pytest.mark.parametrize("dropped", [(), (0, 7, 8, 40)])
@@ -136,9 +130,8 @@ def test_batches_hold_partners_and_go_on_from_any_step(reader):
     for name in (OTHER, SWAPPED):
         found = [np.flatnonzero((stored == pins).all(axis=(1, 2))) for pins in first[name]]
         assert all(len(each) for each in found)
-    assert np.any(first[OTHER] != first[SHEARED_PINS]) and np.any(
-        next(reader.train_batches(8, 4, 0.0, fields)(0))[OTHER] != first[OTHER]
-    )
+    assert np.any(first[OTHER] != first[SHEARED_PINS])
+    assert np.any(next(reader.train_batches(8, 4, 0.0, fields)(0))[OTHER] != first[OTHER])
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1])
@@ -152,9 +145,8 @@ def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shif
         for place, image, own in zip(batch[pins], batch[images], batch[SHEARED_PINS], strict=True):
             off = place - stored[SHEARED_PINS]
             steps = np.round(off[:, :1])
-            (row,) = np.flatnonzero(
-                np.all(np.abs(off - steps) < 1e-4, axis=(1, 2))
-            )  # moved by full pixels
+            # moved by full pixels
+            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))
             offset = steps[row, 0].astype(int)
             plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
             np.testing.assert_array_equal(
@@ -170,7 +162,6 @@ def test_in_evaluation_partners_stay(reader):
     one, again = (reader.take("test", np.arange(6), (OTHER, "pose")) for _ in range(2))
     np.testing.assert_array_equal(one[OTHER], again[OTHER])
     split = list(reader.split("test", 5, (SHEARED_PINS, SWAPPED)))
-    assert sum(len(batch[SWAPPED]) for batch in split) == reader.length("test") and set(
-        split[0]
-    ) == {SHEARED_PINS, SWAPPED}
+    assert sum(len(batch[SWAPPED]) for batch in split) == reader.length("test")
+    assert set(split[0]) == {SHEARED_PINS, SWAPPED}
     assert set(next(reader.split("test", 5))) >= {"pose", "sheared", "canonical_pins"}

@@ -86,12 +86,8 @@ def test_what_is_wrong_is_named_by_row(tmp_path, lines, row, says, unknown):
 
 
 def test_a_row_of_two_lines_does_not_shift_the_count(tmp_path):
-    lines = [
-        f"{HEADING},note",
-        f'{LINES[1]},"two\nlines"',
-        f"{LINES[2]},",
-        f"{line(NAMES[2], 1, 'abc')},",
-    ]
+    lines = [f"{HEADING},note", f'{LINES[1]},"two\nlines"', f"{LINES[2]},"]
+    lines.append(f"{line(NAMES[2], 1, 'abc')},")
     _, problems = targets_of(tmp_path, lines)
     assert [problem.row for problem in problems] == [5]  # as an editor counts
 
@@ -114,10 +110,8 @@ def test_what_is_no_table_is_refused(tmp_path, text, says):
 
 
 def test_a_problem_can_be_printed_whatever_the_name():
-    assert (
-        Problem.with_place("caf\udce9\n.csv", "is  odd", 3).encode()
-        == b"caf\\udce9 .csv, row 3: is odd"
-    )
+    problem = Problem.with_place("caf\udce9\n.csv", "is  odd", 3)
+    assert problem.encode() == b"caf\\udce9 .csv, row 3: is odd"
 
 
 def test_pairs(tmp_path):

@@ -7,20 +7,20 @@ import pytest
 from jaxunshear.config.sensor import TACTIP_127
 from jaxunshear.config.targets import make_label_targets
 from jaxunshear.data import pairing
+from jaxunshear.data.chunks import pack_bits
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.pin_detection import find_pins
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 128
 FLAT = compute_pin_lattice(TACTIP_127)
 PINS = (SIZE - 1) / 2 + 0.375 * SIZE * FLAT / np.linalg.norm(FLAT, axis=-1).max()
-SPACING = 0.375 * SIZE / 6
+WARP = pairing.make_image_warper(PINS, 0.375 * SIZE / 6, SIZE)
 
 
 def image(pins):
-    return (np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE)) * 255).astype(
-        np.uint8
-    )[..., 0]
+    dots = np.asarray(draw_dots(jnp.asarray(pins[None], jnp.float32), 2.1, SIZE))
+    return (dots * 255).astype(np.uint8)[..., 0]
 
 
 def centroids(grey, near):
@@ -35,24 +35,20 @@ def centroids(grey, near):
 
 def test_pins_of_a_warped_image_stand_where_they_were_moved():
     motion = np.stack([1.2 * np.sin(PINS[:, 1] / 20), 0.8 * np.cos(PINS[:, 0] / 25)], axis=-1)
-    moved = pairing.warp_images(
-        image(PINS), motion[None], pairing.interpolate_over_pixels(PINS, SPACING, SIZE)
-    )[0]
+    moved = WARP(pack_bits(image(PINS)), motion[None])[0]
     assert len(find_pins(moved)) == 127
     apart = np.linalg.norm(centroids(moved, PINS + motion) - (PINS + motion), axis=-1)
-    asis = np.linalg.norm(
-        centroids(image(PINS)[0], PINS) - PINS, axis=-1
-    )  # what drawing at full pixels costs
+    # what drawing at full pixels costs
+    asis = np.linalg.norm(centroids(image(PINS)[0], PINS) - PINS, axis=-1)
     assert np.median(apart) < np.median(asis) + 0.1 and apart.max() < 0.6
     assert np.median(np.linalg.norm(centroids(moved, PINS + motion) - PINS, axis=-1)) > 0.6
 
 
 def test_no_motion_changes_nothing_and_far_from_the_pins_nothing_moves():
-    spread = pairing.interpolate_over_pixels(PINS, SPACING, SIZE)
     ring = image(PINS)
     ring[:, :6] = 255
-    np.testing.assert_array_equal(pairing.warp_images(ring, np.zeros((1, 127, 2)), spread), ring)
-    moved = pairing.warp_images(ring, np.full((1, 127, 2), 1.0), spread)
+    np.testing.assert_array_equal(WARP(pack_bits(ring), np.zeros((1, 127, 2))), ring)
+    moved = WARP(pack_bits(ring), np.full((1, 127, 2), 1.0))
     np.testing.assert_array_equal(moved[:, :6], ring[:, :6])
 
 

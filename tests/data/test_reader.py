@@ -9,10 +9,10 @@ import pytest
 
 from jaxunshear.config.configs import get_set_folder
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import reader
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import Reader, open_set, shift_examples
+from jaxunshear.data import stored_sets
+from jaxunshear.data.reader import Reader, group_by_pose, shift_examples
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 
@@ -30,8 +30,17 @@ def image_of(engine, settings, row):
     return engine.render(settings, None, np.zeros((1, 1, 3)), [row], None)[0][0]
 
 
-def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine):
-    shots = sample_contacts(paired)
+def find_rows(shots, batch, place):
+    """Return the contacts that an example is made of: its slide, and its tap."""
+    here = shots.scenes.stimulus == batch["stimulus"][place]
+    here &= shots.pose_id == batch["pose_id"][place]
+    slides = here & shots.is_slide & (shots.instance == batch["slide_id"][place])
+    taps = here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
+    return int(np.flatnonzero(slides)[0]), int(np.flatnonzero(taps)[0])
+
+
+def test_a_split_comes_once_with_the_contacts_that_were_made(made, paired, engine):
+    shots, scenes = sample_contacts(paired), sample_contacts(paired).scenes
     seen = set()
     for split in SPLITS:
         batches = list(made.split(split, 8))
@@ -41,41 +50,24 @@ def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine)
             assert batch["sheared"].shape[1:] == batch["canonical"].shape[1:] == (32, 32, 1)
             assert batch["sheared"].dtype == np.uint8
             assert batch["sheared_pins"].shape[1:] == (19, 2)
-            assert all(
-                batch[name].dtype == np.float32
-                for name in ("pose", "edge", "move", "friction", "canonical_pins")
-            )
+            for name in ("pose", "edge", "move", "friction", "canonical_pins"):
+                assert batch[name].dtype == np.float32
+            np.testing.assert_array_equal(batch["tap_id"], batch["slide_id"] % paired.taps)
             for place in range(len(batch["pose"])):
-                here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
-                    shots.pose_id == batch["pose_id"][place]
-                )
-                slide = np.flatnonzero(
-                    here & shots.is_slide & (shots.instance == batch["slide_id"][place])
-                )[0]
-                tap = np.flatnonzero(
-                    here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
-                )[0]
-                np.testing.assert_array_equal(
-                    batch["sheared"][place, :, :, 0], image_of(engine, paired, slide)
-                )
-                np.testing.assert_array_equal(
-                    batch["canonical"][place, :, :, 0], image_of(engine, paired, tap)
-                )
-                np.testing.assert_allclose(batch["edge"][place], shots.edge[slide], rtol=1e-6)
+                slide, tap = find_rows(shots, batch, place)
+                for name, row in (("sheared", slide), ("canonical", tap)):
+                    image = image_of(engine, paired, row)
+                    np.testing.assert_array_equal(batch[name][place, :, :, 0], image)
+                for name, made_as in (
+                    ("edge", shots.edge[slide]),
+                    ("pose", scenes.pose[slide]),
+                    ("move", scenes.move[slide]),
+                    ("tap_depth_mm", scenes.pose[tap, 3]),
+                ):
+                    np.testing.assert_allclose(batch[name][place], made_as, rtol=1e-6)
                 assert shots.split[slide] == SPLITS.index(split)
                 seen.add(slide)
     assert len(seen) == shots.is_slide.sum()
-
-
-def test_no_pose_is_in_two_splits(made):
-    poses = [
-        {tuple(pose) for batch in made.split(split, 100) for pose in batch["pose"]}
-        for split in SPLITS
-    ]
-    assert [len(part) for part in poses] == [12, 4, 4]
-    assert not poses[0] & poses[1]
-    assert not poses[0] & poses[2]
-    assert not poses[1] & poses[2]
 
 
 def test_batches_depend_on_seed_and_step_alone(made):
@@ -88,13 +80,10 @@ def test_batches_depend_on_seed_and_step_alone(made):
 
 
 def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
-    slides = [
-        key
-        for batch in take(made.train_batches(6, 0, 0.0)(0), 12)
-        for key in zip(
-            *(batch[name].tolist() for name in ("stimulus", "pose_id", "slide_id")), strict=True
-        )
-    ]
+    slides = []
+    for batch in take(made.train_batches(6, 0, 0.0)(0), 12):
+        keys = np.stack([batch[name] for name in ("stimulus", "pose_id", "slide_id")], axis=1)
+        slides += map(tuple, keys.tolist())
     first, second = slides[:36], slides[36:]
     assert len(set(first)) == len(first) == made.length("train") == 36
     assert set(first) == set(second)
@@ -103,18 +92,13 @@ def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
 
 
 def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
-    shots = sample_contacts(paired)
-    met: dict[tuple, set] = {}
+    shots, met = sample_contacts(paired), {}
     for batch in take(made.train_batches(12, 0, 0.0)(0), 90):
-        for place, key in enumerate(
-            zip(batch["stimulus"], batch["pose_id"], batch["slide_id"], strict=True)
-        ):
-            tap = int(batch["tap_id"][place])
-            met.setdefault(key, set()).add(tap)
-            here = (shots.scenes.stimulus == key[0]) & (shots.pose_id == key[1]) & ~shots.is_slide
-            row = np.flatnonzero(here & (shots.instance == tap))[0]
+        for place in range(12):
+            slide, tap = find_rows(shots, batch, place)
+            met.setdefault(slide, set()).add(int(batch["tap_id"][place]))
             np.testing.assert_array_equal(
-                batch["canonical"][place, :, :, 0], image_of(engine, paired, row)
+                batch["canonical"][place, :, :, 0], image_of(engine, paired, tap)
             )
     assert all(taps == {0, 1} for taps in met.values())
 
@@ -123,19 +107,10 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
     shots, offsets = sample_contacts(paired), set()
     for batch in take(made.train_batches(12, 0, 0.1)(0), 10):
         for place in range(12):
-            here = (shots.scenes.stimulus == batch["stimulus"][place]) & (
-                shots.pose_id == batch["pose_id"][place]
-            )
-            row = np.flatnonzero(
-                here & shots.is_slide & (shots.instance == batch["slide_id"][place])
-            )[0]
-            tap = np.flatnonzero(
-                here & ~shots.is_slide & (shots.instance == batch["tap_id"][place])
-            )[0]
+            row, tap = find_rows(shots, batch, place)
             still = shots.scenes.pose[row, :2] + 16
-            offset = (
-                batch["sheared_pins"][place, 0] - still - 1e-3 * row
-            )  # as the stand-in places them
+            # as the stand-in places them
+            offset = batch["sheared_pins"][place, 0] - still - 1e-3 * row
             np.testing.assert_allclose(
                 batch["canonical_pins"][place, 0] - still - 1e-3 * tap, offset, atol=1e-4
             )
@@ -163,10 +138,8 @@ def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
 
 
 def test_only_the_named_fields_are_read(made):
-    assert set(next(made.train_batches(4, 0, 0.0, fields=("sheared", "pose"))(0))) == {
-        "sheared",
-        "pose",
-    }
+    fields = ("sheared", "pose")
+    assert set(next(made.train_batches(4, 0, 0.0, fields)(0))) == set(fields)
     assert set(next(made.split("test", 4, fields=("edge",)))) == {"edge"}
 
 
@@ -202,9 +175,8 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
         UserError, match=rf"{re.escape(shard.name)} is .*delete .*`jaxunshear data`"
     ):
         made.train_batches(4, 0, 0.0)
-    assert made.length("test") == sum(
-        len(batch["pose"]) for batch in made.split("test", 4)
-    )  # the others still read
+    # the others still read
+    assert made.length("test") == sum(len(batch["pose"]) for batch in made.split("test", 4))
 
 
 @pytest.mark.parametrize(
@@ -241,19 +213,15 @@ def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(reader, "_read_rows", refuse)
+    monkeypatch.setattr(stored_sets, "_read_rows", refuse)
     with pytest.raises(UserError, match=r"cannot read .*Permission denied") as refusal:
         next(made.split("test", 4))
     assert "again" not in str(refusal.value)
 
 
 def test_where_nothing_is_drawn_every_epoch_has_every_row_once():
-    rows = {
-        "sheared_pins": np.arange(23.0),
-        "pose": -np.arange(23.0),
-        "stimulus": np.zeros(23),
-        "pose_id": np.arange(23),
-    }
+    rows = {"sheared_pins": np.arange(23.0), "pose": -np.arange(23.0)}
+    rows |= {"stimulus": np.zeros(23), "pose_id": np.arange(23)}
     batches = Reader(lambda split: rows, 16).train_batches(5, 3, 0.0, ("sheared_pins", "pose"))
     seen = take(batches(0), 23)
     assert all(np.array_equal(batch["sheared_pins"], -batch["pose"]) for batch in seen)
@@ -263,3 +231,36 @@ def test_where_nothing_is_drawn_every_epoch_has_every_row_once():
     np.testing.assert_array_equal(next(batches(7))["pose"], seen[7]["pose"])
     other = next(Reader(lambda split: rows, 16).train_batches(5, 4, 0.0, ("pose",))(0))
     assert not np.array_equal(other["pose"], seen[0]["pose"])
+
+
+STIMULUS = np.array([0, 1, 0, 0, 1, 0, 0])
+POSE = np.array([5, 5, 2, 5, 5, 5, 9])
+ALIKE = [{0, 3, 5}, {1, 4}, {2}, {0, 3, 5}, {1, 4}, {0, 3, 5}, {6}]
+
+
+def met(draw, times=60):
+    generator, rows = np.random.default_rng(0), np.arange(7)
+    drawn = np.stack([draw(rows, generator) for _ in range(times)], axis=1)
+    return [set(row) for row in drawn.tolist()]
+
+
+def test_groups_are_of_one_pose_of_one_stimulus():
+    siblings = group_by_pose(STIMULUS, POSE)
+    assert [set(siblings.get_group(row).tolist()) for row in range(7)] == ALIKE
+
+
+def test_any_of_a_group_is_drawn():
+    assert met(group_by_pose(STIMULUS, POSE).sample_any) == ALIKE
+
+
+def test_others_are_not_the_row_itself_unless_it_is_alone():
+    found = met(group_by_pose(STIMULUS, POSE).sample_other)
+    assert found == [rows - {row} or {row} for row, rows in enumerate(ALIKE)]
+
+
+def test_all_are_as_likely():
+    siblings, generator = group_by_pose(STIMULUS, POSE), np.random.default_rng(1)
+    counts = np.bincount(siblings.sample_any(np.zeros(9000, int), generator), minlength=7)
+    assert np.all(np.abs(counts[[0, 3, 5]] - 3000) < 200)
+    counts = np.bincount(siblings.sample_other(np.zeros(9000, int), generator), minlength=7)
+    assert counts[0] == 0 and np.all(np.abs(counts[[3, 5]] - 4500) < 200)

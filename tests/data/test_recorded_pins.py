@@ -17,6 +17,7 @@ from jaxunshear.results.record_files import SCHEMA, convert_record
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.camera import project, render_frame
 from jaxunshear.simulator.pin_layout import compute_pin_lattice, compute_pin_tips
+from tests.helpers.commands import succeed
 
 CAMERA = Camera(frame_px=256)
 
@@ -29,9 +30,8 @@ def frames(sensor, shifts_mm):
     tips, key = np.asarray(compute_pin_tips(sensor), np.float32), jax.random.key(0)
     bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
     moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
-    look = jax.jit(
-        jax.vmap(lambda t, k: render_frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k))
-    )
+    nuisance = Nuisance(drift_px=1.0)
+    look = jax.jit(jax.vmap(lambda t, k: render_frame(CAMERA, sensor, nuisance, t, k)))
     grey = look(moved, jax.random.split(key, len(moved)))
     return np.asarray(grey), np.asarray(project(CAMERA, moved, sensor))
 
@@ -51,14 +51,11 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     write(tmp_path / "images", grey)
     write(tmp_path / "rest", frames(sensor, [(0.0, 0.0)])[0])
     words = ("--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
-    answer = command("pins", tmp_path / "images", *words)
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "pins", tmp_path / "images", *words)
     held = json.loads((tmp_path / "out" / "pins.json").read_text())
     rows = held["rows"]
-    assert (
-        to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
-        and held["schema"] == SCHEMA
-    )
+    assert to_builtins(convert_record(held, PinScores, "pins.json", "run it again").rows) == rows
+    assert held["schema"] == SCHEMA
     assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [
         (f"image_{n}.png", sensor.pins, True) for n in range(len(SHIFTS))
     ]
@@ -68,9 +65,8 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     # the farthest motions must agree
     scale = np.ptp(place[0]) / np.ptp(true[0])
     expected = np.sort(scale * np.linalg.norm(true - true[:1], axis=-1), axis=-1)
-    np.testing.assert_allclose(
-        np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8
-    )
+    found = np.sort(np.linalg.norm(motion, axis=-1), axis=-1)
+    np.testing.assert_allclose(found, expected, atol=0.8)
     assert Image.open(tmp_path / "out" / "pins.png").size[0] > 400
     assert f"{len(SHIFTS)} with every pin's identity sure" in answer.out
 
@@ -80,15 +76,12 @@ def test_from_python_as_arrays(tmp_path):
     write(tmp_path / "images", [*grey, np.random.default_rng(0).random((256, 256))])
     found = find_pins(tmp_path / "images", make_layout(TACTIP_127))
     assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
-    assert (
-        found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()
-    )
-    np.testing.assert_allclose(
-        found.motion_px[:-1].mean(axis=0), 0, atol=0.8
-    )  # from the mean place in these images
-    assert found.table.image_px == 256 and [row.matched for row in found.table.rows] == [127] * len(
-        SHIFTS
-    ) + [0]
+    assert found.motion_px.shape == (len(SHIFTS) + 1, 127, 2)
+    assert np.isnan(found.motion_px[-1]).all()
+    # from the mean place in these images
+    np.testing.assert_allclose(found.motion_px[:-1].mean(axis=0), 0, atol=0.8)
+    assert found.table.image_px == 256
+    assert [row.matched for row in found.table.rows] == [127] * len(SHIFTS) + [0]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]  # nothing is written
 
 
@@ -97,8 +90,7 @@ def test_frames_that_show_no_pins_are_reported_not_guessed(command, tmp_path):
     half = grey[1].copy()
     half[:, 128:] = 0.03
     write(tmp_path / "images", [*grey, half, np.random.default_rng(0).random((256, 256))])
-    answer = command("pins", tmp_path / "images", "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
+    answer = succeed(command, "pins", tmp_path / "images", "--out", tmp_path / "out")
     rows = json.loads((tmp_path / "out" / "pins.json").read_text())["rows"]
     assert [row["matched"] for row in rows] == [331] * 5 + [0, 0]
     with np.load(tmp_path / "out" / "pins.npz") as stored:
@@ -128,8 +120,9 @@ def test_a_user_s_layout(command, tmp_path):
         file, compute_pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments=""
     )
     write(tmp_path / "images", frames(TACTIP_331, SHIFTS)[0])
-    answer = command("pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out")
-    assert answer.code == 0, answer.err
+    answer = succeed(
+        command, "pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out"
+    )
     assert "5 of them with all 331 pins" in answer.out
 
 

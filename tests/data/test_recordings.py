@@ -26,9 +26,8 @@ NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "R
 
 def binary(seed, size=96):
     rng = np.random.default_rng(seed)
-    return np.kron(rng.random((size // 4, size // 4)) > 0.7, np.ones((4, 4))).astype(
-        np.uint8
-    ) * np.uint8(255)
+    white = np.kron(rng.random((size // 4, size // 4)) > 0.7, np.ones((4, 4)))
+    return white.astype(np.uint8) * np.uint8(255)
 
 
 def write_images(folder, names):
@@ -75,9 +74,8 @@ def test_a_single_image(tmp_path):
 )
 def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
     recordings = read_recordings(older(tmp_path / "set", images, column, names), PREPROCESS)
-    assert recordings.names == tuple(
-        f"{images}/{name}" for name in names
-    )  # in the order of their numbers
+    # in the order of their numbers
+    assert recordings.names == tuple(f"{images}/{name}" for name in names)
     np.testing.assert_array_equal(recordings.poses, 100 * np.arange(3)[:, None] + np.arange(6))
     np.testing.assert_array_equal(recordings.moves, 100 * np.arange(3)[:, None] + np.arange(6, 12))
     assert recordings.notes == []
@@ -209,11 +207,8 @@ def test_paths_that_hold_nothing(tmp_path):
 @pytest.mark.parametrize("mode", ["P", "I;16", "1", "RGBA", "LA", "CMYK"])
 def test_colour_modes(tmp_path, mode):
     image = Image.fromarray(binary(0))
-    image = (
-        Image.fromarray(binary(0).astype(np.uint16) * 257)
-        if mode == "I;16"
-        else image.convert(mode)
-    )
+    wide = Image.fromarray(binary(0).astype(np.uint16) * 257)
+    image = wide if mode == "I;16" else image.convert(mode)
     file = tmp_path / ("a.tif" if mode == "CMYK" else "a.png")
     image.save(file)
     Image.fromarray(binary(0)).save(tmp_path / "grey.png")
@@ -232,9 +227,8 @@ def test_real_recordings(real_recordings, tmp_path):
     assert [image.shape for _, _, image in recordings.iterate_frames()] == [(128, 128)] * 12
     assert np.isfinite(recordings.poses).all()
     assert recordings.notes == []
-    np.testing.assert_array_equal(
-        recordings.pose_ids == -1, ["franka" in name for name in recordings.names]
-    )
+    is_unknown = ["franka" in name for name in recordings.names]
+    np.testing.assert_array_equal(recordings.pose_ids == -1, is_unknown)
     raw = read_recordings(real_recordings / "raw", PREPROCESS)
     assert len(list(raw.iterate_frames())) == len(raw.poses) == 3
     newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)
@@ -267,9 +261,8 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
                 grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
             Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    other = (
-        recordings.find_common_view() if narrower else None
-    )  # one without a crop: the folders differ in size
+    # one without a crop: the folders differ in size
+    other = recordings.find_common_view() if narrower else None
     for view in (None, other):
         middles = [
             np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.iterate_frames(view)
@@ -328,25 +321,21 @@ def test_wide_integers_mean_what_the_file_says(tmp_path):
     wide = Image.frombytes("I", seen.shape[::-1], (seen.astype(np.uint32) * 0x01010101).tobytes())
     wide.save(tmp_path / "a.tif")
     data = (tmp_path / "a.tif").read_bytes()
-    head, tail = data.split(
-        signed := bytes.fromhex("5301 0300 01000000")
-    )  # Pillow writes it as signed; the tag is set by hand
+    # Pillow writes it as signed; the tag is set by hand
+    head, tail = data.split(signed := bytes.fromhex("5301 0300 01000000"))
     (tmp_path / "a.tif").write_bytes(head + signed + b"\1" + tail[1:])
-    Image.fromarray((255 - seen).astype(np.uint16) * np.uint16(257)).save(
-        tmp_path / "b.tif", tiffinfo={262: 0}
-    )
+    inverse = (255 - seen).astype(np.uint16) * np.uint16(257)
+    Image.fromarray(inverse).save(tmp_path / "b.tif", tiffinfo={262: 0})
     for name in ("a.tif", "b.tif"):
         read = read_image(tmp_path / name)
-        np.testing.assert_array_equal(
-            read, seen.astype(np.int64) * (0x01010101 if name == "a.tif" else 257)
-        )
+        unit = 0x01010101 if name == "a.tif" else 257
+        np.testing.assert_array_equal(read, seen.astype(np.int64) * unit)
         np.testing.assert_array_equal(to_grey(read), seen / np.float32(255))
 
 
 def test_numbers_below_zero_are_refused(tmp_path):
-    Image.frombytes("I", (96, 96), (binary(0).astype(np.int32) - 128).tobytes()).save(
-        tmp_path / "a.tif"
-    )
+    data = (binary(0).astype(np.int32) - 128).tobytes()
+    Image.frombytes("I", (96, 96), data).save(tmp_path / "a.tif")
     with pytest.raises(UserError, match="below zero"):
         list(read_recordings(tmp_path, PREPROCESS).iterate_frames())
 

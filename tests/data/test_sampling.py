@@ -69,9 +69,8 @@ def test_ranges_are_those_of_the_paper_and_filled():
 
 
 def test_slides_are_along_x_along_y_or_along_both_a_third_each():
-    move = sample_pairs(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(
-        1000, 4, 2
-    )[:, 1:]
+    scenes = sample_pairs(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes
+    move = scenes.move.reshape(1000, 4, 2)[:, 1:]
     along = move.reshape(-1, 2) != 0
     for kind in ([True, False], [False, True], [True, True]):
         assert abs(np.mean(np.all(along == kind, axis=-1)) - 1 / 3) < 0.04
@@ -81,42 +80,31 @@ def test_slides_are_along_x_along_y_or_along_both_a_third_each():
 def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
     for known in (PAIRED, POSE):
         for name, settings in known.items():
-            fitted = (get_config_sensor(name), settings.friction) == (
-                TACTIP_331_FITTED,
-                FITTED_FRICTION,
-            )
-            camera = (
-                dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px)
-                == FITTED_CAMERA
-            )
-            assert fitted == camera == (name not in ("tiny", "demo"))
-            assert (
-                not name.startswith("paper")
-                or settings.camera.frame_px == settings.preprocess.size == 256
-            )
+            sensor, friction = get_config_sensor(name), settings.friction
+            camera = dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px)
+            is_fitted = name not in ("tiny", "demo")
+            assert (sensor == TACTIP_331_FITTED and friction == FITTED_FRICTION) == is_fitted
+            assert (camera == FITTED_CAMERA) == is_fitted
+            if name.startswith("paper"):
+                assert settings.camera.frame_px == settings.preprocess.size == 256
 
 
 def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
     settings = PairedData(stimuli=("disk",), poses=100, taps=4, slides=4, tap_depth_jitter_mm=1.0)
-    shots, still = (
-        sample_pairs(settings),
-        sample_pairs(dataclasses.replace(settings, tap_depth_jitter_mm=0.0)),
-    )
+    shots = sample_pairs(settings)
+    still = sample_pairs(dataclasses.replace(settings, tap_depth_jitter_mm=0.0))
     moved = shots.scenes.pose - still.scenes.pose
     assert not moved[shots.is_slide].any()
     assert not moved[:, :3].any()
     assert 0.9 < np.abs(moved[~shots.is_slide, 3]).max() <= 1
-    shallow = sample_pairs(
-        dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01))
-    )
+    ranges = Ranges(depth_min_mm=1.0, depth_max_mm=1.01)
+    shallow = sample_pairs(dataclasses.replace(settings, ranges=ranges))
     assert shallow.scenes.pose[:, 3].min() == MIN_DEPTH_MM
 
 
 def test_a_stimulus_keeps_its_poses_beside_others_and_a_seed_changes_them():
-    alone, beside = (
-        sample_taps(PoseData(stimuli=("clover",), poses=9)),
-        sample_taps(PoseData(stimuli=("disk", "clover"), poses=9)),
-    )
+    alone = sample_taps(PoseData(stimuli=("clover",), poses=9))
+    beside = sample_taps(PoseData(stimuli=("disk", "clover"), poses=9))
     there = beside.scenes.stimulus == 1
     np.testing.assert_array_equal(alone.scenes.pose, beside.scenes.pose[there])
     np.testing.assert_array_equal(alone.split, beside.split[there])
@@ -133,9 +121,8 @@ def test_age_runs_from_first_to_last_and_gives_nothing_of_the_shape():
 
 def test_friction_is_the_materials(paired):
     shots = sample_pairs(paired)
-    disk, spiral = (
-        set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2)
-    )
+    friction, stimulus = shots.scenes.friction, shots.scenes.stimulus
+    disk, spiral = set(friction[stimulus == 0]), set(friction[stimulus == 1])
     assert len(disk) == len(spiral) == 1
     assert disk != spiral
     assert set(sample_pairs(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
@@ -186,9 +173,8 @@ def test_changed_settings_have_a_name_of_their_own():
 
 def test_a_full_number_and_its_float_are_one_setting():
     """A file says 4, the command line 4.0."""
-    full, real = (
-        dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0)
-    )
+    full = dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=4))
+    real = dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=4.0))
     assert compute_config_name(full) == compute_config_name(real)
 
 
@@ -216,20 +202,16 @@ def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
     np.testing.assert_array_equal(twisted.move[:, :2], plain.move)
     twist = twisted.move[:, 2]
     slid = np.any(plain.move != 0, axis=1)
-    assert (
-        not twist[~slid].any()
-        and 4.9 < np.abs(twist).max() <= 5
-        and len(np.unique(twist[slid])) == slid.sum()
-    )
+    assert not twist[~slid].any()
+    assert 4.9 < np.abs(twist).max() <= 5
+    assert len(np.unique(twist[slid])) == slid.sum()
     np.testing.assert_allclose(more.move[:, 2], 4 * twist)  # the same draws, further
 
 
 def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
     settings = ranged(dataclasses.replace(TURNING, poses=600), tilt_deg=25.0)
-    plain, tilted = (
-        sample_pairs(ranged(settings, tilt_deg=0.0)).scenes,
-        sample_pairs(settings).scenes,
-    )
+    plain = sample_pairs(ranged(settings, tilt_deg=0.0)).scenes
+    tilted = sample_pairs(settings).scenes
     assert plain.pose.shape[1] == 4
     np.testing.assert_array_equal(tilted.pose[:, :4], plain.pose)
     np.testing.assert_array_equal(tilted.move, plain.move)

@@ -23,8 +23,8 @@ from jaxunshear.downstream.geometry_scores import (
     estimate_recorded_heights,
 )
 from jaxunshear.inference.trained_model import TrainedModel
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.lattice import compute_rings, make_lattice
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 

@@ -11,7 +11,7 @@ import pytest
 from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.config.targets import make_range_targets
-from jaxunshear.data.chunks import render_images
+from jaxunshear.data.simulation import render_images
 from jaxunshear.downstream import servo
 from jaxunshear.downstream.contour import trace_contour
 from jaxunshear.downstream.servo_scores import score_trajectories
@@ -22,9 +22,9 @@ from jaxunshear.inference.edge_methods import (
 )
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.models import pin_networks, posenet
-from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.drawing import draw_dots
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_tracking import measure_motions, track_images
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.simulator.pin_layout import compute_pin_tips
 from jaxunshear.simulator.stimuli import STIMULI
 from tests.helpers.models import change_weights, init, write_run

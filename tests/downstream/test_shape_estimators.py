@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.config.image import Camera, Preprocess
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data.simulated_contacts import SimulatedContacts
+from jaxunshear.data.simulation import SimulatedContacts
 from jaxunshear.downstream.reconstruct import compute_skin_positions
 from jaxunshear.downstream.shape_estimators import (
     SKIN,
@@ -14,7 +14,7 @@ from jaxunshear.downstream.shape_estimators import (
     make_shape_estimators,
 )
 from jaxunshear.errors import UserError
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 
 LATTICE = compute_rest_lattice(TACTIP_331, Camera(), Preprocess(size=128))
 

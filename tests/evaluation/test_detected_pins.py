@@ -22,8 +22,8 @@ from jaxunshear.evaluation.network_outputs import make_run
 from jaxunshear.evaluation.simulated_evaluation import build_simulated_results
 from jaxunshear.models import pin_networks, posenet
 from jaxunshear.models.modality import PINS
-from jaxunshear.perception.pin_drawing import draw_dots
-from jaxunshear.perception.rest_positions import compute_rest_lattice
+from jaxunshear.perception.drawing import draw_dots
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.report import score_sections, wording
 from tests.report.conftest import made_up_gathered
 

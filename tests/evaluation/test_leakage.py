@@ -16,9 +16,9 @@ from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.config.targets import make_slide_targets
 from jaxunshear.config.training import Training
-from jaxunshear.data.chunks import SimulationEngine
-from jaxunshear.data.generation import make_set
 from jaxunshear.data.reader import to_sensor_frame
+from jaxunshear.data.simulation import SimulationEngine
+from jaxunshear.data.stored_sets import make_set
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import (
     code_exchange,

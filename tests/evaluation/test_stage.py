@@ -11,7 +11,7 @@ from jaxunshear.config.experiment import Experiment
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data import reader
+from jaxunshear.data import stored_sets
 from jaxunshear.data.sources import open_source
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import simulated_evaluation
@@ -76,7 +76,7 @@ class Reader:
 
 
 def _opens(monkeypatch, count):
-    for module in (simulated_evaluation, reader):
+    for module in (simulated_evaluation, stored_sets):
         monkeypatch.setattr(
             module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count)
         )

@@ -17,9 +17,8 @@ from jaxunshear.config.sensor import TACTIP_127, Sensor
 from jaxunshear.config.serialization import from_json
 from jaxunshear.config.splits import SPLITS
 from jaxunshear.data.chunks import load_chunk
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.recordings import read_image
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 from jaxunshear.files import read_json
 from jaxunshear.report import montage

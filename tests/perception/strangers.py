@@ -18,7 +18,7 @@ from jaxunshear.angles import rotation_2d
 from jaxunshear.config.configs import PAIRED
 from jaxunshear.config.image import Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import Sensor
-from jaxunshear.data.chunks import render_images
+from jaxunshear.data.simulation import render_images
 from jaxunshear.perception.lattice import measure_spacing
 from jaxunshear.perception.pin_detection import detect_pins_fast
 from jaxunshear.perception.preprocess import View, prepare_frame
@@ -87,12 +87,8 @@ def _resampled(
     source = offset @ rotation_2d(turn) / scale
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (Preprocess().mask_radius * len(image) - 1) / np.maximum(radius, 1))
-    return _masked(
-        ndimage.map_coordinates(
-            image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1
-        )
-        > 127
-    )
+    places = np.moveaxis(middle + source, -1, 0)
+    return _masked(ndimage.map_coordinates(image.astype(np.float32), places, order=1) > 127)
 
 
 def _masked(white: np.ndarray) -> np.ndarray:
@@ -102,9 +98,8 @@ def _masked(white: np.ndarray) -> np.ndarray:
 def _dots(place: np.ndarray, size: int, radius: float) -> np.ndarray:
     """Discs of `radius` px about places (N, 2) px as (column, row)."""
     rows, columns = np.mgrid[:size, :size]
-    off = cKDTree(place).query(
-        np.stack([columns, rows], -1).reshape(-1, 2), distance_upper_bound=radius
-    )[0]
+    pixels = np.stack([columns, rows], -1).reshape(-1, 2)
+    off = cKDTree(place).query(pixels, distance_upper_bound=radius)[0]
     return _masked(np.isfinite(off).reshape(size, size))
 
 
@@ -116,9 +111,8 @@ def _blobs(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Noise of one wavelength, of usual spacings of pins to ten times that."""
     spacing = len(image) * 0.036 * 10 ** rng.random()
     wave = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(len(image))])) * spacing
-    noise = np.fft.ifft2(
-        np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))
-    ).real
+    spectrum = np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))
+    noise = np.fft.ifft2(spectrum).real
     return _masked(noise > np.quantile(noise, rng.uniform(0.65, 0.85)))
 
 
@@ -135,9 +129,8 @@ def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
     pins = detect_pins_fast(image)
     spacing = measure_spacing(pins)
-    return _dots(
-        pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing
-    )
+    away = rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape)
+    return _dots(pins + away, len(image), 0.25 * spacing)
 
 
 def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
@@ -173,11 +166,8 @@ def _prepared(grey: np.ndarray) -> np.ndarray:
 
 def _blurred(image: np.ndarray, rng: Generator) -> np.ndarray:
     """Out of focus by half a spacing and more."""
-    return _prepared(
-        ndimage.gaussian_filter(
-            image.astype(np.float32) / 255, len(image) * rng.uniform(0.03, 0.08)
-        )
-    )
+    width = len(image) * rng.uniform(0.03, 0.08)
+    return _prepared(ndimage.gaussian_filter(image.astype(np.float32) / 255, width))
 
 
 def _shrunk(image: np.ndarray, rng: Generator) -> np.ndarray:

@@ -43,9 +43,8 @@ def binarise_reference(preprocess, grey):
         small, block, method="mean", offset=-preprocess.offset, mode="reflect"
     )
     away = np.hypot(*(np.mgrid[: preprocess.size, : preprocess.size] + 0.5 - preprocess.size / 2))
-    return ((small > threshold) & (away <= preprocess.mask_radius * preprocess.size)).astype(
-        np.uint8
-    ) * np.uint8(255)
+    white = (small > threshold) & (away <= preprocess.mask_radius * preprocess.size)
+    return white.astype(np.uint8) * np.uint8(255)
 
 
 def pressed(seed):
@@ -59,15 +58,10 @@ def pressed(seed):
 @pytest.fixture(scope="module")
 def frames():
     """Four undeformed and four pressed frames (8, F, F)."""
-    tips = np.stack(
-        [compute_pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]
-    ).astype(np.float32)
+    tips = np.stack([compute_pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)])
     keys = jax.random.split(jax.random.key(3), len(tips))
-    return np.asarray(
-        jax.vmap(lambda tip, key: render_frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(
-            tips, keys
-        )
-    )
+    render = jax.vmap(lambda tip, key: render_frame(CAMERA, TACTIP_331, Nuisance(), tip, key))
+    return np.asarray(render(tips.astype(np.float32), keys))
 
 
 def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
@@ -97,10 +91,8 @@ def test_agrees_with_scikit_image_at_uneven_ratios(before, size):
     smooth = np.random.default_rng(0).random((before // 5 + 1, before // 5 + 1)).astype(np.float32)
     grey = np.kron(smooth, np.ones((5, 5), np.float32))[:before, :before]
     preprocess = Preprocess(size=size)
-    assert (
-        np.mean(np.asarray(binarise(preprocess, grey)) == binarise_reference(preprocess, grey))
-        >= 0.999
-    )
+    ours, theirs = binarise(preprocess, grey), binarise_reference(preprocess, grey)
+    assert np.mean(np.asarray(ours) == theirs) >= 0.999
 
 
 def test_vmap_equals_a_batch_and_a_single_frame(frames):
@@ -108,9 +100,8 @@ def test_vmap_equals_a_batch_and_a_single_frame(frames):
     batch = np.asarray(binarise(preprocess, frames))
     np.testing.assert_array_equal(jax.vmap(lambda grey: binarise(preprocess, grey))(frames), batch)
     np.testing.assert_array_equal(binarise(preprocess, frames[0]), batch[0])
-    np.testing.assert_array_equal(
-        binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))[1, 2], batch[6]
-    )
+    pairs = binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))
+    np.testing.assert_array_equal(pairs[1, 2], batch[6])
 
 
 def test_what_is_not_square_is_refused():
@@ -123,9 +114,8 @@ def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     preprocess = Preprocess(size=size)
     images = np.asarray(binarise(preprocess, frames[:4]))
     assert [len(find_pins(image)) for image in images] == [331] * 4
-    true = to_image_px(
-        CAMERA, preprocess, project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
-    )
+    tips = project(CAMERA, compute_pin_tips(TACTIP_331), TACTIP_331)
+    true = to_image_px(CAMERA, preprocess, tips)
     error = measure_pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), limit_px=5.0)
     assert error["missed_per_image"] == error["extra_per_image"] == 0
     assert error["rms_px"] < 0.3
@@ -229,17 +219,12 @@ def test_white_is_the_range_that_a_camera_fills(frame, white):
 
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     grey = to_grey(photograph(frames[0]))
-    bright, dark = (
-        np.round(most / np.quantile(grey, 0.999) * grey).astype(np.uint16) for most in (1100, 1000)
-    )
-    shared, alone = (
-        prepare_frame(Preprocess(), dark, view)
-        for view in (View(None, (("uint16", find_white_level(bright)),)), View())
-    )
-    other, off = (
-        np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone)
-    )
-    assert other < 0.5 * off, (other, off)
+    unit = np.quantile(grey, 0.999)
+    bright, dark = [np.round(most / unit * grey).astype(np.uint16) for most in (1100, 1000)]
+    image, differences = prepare_frame(Preprocess(), bright), []
+    for view in (View(None, (("uint16", find_white_level(bright)),)), View()):
+        differences.append(np.mean(image != prepare_frame(Preprocess(), dark, view)))
+    assert differences[0] < 0.5 * differences[1], differences
 
 
 def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
@@ -288,9 +273,8 @@ def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
     closer = image[50:-50, 50:-50]
     found = find_pins(prepare_frame(Preprocess(size=256), closer))
     assert abs(len(found) - 331) <= 1
-    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(
-        compute_outer_fraction(CAMERA, TACTIP_331), abs=0.015
-    )
+    outer = compute_outer_fraction(CAMERA, TACTIP_331)
+    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(outer, abs=0.015)
 
 
 @pytest.mark.parametrize(
@@ -320,11 +304,9 @@ def test_real_frames(real_recordings, number, size):
     grey = to_grey(raw)
     square = crop_frame(grey, find_dome(grey, preprocess.outer_pins))
     image = prepare_frame(preprocess, raw)
-    assert (
-        np.mean(np.asarray(binarise(preprocess, square)) == binarise_reference(preprocess, square))
-        >= 0.999
-    )
-    assert np.mean(image == binarise_reference(preprocess, square)) >= 0.999
+    theirs = binarise_reference(preprocess, square)
+    assert np.mean(np.asarray(binarise(preprocess, square)) == theirs) >= 0.999
+    assert np.mean(image == theirs) >= 0.999
     found = find_pins(image)
     assert abs(len(found) - 331) <= 3
     outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size

@@ -7,10 +7,9 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.config.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
 from jaxunshear.config.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
-from jaxunshear.perception.lattice_fitting import fit_lattice, make_layout
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice, fit_lattice, make_layout
 from jaxunshear.perception.pin_detection import detect_pins_fast, find_pins
 from jaxunshear.perception.preprocess import View, prepare_frame
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import (
     compute_plausibility,
     invert_image,
@@ -33,15 +32,12 @@ FULL_VIEW = View((0, 0, 256, 256))
 @pytest.fixture(scope="module")
 def sets():
     """By sensor, 16 images (16, 128, 128) of it and what its models expect."""
-    return {
-        name: SimpleNamespace(
-            images=touched(sensor, camera, 16, seed=5),
-            expected=measure_sensor_appearance(
-                compute_rest_lattice(sensor, camera, Preprocess()).rest, 128
-            ),
-        )
-        for name, (sensor, camera) in SENSORS.items()
-    }
+    made = {}
+    for name, (sensor, camera) in SENSORS.items():
+        rest = compute_rest_lattice(sensor, camera, Preprocess()).rest
+        expected, images = measure_sensor_appearance(rest, 128), touched(sensor, camera, 16, seed=5)
+        made[name] = SimpleNamespace(images=images, expected=expected)
+    return made
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -69,9 +65,8 @@ def test_strangers_are_not(sets, kind):
 def grey():
     """A frame (256, 256) in [0, 1] of the untouched sensor of 331 pins."""
     draw = jax.jit(render_frame, static_argnums=(0, 1, 2))
-    return np.asarray(
-        draw(Camera(), TACTIP_331, Nuisance(), compute_pin_tips(TACTIP_331), jax.random.key(0))
-    )
+    tips = compute_pin_tips(TACTIP_331)
+    return np.asarray(draw(Camera(), TACTIP_331, Nuisance(), tips, jax.random.key(0)))
 
 
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
@@ -100,12 +95,8 @@ def test_a_glance_sets_touching_pins_apart():
     rows, columns = np.mgrid[:128, :128]
     place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
     place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
-    white = (
-        np.min(
-            (columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0
-        )
-        <= 3**2
-    )
+    x, y = place.T[..., None, None]
+    white = np.min((columns - x) ** 2 + (rows - y) ** 2, axis=0) <= 3**2
     found = detect_pins_fast(white.astype(np.uint8) * np.uint8(255))
     off = cKDTree(found).query(place)[0]
     assert len(found) == 64 and off.max() < 0.5
@@ -136,9 +127,8 @@ def test_reasons(sets):
     images, expected = sets["331"].images, sets["331"].expected
 
     def reason(kind):
-        return judge_images(
-            np.array([STRANGERS[kind](image, rng) for image in images]), expected
-        ).reason
+        strangers = np.array([STRANGERS[kind](image, rng) for image in images])
+        return judge_images(strangers, expected).reason
 
     assert reason("white noise") == reason("scattered dots") == "dots are scattered, not a lattice"
     assert reason("blank") == "no pins are found"
@@ -152,9 +142,8 @@ def test_reasons(sets):
 
 def test_half_of_a_folder_is_enough(sets):
     images, expected = sets["331"].images[:4], sets["331"].expected
-    noise = np.array(
-        [STRANGERS["white noise"](image, np.random.default_rng(0)) for image in images]
-    )
+    make = STRANGERS["white noise"]
+    noise = np.array([make(image, np.random.default_rng(0)) for image in images])
     assert judge_images(np.concatenate([images, noise]), expected).ok
     assert not judge_images(np.concatenate([images[:3], noise]), expected).ok
 
@@ -174,9 +163,8 @@ def test_other_sizes_are_the_same_sensor(sets):
 
 def test_real_images(sets, real_recordings):
     """Slides of one day by what taps of another day show; and neither is 127 pins, nor noise."""
-    taps, slides = (
-        _packed(real_recordings / f"edge_2d_{half}_train.npz", 30) for half in ("tap", "shear")
-    )
+    taps = _packed(real_recordings / "edge_2d_tap_train.npz", 30)
+    slides = _packed(real_recordings / "edge_2d_shear_train.npz", 30)
     lattice = fit_lattice([find_pins(image) for image in taps], make_layout(TACTIP_331))
     expected = measure_sensor_appearance(lattice.rest, 128)
     likely = np.array([compute_plausibility(image, expected) for image in slides])

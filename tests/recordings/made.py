@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.config.sensor import TACTIP_127, Sensor
-from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 96

@@ -28,6 +28,7 @@ from jaxunshear.inference.readers import Predictions, make_frame_transforms
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.serialization import to_builtins
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
+from tests.helpers.commands import succeed
 from tests.helpers.models import change_weights, init, write_run
 
 RNG = np.random.default_rng(0)
@@ -53,9 +54,8 @@ def test_sign_and_offset_are_found_in_taps(sign):
     assert choose_scored_labels(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
     found = {name: align_to_labels(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
     assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
-    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found[
-        "z_mm"
-    ].offset == pytest.approx(2, abs=0.03)
+    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03)
+    assert found["z_mm"].offset == pytest.approx(2, abs=0.03)
     assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
 
 
@@ -74,17 +74,15 @@ def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
 def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     known = 64 + 6 * compute_pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
     angle = np.radians(degrees)
-    turn = np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )  # rows turn by +degrees
+    # rows turn by +degrees
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
     there, back, by = make_frame_transforms(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
-    assert by == pytest.approx(
-        degrees, abs=1e-9
-    )  # an edge that a network sees at 0 lies at `degrees` in the image
+    # an edge that a network sees at 0 lies at `degrees` in the image
+    assert by == pytest.approx(degrees, abs=1e-9)
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
@@ -144,17 +142,14 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     )
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
     reader = results.readers["pins"]
-    assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx(
-        [0, 1, 0.5], abs=0.05
-    )
+    errors = [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")]
+    assert errors == pytest.approx([0, 1, 0.5], abs=0.05)
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in format_table(results)
     counts = results.counts
-    assert (
-        counts.known_taps + counts.test_taps == 60
-        and counts.test_poses == 40
-        and counts.test_unsure == 0
-    )
+    assert counts.known_taps + counts.test_taps == 60
+    assert counts.test_poses == 40
+    assert counts.test_unsure == 0
     json.dumps(to_builtins(results))
 
 
@@ -198,18 +193,16 @@ def weights(tmp_path_factory):
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
-    full = command("unshear", folder, "--model", weights, "--out", tmp_path / "full")
-    assert full.code == 0, full.err
+    full = succeed(command, "unshear", folder, "--model", weights, "--out", tmp_path / "full")
     assert "30 images unsheared, 0 left out" in full.out and "simulated touches only" in full.out
     rows = (tmp_path / "full" / "poses.csv").read_text().splitlines()
     one = folder / "images" / "image_7.png"
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")
     assert alone.code == 2 and "--like" in alone.err and alone.err.count("\n") == 1
     assert not (tmp_path / "alone").exists()
-    alone = command(
-        "unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder
+    alone = succeed(
+        command, "unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder
     )
-    assert alone.code == 0, alone.err
     read = next(row for row in rows if row.startswith("images/image_7.png")).split(",")[2:5]
     assert (tmp_path / "alone" / "poses.csv").read_text().splitlines()[1].split(",")[2:5] == read
     nothing = command("pose", one, "--model", weights, "--like", tmp_path / "nowhere")
@@ -219,10 +212,9 @@ def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_pat
 def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     assert command("unshear", folder, "--model", weights, "--out", tmp_path / "out").code == 0
-    answer = command(
-        "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
+    succeed(
+        command, "stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images"
     )
-    assert answer.code == 0, answer.err
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     head, *rows = (
         line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines()
@@ -231,9 +223,7 @@ def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
         assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
 
 
-def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(
-    command, weights, tmp_path
-):
+def test_simulated_weights_give_no_pose_without_identities(command, weights, tmp_path):
     """Three of 30 frames are left out and the rest is a success; all of them are none."""
     like = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
     words = ("--model", weights, "--like", like)
@@ -241,21 +231,18 @@ def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(
         folder = made.write(tmp_path / f"hidden{count}", *made.contacts(30, True, 0))
         made.hide_pins(folder, list(range(1, count + 1)))
         answer = command("unshear", folder, *words, "--out", tmp_path / f"out{count}")
-        assert (
-            answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out
-        ), answer.err
+        assert answer.code == code, answer.err
+        assert f"{30 - count} images unsheared, {count} left out" in answer.out
         assert len(list((tmp_path / f"out{count}").rglob("*.png"))) == 30 - count
         answer = command("pose", folder, *words)
         assert answer.code == code and f"{count} left out" in answer.err
         rows = list(csv.DictReader(answer.out.splitlines()))
-        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (
-            30 - count
-        )
+        is_hidden = [True] * count + [False] * (30 - count)
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == is_hidden
         answer = command("stream", folder, *words, "--no-images")
         assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
-        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [
-            False
-        ] * count + [True] * (30 - count)
+        lines = map(json.loads, answer.out.splitlines())
+        assert ["edge_mm" not in line for line in lines] == is_hidden
 
 
 def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):

@@ -9,8 +9,7 @@ import pytest
 from jaxunshear.config.configs import compute_config_name
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.digests import compute_digest, parse_folder_digests
-from jaxunshear.data.recorded_contacts import read_contacts
+from jaxunshear.data.recorded_contacts import compute_digest, parse_folder_digests, read_contacts
 from jaxunshear.errors import UserError
 
 
@@ -25,10 +24,7 @@ def by_name(contacts):
 def test_taps_and_slides_of_one_folder_are_known_by_their_moves(recording):
     contacts = read_contacts(both(recording))
     assert len(contacts.names) == 320 and contacts.is_slide.sum() == 160
-    assert all(
-        ("shear/" in name) == slid
-        for name, slid in zip(contacts.names, contacts.is_slide, strict=True)
-    )
+    assert ["shear/" in name for name in contacts.names] == contacts.is_slide.tolist()
     shares = np.bincount(contacts.split, minlength=3) / 320
     assert 0.7 < shares[0] < 0.9 and 0.04 < shares[1] < 0.17 and 0.04 < shares[2] < 0.17
 
@@ -54,14 +50,8 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     pose, move = made.contacts(60, True, 3)
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
-    contacts = read_contacts(
-        Recorded(
-            tap_folder=str(tmp_path / "tap"),
-            slide_folder=str(tmp_path / "slide"),
-            test=0.2,
-            validation=0.2,
-        )
-    )
+    folders = (str(tmp_path / "tap"), str(tmp_path / "slide"))
+    contacts = read_contacts(Recorded(*folders, test=0.2, validation=0.2))
     of_pose = {}
     for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
         of_pose.setdefault(tuple(own), set()).add(split)
@@ -82,12 +72,8 @@ def test_folders_name_splits(tmp_path):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
     contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
-        assert (
-            SPLITS[split]
-            == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[
-                name.split("/")[1]
-            ]
-        )
+        folder = name.split("/")[1]
+        assert folder == f"csv_{SPLITS[split]}".replace("validation", "val")
 
 
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
@@ -95,10 +81,8 @@ def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
     splits = by_name(read_contacts(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
-    assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {
-        "train",
-        "validation",
-    }
+    of_train = {SPLITS[s] for n, s in splits.items() if n.startswith("train")}
+    assert of_train == {"train", "validation"}
 
 
 BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
@@ -180,9 +164,8 @@ def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
     move[10:] = 0
     made.write(tmp_path, pose, move)
     contacts = read_contacts(Recorded(tap_folder=str(tmp_path)))
-    assert len(contacts.names) == 30 and any(
-        "10 contacts have a move" in note for note in contacts.notes
-    )
+    assert len(contacts.names) == 30
+    assert any("10 contacts have a move" in note for note in contacts.notes)
 
 
 def test_labels_that_do_not_part_taps_from_slides_are_refused(tmp_path):
@@ -200,14 +183,9 @@ def test_pairs_by_a_table(tmp_path):
     lines = [(f"image_{i + 1}.png", f"image_{40 - i}.png") for i in range(40)]
     with open(table, "w", newline="") as file:
         csv.writer(file).writerows([("slide", "tap"), *lines])
-    settings = Recorded(
-        str(tmp_path / "tap"),
-        str(tmp_path / "slide"),
-        pairs=str(table),
-        pairing="file",
-        test=0.2,
-        validation=0.2,
-    )
+    folders = (str(tmp_path / "tap"), str(tmp_path / "slide"))
+    shares = {"test": 0.2, "validation": 0.2}
+    settings = Recorded(*folders, pairs=str(table), pairing="file", **shares)
     contacts = read_contacts(settings)
     taps, slides = (
         contacts.take(np.flatnonzero(contacts.is_slide == slid)) for slid in (False, True)
@@ -238,7 +216,5 @@ def test_a_folder_is_known_beside_others(tmp_path):
     table = tmp_path / "pairs.csv"
     table.write_text("slide,tap\n")
     both = compute_digest((taps, slides), str(table))
-    assert (
-        parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
-        and len(parse_folder_digests(both)) == 2
-    )
+    assert parse_folder_digests(both) == {compute_digest((taps,)), compute_digest((slides,))}
+    assert len(parse_folder_digests(both)) == 2

@@ -11,8 +11,9 @@ from jaxunshear.config.experiment import PIN_TRAINING, Experiment
 from jaxunshear.config.fields import override_fields
 from jaxunshear.config.network_config import resolve_network
 from jaxunshear.config.networks import UnshearNet
-from jaxunshear.data.reader import Reader, SetReader
+from jaxunshear.data.reader import Reader
 from jaxunshear.data.sources import Examples, PinLayout, open_source
+from jaxunshear.data.stored_sets import SetReader
 from jaxunshear.training.few_pairs import (
     ANOTHER,
     ONE,

@@ -9,7 +9,7 @@ from jaxunshear.config.data import Ranges
 from jaxunshear.config.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.config.targets import make_label_targets, make_slide_targets
 from jaxunshear.config.training import POSENET_TRAINING, Training
-from jaxunshear.data.factorial import OTHER, SWAPPED
+from jaxunshear.data.reader import OTHER, SWAPPED
 from jaxunshear.models.distances import compute_pin_distance
 from jaxunshear.models.pin_networks import encode, predict, unshear
 from jaxunshear.models.registry import InitFacts

@@ -6,7 +6,8 @@ import pytest
 from jaxunshear.config.data import Recorded
 from jaxunshear.config.image import Preprocess
 from jaxunshear.config.sensor import TACTIP_331
-from jaxunshear.data.recorded_set import RecordedSet, UnstoredSet
+from jaxunshear.data.recorded_frames import UnstoredSet
+from jaxunshear.data.recorded_set import RecordedSet
 from jaxunshear.training import simulated_slides
 
 PINS, SIZE = 7, 32

@@ -12,7 +12,7 @@ from skimage.measure import find_contours
 
 from jaxunshear.apps.explore.touch import FREE, SLIPPING, STUCK, Touch
 from jaxunshear.config.reach import compute_reach_mm
-from jaxunshear.perception.png import encode_png
+from jaxunshear.perception.drawing import encode_png
 from jaxunshear.simulator.stimuli import Stimulus, compute_signed_distance
 
 MAP_PX = 640

@@ -17,17 +17,17 @@ from jaxunshear.apps.explore.touch import BATCH, Touch, list_warmup_touches, sim
 from jaxunshear.config.data import PairedData
 from jaxunshear.config.sensor import Sensor
 from jaxunshear.config.targets import SIMULATED_FIELDS
-from jaxunshear.data.chunks import render_images
-from jaxunshear.data.preprocessing import SensorFrame
 from jaxunshear.data.recordings import read_image
+from jaxunshear.data.sensor_frame import SensorFrame
+from jaxunshear.data.simulation import render_images
 from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import AS_RECORDED, UNSHEARED
 from jaxunshear.inference.readers import Predictions
 from jaxunshear.inference.trained_model import TrainedModel
+from jaxunshear.perception.drawing import to_uint8
+from jaxunshear.perception.lattice_fitting import compute_rest_lattice
 from jaxunshear.perception.pin_detection import detect_pins
-from jaxunshear.perception.png import to_uint8
 from jaxunshear.perception.preprocess import View, prepare_frame
-from jaxunshear.perception.rest_positions import compute_rest_lattice
 from jaxunshear.perception.sensor_check import invert_image, judge_images
 from jaxunshear.progress import Progress
 from jaxunshear.simulator.pin_layout import compute_pin_tips

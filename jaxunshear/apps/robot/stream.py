@@ -23,7 +23,7 @@ from jaxunshear.files import Json, write_bytes
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.trained_model import TrainedModel
 from jaxunshear.metrics import compute_pose_errors
-from jaxunshear.perception.png import encode_png, to_uint8
+from jaxunshear.perception.drawing import encode_png, to_uint8
 from jaxunshear.perception.preprocess import View, combine_views, find_view, prepare_frame
 from jaxunshear.results.applications import StreamResult
 

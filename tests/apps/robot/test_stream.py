@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.inference.forward import UNSHEARED
 from jaxunshear.inference.readers import ImageReader, Predictions
 from jaxunshear.inference.trained_model import TrainedModel
-from jaxunshear.perception.pin_drawing import draw_dots
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.sensor_check import FOREIGN_REASON, UNIDENTIFIED_REASON
 
 EXPERIMENT = load_experiment("experiments/tiny.py")

@@ -10,16 +10,18 @@ from jaxunshear.config.data import PoseData
 from jaxunshear.config.image import Nuisance
 from jaxunshear.config.sensor import TACTIP_331
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data import chunks
-from jaxunshear.data.chunks import load_chunk, pack_bits, simulate_chunks, unpack_bits
-from jaxunshear.data.examples import (
+from jaxunshear.data import simulation
+from jaxunshear.data.chunks import (
     iterate_paired_examples,
     iterate_pose_examples,
+    load_chunk,
+    pack_bits,
     summarise_set,
+    unpack_bits,
 )
-from jaxunshear.data.generation import make_set
-from jaxunshear.data.reader import open_set
 from jaxunshear.data.sampling import sample_contacts
+from jaxunshear.data.simulation import simulate_chunks
+from jaxunshear.data.stored_sets import make_set, open_set
 from jaxunshear.errors import UserError
 
 
@@ -52,43 +54,13 @@ def test_images_survive_packing():
     np.testing.assert_array_equal(unpack_bits(pack_bits(images), 13), images)
 
 
-def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, engine, tmp_path):
-    shots, paths = make(paired, sensor, tmp_path, engine)
-    seen = set()
-    for split in SPLITS:
-        for key, example in iterate_paired_examples(paired, shots, paths, split):
-            here = shots.scenes.stimulus == paired.stimuli.index(example["stimulus"])
-            here &= (shots.pose_id == example["pose_id"]) & (shots.split == SPLITS.index(split))
-            slide = int(
-                np.flatnonzero(here & shots.is_slide & (shots.instance == example["slide_id"]))[0]
-            )
-            tap = int(
-                np.flatnonzero(here & ~shots.is_slide & (shots.instance == example["tap_id"]))[0]
-            )
-            for name, row in (("sheared", slide), ("canonical", tap)):
-                image = np.asarray(Image.open(io.BytesIO(example[name])))
-                np.testing.assert_array_equal(
-                    image, engine.render(paired, sensor, np.zeros((1, 1, 3)), [row], None)[0][0]
-                )
-            np.testing.assert_allclose(example["pose"], shots.scenes.pose[slide], rtol=1e-6)
-            np.testing.assert_allclose(example["move"], shots.scenes.move[slide], rtol=1e-6)
-            np.testing.assert_allclose(
-                example["tap_depth_mm"], shots.scenes.pose[tap, 3], rtol=1e-6
-            )
-            assert example["tap_id"] == example["slide_id"] % paired.taps
-            seen.add(key)
-    assert len(seen) == shots.is_slide.sum()
-
-
 def test_chunks_do_not_change_an_example(paired, sensor, engine, tmp_path):
     def all_of(name, batches):
         shots, paths = make(paired, sensor, tmp_path / name, engine._replace(plan=batches))
         return dict(sorted(iterate_paired_examples(paired, shots, paths, "train")))
 
-    large, small = (
-        all_of("large", engine.plan),
-        all_of("small", lambda _, __, s: np.array_split(np.arange(len(s))[::-1], 9)),
-    )
+    large = all_of("large", engine.plan)
+    small = all_of("small", lambda _, __, s: np.array_split(np.arange(len(s))[::-1], 9))
     assert large.keys() == small.keys()
     for key, example in large.items():
         for field in ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose"):
@@ -112,15 +84,10 @@ def test_only_missing_chunks_are_made_again(paired, sensor, engine, tmp_path):
 
 def test_chunks_of_another_plan_are_made_again(paired, sensor, engine, tmp_path):
     make(paired, sensor, tmp_path, engine)
-    shots, paths = make(
-        paired,
-        sensor,
-        tmp_path,
-        engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)]),
-    )
-    assert sorted(np.concatenate([load_chunk(path)["number"] for path in paths])) == list(
-        range(len(shots.scenes))
-    )
+    halves = engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)])
+    shots, paths = make(paired, sensor, tmp_path, halves)
+    numbers = np.concatenate([load_chunk(path)["number"] for path in paths])
+    assert sorted(numbers) == list(range(len(shots.scenes)))
 
 
 def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
@@ -139,9 +106,8 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
     assert (counts["retried"], counts["dropped"]) == (10, 0)
     spent = np.concatenate([load_chunk(path)["iterations"] for path in paths])
     slowest = np.concatenate([load_chunk(path)["number"] for path in paths])[spent == spent.max()]
-    assert counts["iterations"]["most"] == spent.max() and counts["iterations"][
-        "median"
-    ] == np.median(spent)
+    assert counts["iterations"]["most"] == spent.max()
+    assert counts["iterations"]["median"] == np.median(spent)
     assert counts["iterations"]["slowest_number"] in slowest
     assert sum(counts["written"].values()) == shots.is_slide.sum()
 
@@ -161,9 +127,7 @@ def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engin
         assert index in shots.split
 
 
-def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(
-    paired, sensor, engine, tmp_path
-):
+def test_slides_whose_taps_are_lost(paired, sensor, engine, tmp_path):
     shots = sample_contacts(paired)
 
     def blind(settings, sensor, tips, number, age):
@@ -189,31 +153,27 @@ def test_pose_examples_cover_all_taps_once(pose, sensor, engine, tmp_path):
 
 
 def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
-    settings = PoseData(
-        config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False)
-    )
+    nuisance = Nuisance(drift_px=4.0, specks=0, housing_ring=False)
+    settings = PoseData(config="tiny", nuisance=nuisance)
     from jaxunshear.simulator.pin_layout import compute_pin_tips
 
     tips = np.repeat(compute_pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)
-    images, pins = chunks.render_images(settings, TACTIP_331, tips, number, age)
-    again, _ = chunks.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
+    images, pins = simulation.render_images(settings, TACTIP_331, tips, number, age)
+    again, _ = simulation.render_images(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
-    assert np.any(
-        chunks.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0]
-        != images[0]
-    )
+    other, _ = simulation.render_images(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])
+    assert np.any(other[0] != images[0])
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
         assert (images[row][line, col] > 0).mean() > 0.98
-    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(
-        2.0, abs=0.1
-    )  # 4 frame px at half size
+    # 4 frame px at half size
+    assert np.linalg.norm(pins[17] - pins[0], axis=-1).min() == pytest.approx(2.0, abs=0.1)
 
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     settings = dataclasses.replace(PAIRED["tiny"], stimuli=("disk",), poses=5, slides=1)
-    shots, paths = make(settings, TACTIP_331, tmp_path, chunks.make_engine())
+    shots, paths = make(settings, TACTIP_331, tmp_path, simulation.make_engine())
     counts = summarise_set(settings, shots, paths)
     assert counts["dropped"] == 0
     (_, example), *_ = iterate_paired_examples(settings, shots, paths, "train")
@@ -237,8 +197,7 @@ def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engin
         rows = open_set(settings, tmp_path, sensor).rows("test")
         assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths
     shots = sample_contacts(settings)
-    slides = shots.scenes.take(
-        np.flatnonzero(shots.is_slide & (shots.split == SPLITS.index("test")))
-    )
+    tested = shots.is_slide & (shots.split == SPLITS.index("test"))
+    slides = shots.scenes.take(np.flatnonzero(tested))
     for name, drawn in (("pose", slides.pose), ("move", slides.move)):
         np.testing.assert_allclose(np.sort(rows[name][:, -1]), np.sort(drawn[:, -1]), rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.splits import SPLITS
-from jaxunshear.data.pose_block import cut_block
+from jaxunshear.data.recorded_splits import cut_block
 from jaxunshear.errors import UserError
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.calibration.sampling import sample_folders
+from jaxunshear.calibration.recorded_groups import sample_folders
 from jaxunshear.errors import UserError
 
 
@@ -49,6 +49,5 @@ def test_a_folder_that_cannot_be_read_costs_itself_alone(tmp_path):
     for torn in (tmp_path / "all" / "b").iterdir():
         torn.write_bytes(b"\x89PNG")
     parts, notes = sample_folders(tmp_path / "all", 9, 0)
-    assert [part.name for part in parts] == ["all/a"] and sum(
-        "left out b/" in note for note in notes
-    ) == 2
+    assert [part.name for part in parts] == ["all/a"]
+    assert sum("left out b/" in note for note in notes) == 2

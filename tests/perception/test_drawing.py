@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.config.sensor import TACTIP_127
+from jaxunshear.perception.drawing import draw_dots
 from jaxunshear.perception.pin_detection import find_pins
-from jaxunshear.perception.pin_drawing import draw_dots
 from jaxunshear.simulator.pin_layout import compute_pin_lattice
 
 SIZE = 128

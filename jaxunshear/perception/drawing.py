@@ -1,11 +1,15 @@
-"""Draw pins as round dots where only their positions are known.
+"""Draw pins as round dots where only their positions are known, and encode images as PNG files.
 
 >>> images = draw_dots(pins, radius_px=1.4, size=128)  # (B, P, 2) px -> (B, 128, 128, 1) in {0, 1}
 """
 
+import io
+
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, UInt8
+from PIL import Image
 
 
 def draw_dots(
@@ -27,3 +31,15 @@ def draw_dots(
     column, row = draw_along(0), draw_along(1)
     level = jnp.matmul(row, column.swapaxes(-1, -2))
     return (level >= 0.5).astype(jnp.float32)[..., None]
+
+
+def encode_png(pixels: UInt8[np.ndarray, "H W"], level: int = 6) -> bytes:
+    """Encode a grey PNG; `level` of zlib: 1 is fast, 9 small."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "png", compress_level=level)
+    return buffer.getvalue()
+
+
+def to_uint8(image: Float[np.ndarray, "*S"]) -> UInt8[np.ndarray, "*S"]:
+    """Convert numbers in [0, 1] to bytes; numbers outside are clipped."""
+    return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)

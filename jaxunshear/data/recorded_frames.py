@@ -1,0 +1,265 @@
+"""Prepare recorded frames: binary images and pins by identity, in files of some hundred frames.
+
+All cores take part. A killed run continues where it stopped, to the same bits. Then the frames are
+made examples of `tactip_recorded`, and counted.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from jaxunshear.config.data import Recorded
+from jaxunshear.config.image import Preprocess
+from jaxunshear.config.splits import SPLITS
+from jaxunshear.data.chunks import (
+    Chunk,
+    count_by_split,
+    iterate_usable_rows,
+    load_chunk,
+    pack_bits,
+    unpack_bits,
+    write_chunks,
+)
+from jaxunshear.data.reader import Batch
+from jaxunshear.data.recorded_contacts import RecordedContacts
+from jaxunshear.data.recordings import read_image
+from jaxunshear.data.sensor_frame import SensorFrame, to_detection_px, to_image_px
+from jaxunshear.environment import count_cores
+from jaxunshear.errors import UserError
+from jaxunshear.files import Json, write_npz
+from jaxunshear.perception.pin_detection import detect_pins
+from jaxunshear.perception.pin_track import PinTrack
+from jaxunshear.perception.pin_tracking import MotionPrior, fit_motion_prior, track_pins
+from jaxunshear.perception.preprocess import prepare_frame
+
+CHUNK = 250  # frames in a file
+NO_IMAGE = np.zeros((0, 1), np.uint8)
+MAX_PRIOR_FRAMES = 2000  # training frames that the usual motions are found from
+MAX_NAMED = 20  # dropped frames that metadata name, at most
+
+
+def prepare_chunks(
+    contacts: RecordedContacts,
+    settings: Recorded,
+    frame: SensorFrame,
+    folder: Path,
+    label: str = "read recordings",
+) -> list[Path]:
+    """Prepare the contacts in files of CHUNK each in `folder`; files that exist are kept.
+
+    A file holds `number` (n,), `images` (n, bytes) at one bit a pixel, `pins` (n, P, 2) px of the
+    image, NaN for missing ones, `sure` (whether pins are identified) and `usable` (n,), and
+    `problem` (n,) of those that cannot be read.
+    """
+    count = len(contacts.files)
+    numbers = [np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+
+    def prepare(missing: list[int]) -> Iterator[Chunk]:
+        jobs = []
+        for i in missing:
+            files = tuple(contacts.files[number] for number in numbers[i])
+            jobs.append((files, numbers[i], settings.preprocess, frame))
+        return _map_over_cores(_prepare_chunk, jobs)
+
+    paths = write_chunks(folder, numbers, prepare, label)
+    prior = _fit_motion_prior(contacts, paths, frame)
+    hard = [path for path in paths if prior is not None and _has_hard_frames(path)]
+    retries = _map_over_cores(_retry_chunk, [(path, frame, prior) for path in hard])
+    for path, chunk in zip(hard, retries, strict=True):
+        write_npz(path, chunk)
+    return paths
+
+
+Result = TypeVar("Result")
+
+
+def _map_over_cores(function: Callable[..., Result], jobs: list[tuple]) -> Iterator[Result]:
+    """Yield `function(*job)` of each job, in order: in processes if there are two jobs or more."""
+    workers = min(count_cores(), len(jobs))
+    if workers < 2:
+        yield from (function(*job) for job in jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(function, *zip(*jobs, strict=True))
+
+
+def _prepare_chunk(
+    files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: SensorFrame
+) -> Chunk:
+    lattice = frame.make_detection_lattice()
+    size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
+    images = np.zeros((len(files), size, size), np.uint8)
+    large_images = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
+    pins = np.full((len(files), len(frame.rest), 2), np.nan, np.float32)
+    identified, usable = np.zeros(len(files), bool), np.zeros(len(files), bool)
+    problem = [""] * len(files)
+    for i, file in enumerate(files):
+        try:
+            raw = read_image(file)
+            image = prepare_frame(large, raw, frame.view)
+            large_images[i] = image
+            if size != frame.pins_px:
+                image = prepare_frame(preprocess, raw, frame.view)
+            images[i] = image
+        except UserError as error:
+            problem[i] = str(error)
+            continue
+        track = track_pins(lattice, detect_pins(large_images[i]))
+        usable[i], identified[i] = True, track.identified
+        pins[i] = to_image_px(frame, lattice.rest + track.motion)
+    hard = usable & ~identified
+    return {
+        "number": number,
+        "images": pack_bits(images),
+        "seen": pack_bits(large_images[hard]) if hard.any() else NO_IMAGE,  # for `_retry_chunk`
+        "pins": np.where(identified[:, None, None], pins, np.nan),
+        "sure": identified,
+        "usable": usable,
+        "problem": np.array(problem),
+        "tried": np.array(False),
+    }
+
+
+def _retry_chunk(path: Path, frame: SensorFrame, prior: MotionPrior) -> Chunk:
+    """Track the frames that were not identified once more, with the usual motions of training."""
+    chunk = load_chunk(path)
+    lattice = frame.make_detection_lattice()
+    rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
+    for row, image in zip(rows, unpack_bits(chunk["seen"], frame.pins_px), strict=True):
+        track = track_pins(lattice, detect_pins(image), prior)
+        if track.identified:
+            chunk["sure"][row] = True
+            chunk["pins"][row] = to_image_px(frame, lattice.rest + track.motion)
+    return chunk | {"tried": np.array(True), "seen": NO_IMAGE}
+
+
+def _fit_motion_prior(
+    contacts: RecordedContacts, paths: list[Path], frame: SensorFrame
+) -> MotionPrior | None:
+    """Fit the usual motions of pins to training frames; None if no frame needs it."""
+    if not any(map(_has_hard_frames, paths)):
+        return None
+    lattice = frame.make_detection_lattice()
+    train = contacts.split == SPLITS.index("train")
+    tracks = []
+    for path in paths:
+        chunk = load_chunk(path)
+        for pins in chunk["pins"][chunk["sure"] & train[chunk["number"]]]:
+            motion = to_detection_px(frame, pins) - lattice.rest
+            tracks.append(PinTrack(motion, np.zeros(0, int), 0.0, 0, 0, True))
+    step = -(-len(tracks) // MAX_PRIOR_FRAMES) or 1
+    return fit_motion_prior(lattice, tracks[::step])
+
+
+def _has_hard_frames(path: Path) -> bool:
+    chunk = load_chunk(path)
+    return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
+
+
+def summarise_recordings(
+    contacts: RecordedContacts, frame: SensorFrame, paths: list[Path]
+) -> tuple[Json, Json]:
+    """Return counts, and what else a reader must know of the set, both plain JSON.
+
+    Raises UserError if no frame of a split can be read.
+    """
+    chunks = [load_chunk(path) for path in paths]
+    usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
+    problem = _join(chunks, "problem")
+    white_shares = [np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks]
+    white = np.concatenate(white_shares)
+    counts = count_contacts(contacts, usable, identified, problem)
+    for split, count in counts["written"].items():
+        if not count:
+            first = _list_drops(contacts, problem)[:1]
+            raise UserError(f"no frame of split '{split}' can be read; the first: {first}")
+    is_full = np.isfinite(_join(chunks, "pins")).all(axis=(1, 2))
+    description = {
+        "frame": frame.describe(),
+        "pins": {
+            "sure": round(float(identified[usable].mean()), 6),
+            "all_seen": round(float(is_full[usable].mean()), 6),
+            "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
+        },
+        "notes": list(contacts.notes),
+    }
+    return counts, description
+
+
+def _join(chunks: list[Chunk], name: str) -> np.ndarray:
+    return np.concatenate([chunk[name] for chunk in chunks])
+
+
+def count_contacts(
+    contacts: RecordedContacts, usable: np.ndarray, identified: np.ndarray, problem: np.ndarray
+) -> Json:
+    """Count contacts (N,) by split, all of them and by kind, and list those with a `problem`."""
+    return {
+        "contacts": len(usable),
+        "dropped": int((~usable).sum()),
+        "unsure": int((usable & ~identified).sum()),
+        "written": count_by_split(contacts.split, usable),
+        "taps": count_by_split(contacts.split, usable & ~contacts.is_slide),
+        "slides": count_by_split(contacts.split, usable & contacts.is_slide),
+        "dropped_frames": _list_drops(contacts, problem)[:MAX_NAMED],
+    }
+
+
+def _list_drops(contacts: RecordedContacts, problem: np.ndarray) -> list[str]:
+    return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
+
+
+def iterate_examples(
+    settings: Recorded, contacts: RecordedContacts, paths: list[Path], split: str
+) -> Iterator[tuple[str, dict]]:
+    """Iterate over (key, example) of every readable frame of a split."""
+    in_split = contacts.split == SPLITS.index(split)
+    for contact in iterate_usable_rows(paths, in_split):
+        row = contact.row
+        example = {
+            "image": contact.encode_png(settings.preprocess.size),
+            "pins": contact.get("pins").astype(np.float32),
+            "sure": int(contact.get("sure")),
+            "slid": int(contacts.is_slide[row]),
+            "pose": contacts.pose[row].astype(np.float32),
+            "move": contacts.move[row].astype(np.float32),
+            "pose_id": int(contacts.pose_id[row]),
+            "number": row,
+        }
+        yield f"{row:08d}", example
+
+
+class UnstoredSet:
+    """Holds chunks of prepared frames in the place of a stored set, all in its test split."""
+
+    def __init__(self, contacts: RecordedContacts, paths: list[Path], frame: Json) -> None:
+        chunks = [load_chunk(path) for path in paths]
+        usable, identified = _join(chunks, "usable"), _join(chunks, "sure")
+        self._test: Batch = {
+            "image": _join(chunks, "images")[usable],
+            "pins": _join(chunks, "pins")[usable].astype(np.float32),
+            "sure": identified[usable].astype(np.int32),
+            "slid": contacts.is_slide[usable].astype(np.int32),
+            "pose": contacts.pose[usable].astype(np.float32),
+            "move": contacts.move[usable].astype(np.float32),
+            "pose_id": contacts.pose_id[usable].astype(np.int32),
+            "number": np.flatnonzero(usable).astype(np.int32),
+        }
+        share = round(float(identified[usable].mean()), 6) if usable.any() else 0.0
+        self.metadata: Json = {
+            "counts": count_contacts(contacts, usable, identified, _join(chunks, "problem")),
+            "frame": frame,
+            "pins": {"sure": share},
+            "notes": list(contacts.notes),
+        }
+
+    def rows(self, split: str) -> Batch:
+        """Return the rows of a split by field: none except for the test."""
+        if split == "test":
+            return self._test
+        return {name: value[:0] for name, value in self._test.items()}
